@@ -1,16 +1,18 @@
-"""Repeatability: how coefficients or means scatter from run to run and between days or switch-ons, with their degrees of freedom.
+"""Repeatability: how coefficients or means scatter from run to run, and between days or switch-ons. Each standard deviation is
+given with its degrees of freedom.
 
     one level     s(K_q)/mean(K_q) over q repeats (IEEE Std 952 and 1431: repeatability)
     two levels    one-way analysis of variance of groups (ISO 5725-2, JCGM 100:2008, H.5): within groups, between groups, and both together,
                   the intermediate precision
 
-Intervals of standard deviations are χ² intervals. The interval of both together is that of Graybill and Wang (J. Am. Stat. Assoc. 75,
-1980, 869), because χ² with Satterthwaite's degrees of freedom contains the true value in only 91 % instead of 95 % of tests of five
-days.
+Intervals of standard deviations are χ² intervals. The interval for the sum of the two variances is that of Graybill and Wang (J.
+Am. Stat. Assoc. 75, 1980, 869), because the χ² interval with Satterthwaite's degrees of freedom contains the true value in only 91
+% instead of 95 % of tests of five days.
 
-Warnings: repeats that scatter more than their own standard uncertainties allow (χ²); repeats that form groups by their labels, by pauses or
-by thirds of their order (`groups_in_time`), which differ (F test) although the plan names no groups; repeats whose scatter is not random in
-their order (von Neumann, Ann. Math. Stat. 12, 1941, 367), as after a drift; and groups within which the scatter differs (Bartlett).
+Warnings: repeats that scatter more than their own standard uncertainties allow (χ²); repeats that form different groups by their
+labels, by pauses or by thirds of their sequence (`groups_in_time`, F test) although the plan names no groups; repeats whose scatter
+is not random in their sequence (von Neumann, Ann. Math. Stat. 12, 1941, 367), as after a drift; and groups whose scatter differs
+(Bartlett).
 """
 
 from __future__ import annotations
@@ -77,9 +79,9 @@ class RepeatabilityParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """n values of one quantity. group: (n,), index of the group of each value; own: (n,), standard uncertainties of the values, NaN if
-    not known. expected: for expected values, the variance that noise alone causes; NaN for measured values. pauses: (n − 1,), s between
-    the repeats; None if not known."""
+    """n values of one quantity. group: (n,), index of the group of each value; own: (n,), standard uncertainties of the values, NaN
+    if not known. expected: for expected values, the variance that noise alone causes; NaN for measured values. pauses: (n − 1,),
+    time between the repeats, s; None if this is not known."""
 
     name: str
     unit: str
@@ -92,7 +94,7 @@ class Repeats:
     pauses: Array | None = None
 
     def on_circle(self, value: float) -> float:
-        """The value reduced to the range from 0 to `period`, for a quantity with a period."""
+        """The value, reduced to the range from 0 to `period`; unchanged for a quantity without a period."""
         if math.isinf(self.period):
             return value
         return 0.0 if abs(math.remainder(value, self.period)) < 1e-9 * self.period else value % self.period
@@ -102,10 +104,10 @@ class Repeats:
 class Variance:
     """One-way analysis of variance of n values in k groups.
 
-    mean: mean of the group means, with `mean_uncertainty` and `mean_freedom` degrees of freedom. within: variance within groups; between:
-    component of variance between groups, which can be negative; total: their sum. Degrees of freedom or standard uncertainty of each have
-    its name as prefix. terms: (2,), the contributions of the mean squares between and within groups to the total. ratio: F, mean square
-    between groups divided by mean square within groups.
+    mean: mean of the group means, with `mean_uncertainty` and `mean_freedom` degrees of freedom. within: variance within groups;
+    between: component of variance between groups, which can be negative; total: their sum. A field with one of these names as
+    prefix gives the degrees of freedom or the standard uncertainty. terms: (2,), the contributions to the total of the mean square
+    between groups and of the mean square within groups. ratio: F, mean square between groups divided by mean square within groups.
     """
 
     mean: float
@@ -122,7 +124,7 @@ class Variance:
 
     @property
     def total_interval(self) -> tuple[float, float]:
-        """Confidence interval of the total at `PROBABILITY`."""
+        """Confidence interval of the total variance at `PROBABILITY`."""
         return _interval_of_sum(self.terms, (self.mean_freedom, self.within_freedom))
 
     @property
@@ -135,7 +137,7 @@ class Variance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScatterQuantities(Quantities):
-    """Each quantity with its analysis of variance."""
+    """Each quantity with its analysis of variance, and the reported coefficients."""
 
     splits: tuple[tuple[Repeats, Variance], ...]
 
@@ -199,7 +201,8 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
 
 
 def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: bool) -> NDArray[np.int64]:
-    """The index of the group of each name. Raises `EstimationError` for a name in no group or in two, and for an empty group."""
+    """The index of the group to which each name belongs. Raises `EstimationError` for a name that belongs to no group or to two
+    groups, and for an empty group."""
     number = np.zeros(len(names), dtype=np.int64)
     if not groups:
         return number
@@ -282,7 +285,7 @@ def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDAr
 
 
 def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
-    """Scatter that noise alone causes for a coefficient of expected estimates; NaN for measured ones."""
+    """The variance that noise alone causes in a coefficient of expected estimates; NaN for measured estimates."""
     found = []
     for used in uses:
         if not used.expected or used.data_covariance is None:
@@ -293,8 +296,8 @@ def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
 
 
 def together(repeats: Sequence[Coefficient]) -> Array:
-    """The values, (n,). For a circular quantity, these are the equivalent values nearest to the circular mean (Mardia and Jupp,
-    Directional Statistics, 2.2)."""
+    """The values of a repeated coefficient, (n,). For a circular quantity, these are the equivalent values nearest to the circular
+    mean (Mardia and Jupp, Directional Statistics, 2.2)."""
     period = repeats[0].period
     if math.isinf(period) or not all(math.isfinite(one.value) for one in repeats):
         return np.array([one.value for one in repeats])
@@ -306,11 +309,11 @@ def together(repeats: Sequence[Coefficient]) -> Array:
 
 
 def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float = math.nan) -> Variance:
-    """One-way analysis of variance; with a single group, only mean and scatter.
+    """One-way analysis of variance; for a single group, only the mean and the scatter.
 
     The mean is the mean of the group means. The component between groups is (M_b − M_w)/n₀, where M_b and M_w are the mean squares
-    between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. expected: the variance of the values about
-    their mean, used in place of their scatter.
+    between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. expected: a variance that is used
+    instead of the scatter of the values about their mean.
     """
     numbers = np.unique(group)
     n, k = len(value), len(numbers)
@@ -490,11 +493,11 @@ def _notes(one: Repeats, split: Variance) -> list[Said]:
 
 
 def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
-    """The probability that random values are at least as similar from one to the next as these values within their groups; NaN for
-    fewer than eight values within groups.
+    """The probability that random values would be at least as similar from one value to the next as these values are within their
+    groups; NaN for fewer than eight values within groups.
 
-    The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1) (von
-    Neumann); η/4 is close to a symmetric beta variable with these moments. Each group is taken about its own mean.
+    The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1)
+    (von Neumann); η/4 is close to a symmetric beta variable with these moments. Each group is compared with its own mean.
     """
     from scipy.special import betainc
 
@@ -552,8 +555,8 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
 
 
 def _unnamed_groups(one: Repeats) -> Said | None:
-    """The warning about repeats that the plan treats as one group but that form different groups; None if they do not. If m divisions
-    are tried, each is tested at 1/m of the significance level."""
+    """The warning about repeats that form different groups although the plan treats them as one group; None if there are no such
+    groups. If m divisions into groups are tried, each division is tested at 1/m of the significance level."""
     if len(np.unique(one.group)) > 1 or not math.isnan(one.expected):
         return None
     tried = groupings(one.labels, one.pauses)
@@ -578,7 +581,7 @@ def _unnamed_groups(one: Repeats) -> Said | None:
 
 
 def _scatter_differs(one: Repeats) -> bool:
-    """Whether the scatter within groups of at least three repeats differs between groups."""
+    """Whether the scatter within groups, of at least three repeats each, differs from group to group."""
     held = [one.value[one.group == number] for number in np.unique(one.group)]
     held = [values for values in held if len(values) >= _TO_COMPARE]
     variances = np.array([float(np.var(values, ddof=1)) for values in held])

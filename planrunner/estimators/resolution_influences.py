@@ -1,7 +1,7 @@
 """Influence of the resolution of outputs on coefficients.
 
-It is listed in budgets but never added. Without dither by noise, the standard errors of the means include rounding (see
-`observations`). With dither, the scatter of the samples includes it.
+The influence is listed in budgets but never added. If the noise does not dither the counts, the standard errors of the means
+include the rounding (see `observations`). If the noise dithers the counts, the scatter of the samples includes the rounding.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def resolution_influences(
     request: EstimateRequest[object], outputs: Sequence[str], functionals: Array
 ) -> tuple[Influence, ...]:
-    """One influence for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over
-    segment n); further observations are ignored.
+    """One influence for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k
+    over segment n); observations after the means are ignored.
 
-    If the noise is too small to dither the count, a mean has the rounding error of a single sample. Otherwise the rounding errors of its
-    samples average out, by the square root of their number.
+    If the noise is too small to dither the count, a mean has the rounding error of a single sample. Otherwise the rounding errors
+    of its samples average out: the error decreases with the square root of the number of samples.
     """
     found = []
     for k, name in enumerate(outputs):
@@ -42,7 +42,7 @@ def resolution_influences(
 
 
 def _left(segments: Sequence[RecordedSegment], name: str, sensor: SensorModel) -> Array:
-    """The share of the rounding error of one count that remains in each mean, (n,)."""
+    """The share of the rounding error of one sample that remains in each mean, (n,)."""
     held = [one.statistics for one in segments]
     places = [one.of(name) for one in held]
     counts = np.array([one.count for one in held])

@@ -1,6 +1,7 @@
-"""Results of an analysis and their form as JSON (schemas/results.schema.json): full precision, so that floats are restored exactly.
+"""Results of an analysis, and their form as JSON (schemas/results.schema.json). Numbers have full precision, so that floats are
+restored exactly.
 
-JSON has no infinity and no NaN: these are written as the texts "inf", "-inf" and "nan", everywhere.
+JSON has no infinity and no NaN: these are always written as the texts "inf", "-inf" and "nan".
 """
 
 from __future__ import annotations
@@ -39,10 +40,10 @@ _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 class Results:
     """Results of an analysis.
 
-    estimates: by name, in the plan's order. limits: verdicts. failures: messages by the name of the estimate or limit that has no
-    result. segments: one mapping of statistics per recorded segment, from `segment_statistics`. origin: source of the samples; None in
-    results of versions that did not record it. unfit: names in `failures` that failed because of the recorded data, not because of the
-    plan.
+    estimates: name → estimate, in the plan's order. limits: the verdicts on the limits. failures: name of an estimate or limit that
+    has no result → message. segments: statistics of each recorded segment, from `segment_statistics`. origin: source of the
+    samples; None in results of versions that did not record the source. unfit: names in `failures` that failed because of the
+    recorded data, not because of the plan.
     """
 
     estimates: Mapping[str, Estimate]
@@ -93,7 +94,7 @@ class Results:
 
 
 def segment_statistics(recorded: RecordedSegment) -> JsonObject:
-    """Statistics of one recorded segment as plain data. Means and other values are by channel, in the channel's unit."""
+    """Statistics of one recorded segment as plain data. Means and other values are given for each channel, in the channel's unit."""
     statistics = recorded.statistics
     deviation = np.sqrt(np.diag(np.atleast_2d(statistics.covariance)))
     channels = {
@@ -123,8 +124,8 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
 
 
 def comparable(data: Json) -> Json:
-    """Results as JSON data for a comparison of formats 2 and 3. The format, the versions that computed them, and data that only
-    translations need are omitted."""
+    """Results as JSON data, so that results of formats 2 and 3 can be compared. The format, the versions that computed the results,
+    and data that only translations need are omitted."""
     if isinstance(data, list):
         return [comparable(item) for item in data]
     if not isinstance(data, dict):
@@ -236,8 +237,8 @@ def _estimate_from(data: Mapping[str, Json]) -> Estimate:
 
 
 def _plain(value: Json) -> Json:
-    """Converts to plain JSON data: numpy scalars and arrays, tuples and mappings become plain values; numbers that JSON lacks become
-    texts."""
+    """Converts to plain JSON data: numpy scalars and arrays, tuples and mappings become plain values; numbers that JSON does not
+    have become texts."""
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, np.ndarray):

@@ -9,9 +9,9 @@ def root_of(square: float, spread: float) -> tuple[float, float]:
     """The quantity and its standard uncertainty, from an estimate of its square, which can be negative, and the standard uncertainty of
     the square.
 
-    The interval of the square, ± two standard uncertainties, is converted to an interval of the quantity. The uncertainty is half of the
-    distance from the quantity to the farther end of this interval. This equals the linear rule if the square is well known, and stays
-    finite if it is not.
+    The interval of the square, ± two standard uncertainties, is converted to an interval of the quantity. The uncertainty is half
+    of the distance from the quantity to the farther end of this interval. The result equals that of the linear rule if the square
+    is well known, and stays finite if it is not.
     """
     square = max(0.0, square)
     value = math.sqrt(square)

@@ -1,6 +1,7 @@
-"""Scale factor and bias by a straight line through rates: F = K·ω + F0, with nonlinearity and asymmetry (wording of IEEE 952 and 1431).
+"""Scale factor and bias from a straight line through the outputs at several rates: F = K·ω + F0, with nonlinearity and asymmetry
+(wording of IEEE 952 and 1431).
 
-Any output may be named: the slope of a cross-axis output is its misalignment to the rotation axis.
+Any output may be named: for a cross-axis output, the slope is its misalignment to the rotation axis.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ class ScaleFactorParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineQuantities(Quantities):
-    """Fitted lines. rates: (n,), rad/s. common: whether the plan states an error common to all rates."""
+    """The fitted lines. rates: (n,), rad/s. common: True if the plan states an error that is common to all rates."""
 
     observations: Observations
     rates: Array
@@ -196,7 +197,7 @@ _ALONG = 0.5  # share of the rate along an output's axis from which its slope is
 
 
 def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[AxisResponse]:
-    """Checks the outputs that measure a rate along a known axis, if all segments turn about this axis."""
+    """The responses of the outputs that measure a rate along a known axis, if all segments turn about this axis."""
     segments = [one.segment for one in request.segments if isinstance(one.segment.motion, Spin)]
     shares = shares_by_name(segments, request.setup.mounting, found.observations.channels)
     rows = []
@@ -274,7 +275,7 @@ def _found(
 
 
 def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """Influences of the stated error of each commanded rate on outputs with the slopes (m,)."""
+    """Influences of the stated error of each commanded rate on outputs with the slopes `slopes` (m,)."""
     stated = request.setup.inputs.get("table rate")
     return rate_errors(stated, np.outer(slopes, rates), rates) if stated else ()
 
@@ -282,10 +283,10 @@ def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates:
 def _common(
     request: EstimateRequest[ScaleFactorParameters], functionals: Array, coefficients: Array, rates: Array
 ) -> tuple[Influence, ...]:
-    """Influence of the error common to all rates, as declared in the plan, such as an error of the table's clock. It changes the slope
-    and causes no scatter.
+    """Influence of the error that is common to all rates, as declared in the plan, such as an error of the table's clock. This
+    error changes the slope and causes no scatter.
 
-    functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); coefficients: (m, 2) of the lines.
+    functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); coefficients: (m, 2), coefficients of the lines.
     """
     common = common_rate(request.name, request.parameters.rate_uncertainty)
     if not common.standard_uncertainty:
@@ -302,10 +303,10 @@ def _common(
 def _metrics(
     name: str, rates: Array, observations: Observations, k: int, fit: OutputsFit, basis: str
 ) -> list[tuple[Coefficient, Array]]:
-    """Each coefficient with its sensitivity to the means of the output, (n,).
+    """Pairs of a coefficient and its sensitivity to the means of the output, (n,).
 
-    Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet at
-    zero rate. It needs rates of both signs and three different rates."""
+    Nonlinearity [ppm]: largest residual divided by the largest output. Asymmetry [ppm]: 2·(K₊ − K₋)/(K₊ + K₋), from the slopes of
+    two half-lines that meet at zero rate. The asymmetry needs rates of both signs and three different rates."""
     one, (matrix, _) = fit.fits[k], line_through(rates)
     observed = fit.observed(k, basis)
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0

@@ -1,4 +1,4 @@
-"""Handling of the bad samples that the screening found in the samples of an estimate.
+"""What an estimate does with the bad samples that the screening found in its samples.
 
 The key `outliers` of the plan decides whether the estimate is made without the bad samples, with them, or not at all.
 
@@ -26,9 +26,9 @@ _SILENT = (FindKind.LOST,)  # the gaps in time have a warning of their own
 def estimated(
     segments: Sequence[RecordedSegment], outliers: str, estimate: Callable[[tuple[RecordedSegment, ...]], Estimate]
 ) -> tuple[Estimate, tuple[RecordedSegment, ...]]:
-    """The estimate as the option `outliers` requires, with its warnings and tables, and the segments that it used.
+    """The estimate as the option `outliers` requires, with its warnings and tables, and the segments that were used.
 
-    Raises the `EstimationError` of the estimator, and `UnfitDataError` if bad samples are found and refused.
+    Raises the `EstimationError` of the estimator, and `UnfitDataError` if there are bad samples and the plan refuses them.
     """
     found = [(recorded, one) for recorded in segments for one in recorded.finds or ()]
     if not found:
@@ -79,7 +79,7 @@ def _effect(
     estimate: Callable[[tuple[RecordedSegment, ...]], Estimate],
     segments: Sequence[RecordedSegment],
 ) -> tuple[Said, tuple[Table, ...]]:
-    """The difference that the bad samples make, in a sentence and as a table."""
+    """The difference between the estimates with and without the bad samples, in a sentence and as a table."""
     try:
         other = {item.name: item for item in estimate(tuple(segments)).coefficients}
     except EstimationError as error:
@@ -136,7 +136,7 @@ def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Tab
 
 
 def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Inserted:
-    """The longest findings by kind, segment, channel and time, and how many more there are."""
+    """The longest findings of the screening, each with kind, segment, channel and time, and the number of further findings."""
     ordered = sorted(found, key=lambda item: -item[1].rows)
     texts = tuple(_find(recorded, one) for recorded, one in ordered[:NAMED])
     more = len(ordered) - NAMED

@@ -1,10 +1,10 @@
-"""How declared inputs of site and table change the observations of a linear model. Each input is changed a little, and the model is
-evaluated again.
+"""How errors of the declared inputs of site and table change the observations of a linear model. Each input is changed a little,
+and the model is evaluated again.
 
-Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to that of
-the data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause scatter, so they belong
-to the weights of a fit (`correlated_errors`). The sign of a change is that for a stated value that is too large. For positions, it is
-that of the rotation error.
+Latitude and gravity change the columns of the model. Latitude and gravity cause no scatter between segments, so their contribution
+is added to that of the data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause
+scatter, so they belong to the weights of a fit (`correlated_errors`). The sign of a change is the sign for a stated value that is
+too large. For positions, the sign is that of the rotation error.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _STEP = 1e-4  # of an input; central differences of terms up to the second degre
 
 
 def mean_poses(segments: Sequence[Segment]) -> Poses:
-    """The attitudes of the segments for averages over the recording. Spins count as whole turns, because the angle at which recording
-    begins is not known."""
+    """The attitudes of the segments, for averages over the time of the recording. Spins count as whole turns, because the angle at
+    which recording begins is not known."""
     return Poses.of(segments, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
 
 
@@ -59,9 +59,9 @@ def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
 def site_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Influences of latitude and gravity, if they are stated with an uncertainty. An error of these values changes the expected outputs,
-    not the readings. An expected output that is too large has the same effect as a reading that is too small. coefficients: (m, p), of m
-    outputs, for SI columns and in the outputs' units."""
+    """Influences of latitude and gravity, if they are stated with an uncertainty. An error of these values changes the expected
+    outputs, not the readings. An expected output that is too large has the same effect as a reading that is too small.
+    coefficients: (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each column."""
     stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()
@@ -138,7 +138,8 @@ _table_slopes_of_motion = kept(64)(_table_slopes)
 def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array | float = 0.0) -> Array:
     """Change of the model's columns per unit of each of r inputs, (r, n, p).
 
-    moves: (2, r, n, 3), change of angular rate and specific force per unit of each input; table_rate: (r, n), of the table's rate.
+    moves: (2, r, n, 3), change of angular rate and specific force per unit of each input; table_rate: (r, n), change of the table's
+    rate per unit of each input.
     """
     _, r, n, _ = moves.shape
     sides = np.array([-_STEP, _STEP])[:, None, None]
@@ -158,15 +159,16 @@ def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array 
 
 
 def _followed(slopes: Array, coefficients: Array) -> Array:
-    """Change of the observations of m outputs per unit of each of r inputs, (m, n, r), from slopes (r, n, p) and coefficients (m, p)."""
+    """Change of the observations of m outputs per unit of each of r inputs, (m, n, r), from `slopes` (r, n, p) and `coefficients`
+    (m, p)."""
     return np.asarray(np.einsum("mp,rnp->mnr", coefficients, slopes))
 
 
 def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """Influences of a relative error of each commanded rate. The error is the same for all segments with that rate. The result is empty
-    if the table never rotates.
+    """Influences of a relative error of each commanded rate. The error is the same for all segments with the same rate. The result
+    is empty if the table never rotates.
 
-    moved: (m, n), change of the observations per relative change of their rates; rates: (n,), rad/s.
+    moved: (m, n), change of the observations per relative change of the rate of each segment; rates: (n,), rad/s.
     """
     different = np.array(sorted(set(rates[rates != 0].tolist())))  # np.unique loads masked arrays
     if not different.size:
@@ -177,7 +179,7 @@ def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[Co
 
 
 def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
-    """The error common to all rates, as stated in the plan for an estimate."""
+    """The error that is common to all rates, as the plan states it for an estimate."""
     source = f"plan estimates.{estimate}.rate_uncertainty"
     width = stated.value if stated else 0.0
     return InputQuantity("table rate, common", 0.0, "1", width, source=source, shown="ppm", shown_factor=1e-6)
@@ -199,10 +201,10 @@ def orthogonality_tilts(
     """Rotation of the sensor if two neighbouring axes of a table are not at right angles: for each pair of axes, a tilt vector at n
     attitudes, (n, 3), rad per rad of deviation.
 
-    For a deviation of 1 rad, a vector v in the sensor's axes becomes v + tilt × v. A deviation turns the inner axis of the pair about c =
-    outer × inner. The tilt is zero at the position where the table is aligned. At joint angle q of the inner axis, it is therefore c −
-    R(inner, −q)·c in the frame of that axis. The joints farther inside transform it into the sensor's axes. The joints move from one
-    attitude to the next by the fastest path. Raises `Unreachable`.
+    For a deviation of 1 rad, a vector v in the sensor's axes becomes v + tilt × v. A deviation turns the inner axis of the pair
+    about c = outer × inner. The tilt is zero at the position where the table is aligned. At joint angle q of the inner axis, the
+    tilt is therefore c − R(inner, −q)·c in the frame of that axis. The joints farther inside transform the tilt into the sensor's
+    axes. The joints move from one attitude to the next by the fastest path. Raises `Unreachable`.
     """
     if any(attitude is None for attitude in attitudes):
         raise Unreachable("the orientation is unknown")
@@ -233,9 +235,10 @@ def _orthogonality_tilts(
 
 
 def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Array) -> CorrelatedError:
-    """Position errors about each direction at each orientation. The error is the same whenever the orientation is the same. A position
-    error changes only the component of a vector across its direction. It has no effect on an accelerometer that points up, and its full
-    effect on a level one. moved: (m, n, 3), by direction."""
+    """Position errors about each direction at each orientation. The error is the same in all segments that have the same
+    orientation. A position error changes only the component of a vector perpendicular to its direction. Such an error has no effect
+    on an accelerometer that points up, and its full effect on a level accelerometer. moved: (m, n, 3), change of the observations
+    for each direction."""
     names = list(dict.fromkeys(segment.orientation for segment in segments))
     place = [names.index(segment.orientation) for segment in segments]
     m, n, _ = moved.shape
@@ -246,7 +249,8 @@ def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Arra
 
 
 def _tilts(table: TableModel | None, attitudes: Array, site: Site) -> Array:
-    """Influence of an error for each pair of neighbouring axes, (pairs, n, 3); empty if the table cannot reach the attitudes."""
+    """The tilts (pairs, n, 3) of the sensor due to an orthogonality error of each pair of neighbouring axes; empty if the table
+    cannot reach the attitudes."""
     if table is not None and len(table.axes) > 1:
         with suppress(Unreachable):
             return np.array(orthogonality_tilts(table.axes, list(attitudes), site.azimuth))

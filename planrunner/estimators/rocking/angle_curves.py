@@ -1,4 +1,4 @@
-"""Curves of the drift angle over each whole run, for readers. The two windows are parts of it.
+"""Curves of the drift angle over each whole run, for readers. The two windows of the method are parts of these curves.
 
 Accelerometers are averaged over bins of whole rocking periods, which removes the rocking; one pass over the samples gives a few hundred
 numbers per run.
@@ -30,8 +30,9 @@ ARCSEC = math.radians(1 / 3600)
 
 @dataclass(frozen=True, slots=True)
 class StateCurves:
-    """Curves of one state, averaged over its quadruples. time: (n,) s from the beginning of a record. angles: (4, n, 2), rad, about the
-    two `level` axes, of the runs static 1, dynamic 1, dynamic 2 and static 2; zero at t0, NaN if samples are missing."""
+    """Curves of one state, averaged over the quadruples of this state. time: (n,), s from the beginning of a record. angles: (4, n,
+    2), rad: angles about the two `level` axes in the runs static 1, dynamic 1, dynamic 2 and static 2; zero at t0, NaN if samples
+    are missing."""
 
     name: str
     level: tuple[int, int]
@@ -43,8 +44,8 @@ class StateCurves:
 def drift_curves(
     runs: Runs, recorded: Sequence[RecordedSegment], conditions: RockingConditions, parameters: RockingDriftParameters
 ) -> list[StateCurves]:
-    """Computes the curves of each state. recorded: all chosen segments. The runs refer to them by index. Raises `EstimationError` for
-    channels that are missing."""
+    """Computes the curves of each state. recorded: all chosen segments. The runs refer to these segments by index. Raises
+    `EstimationError` for channels that are missing."""
     every = [reduced.run for state in runs for four in state for reduced in four]
     lasting = min(recorded[run.place].statistics.end - recorded[run.place].statistics.start for run in every)
     periods = [run.segment.motion.period for run in every if isinstance(run.segment.motion, Rock)]
@@ -72,7 +73,7 @@ def _curve(
     width: float,
     count: int,
 ) -> Array:
-    """Drift angles (count, 2) [rad] of the means over bins of `width` [s], minus their mean in the first window."""
+    """Drift angles (count, 2) [rad], computed from means over bins of `width` [s], minus their mean in the first window."""
     channels = parameters.accelerometers
     scales = np.array([scale(recorded, name) for name in channels])
     totals, counts = np.zeros((count, 4)), np.zeros(count)

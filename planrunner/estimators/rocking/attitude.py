@@ -47,7 +47,8 @@ def earth_turn(earth: Array, seconds: Array) -> Array:
 
 
 def rotation_vector(between: Array) -> Array:
-    """The rotation vector θ with exp(−[θ×]) = `between`, shape (…, 3) for (…, 3, 3). It is valid for frame rotations well below 180°."""
+    """The rotation vector θ with exp(−[θ×]) = `between`, shape (…, 3) for (…, 3, 3). The formula is valid for frame rotations well
+    below 180°."""
     m = between
     vector = 0.5 * np.stack(
         [m[..., 1, 2] - m[..., 2, 1], m[..., 2, 0] - m[..., 0, 2], m[..., 0, 1] - m[..., 1, 0]], axis=-1
@@ -59,7 +60,8 @@ def rotation_vector(between: Array) -> Array:
 
 
 def turned_by(vector: Array) -> Array:
-    """The frame rotation exp(−[θ×]) by a rotation vector, shape (…, 3, 3) for (…, 3). It is the inverse of `rotation_vector`."""
+    """The frame rotation exp(−[θ×]) by a rotation vector, shape (…, 3, 3) for (…, 3). The function is the inverse of
+    `rotation_vector`."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
@@ -77,8 +79,9 @@ def encoder_attitude(
 ) -> Array:
     """The element's attitude from ring and gimbal angles, shape (n, 3, 3).
 
-    rings, gimbals: (n,) each, outermost first. directions: direction of each ring's axis with all rings at zero, before the table's
-    `azimuth` is applied. axes: the axis of the carrying part about which each gimbal turns.
+    rings, gimbals: angles, (n,) each, the outermost first. directions: direction of each ring's axis when all rings are at zero,
+    before the table's `azimuth` is applied. axes: for each gimbal, the axis of the part that carries it about which the gimbal
+    turns.
     """
     found = np.broadcast_to(turned(2, -azimuth), (len(rings[0]), 3, 3))
     for angle, direction in zip(rings, directions, strict=True):
@@ -92,9 +95,9 @@ def encoder_attitude(
 class LevelState:
     """A state in which two axes are level.
 
-    nominal: (3, 3), the planned attitude. vertical: the axis along the vertical; sign: +1 if it points up. sine: the level axis whose
-    tilt is computed by an arc sine, and about which the second to last rotation takes place; other: the other level axis, about which the
-    last rotation takes place: C = R_other·R_sine·R_vertical·nominal.
+    nominal: (3, 3), the planned attitude. vertical: the vertical axis of the element; sign: +1 if this axis points up, −1 if it
+    points down. sine: the level axis whose tilt is computed by an arc sine, and about which the last rotation but one takes place;
+    other: the other level axis, about which the last rotation takes place: C = R_other·R_sine·R_vertical·nominal.
     """
 
     nominal: Array
@@ -110,13 +113,14 @@ class LevelState:
 
     @property
     def hand(self) -> float:
-        """+1 if (vertical, sine, other) is a cyclic permutation of x, y, z."""
+        """+1 if (vertical, sine, other) is a cyclic permutation of x, y, z; −1 otherwise."""
         return 1.0 if self.sine == (self.vertical + 1) % 3 else -1.0
 
     def tilts(self, force: Array, gravity: Array | float) -> Array:
         """Tilts about the level axes, shape (…, 2), from the specific force in element axes (…, 3) [m/s^2].
 
-        With y up: d_z = asin(f_x/g), d_x = −atan2(f_z, f_y) for C = R_x·R_z·R_y; d_z = atan2(f_x, f_y), d_x = −asin(f_z/g) for R_z·R_x·R_y.
+        With y up: d_z = asin(f_x/g) and d_x = −atan2(f_z, f_y) for C = R_x·R_z·R_y; d_z = atan2(f_x, f_y) and d_x = −asin(f_z/g)
+        for C = R_z·R_x·R_y.
         """
         force = self.sign * force
         about_sine = np.arcsin(np.clip(self.hand * force[..., self.other] / gravity, -1.0, 1.0))
@@ -139,8 +143,8 @@ class LevelState:
 
 
 def level_state(nominal: Array, order: str) -> LevelState | None:
-    """The state of a planned attitude; None if no axis is vertical. order: `xzy` or `zxy`, the order of rotations for a state with y
-    up."""
+    """The level state of a planned attitude; None if no axis is vertical. order: `xzy` or `zxy`, the order of rotations for a state
+    with y up."""
     cosines = nominal @ UP
     vertical = int(np.argmax(np.abs(cosines)))
     if abs(cosines[vertical]) < 1 - UPRIGHT:

@@ -1,4 +1,5 @@
-"""Checks of a rocking test before it runs: windows, timing, pattern, caging, resolution and axes that cannot be measured.
+"""Checks of a rocking test before it runs: windows, timing, pattern of the runs, caging, resolution, and axes that cannot be
+measured.
 
 A finding is an error if the rocking drift would be missing or wrong. It is a warning if the result would only be less accurate than the
 method promises.
@@ -28,7 +29,7 @@ SMALL = 1e-6
 
 
 def span(runs: Sequence[Run]) -> float | None:
-    """The dwell [s] of the shortest run; None if a run has the dwell 'recorded'."""
+    """The planned dwell [s] of the shortest run; None if a run has the dwell 'recorded'."""
     dwells = [run.segment.dwell for run in runs if run.segment.dwell is not None]
     return min(dwells) if len(dwells) == len(runs) else None
 
@@ -67,8 +68,8 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
 
 
 def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run]) -> list[Remark]:
-    """Checks that the time since the release is known. With a nominal azimuth it is needed, because the Earth has turned relative to
-    the element since then."""
+    """Checks that the time since the release is known. With a nominal azimuth, this time is needed, because the Earth has turned
+    relative to the element since the release."""
     parameters = request.parameters
     if parameters.azimuth != "nominal":
         return []
@@ -81,8 +82,8 @@ def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence
 
 
 def _encoders(request: DesignRequest[RockingDriftParameters]) -> list[Remark]:
-    """Reports impossible names of gimbals, and missing encoders. A bench without a table may play back a recording with more channels than
-    it names."""
+    """Reports names of gimbal axes that cannot be right, and missing encoders. Encoders are not checked for a bench without a
+    table, because it may play back a recording with more channels than the bench file names."""
     parameters = request.parameters
     found = []
     if any(outer == inner for outer, inner in pairwise(parameters.gimbal_axes)):
@@ -220,8 +221,8 @@ def _first_end(parameters: RockingDriftParameters) -> float:
 def count_seconds(
     request: DesignRequest[RockingDriftParameters], parameters: RockingDriftParameters
 ) -> tuple[str, float, float] | None:
-    """The accelerometer with the coarsest count, its count [m/s^2], and the time [s] in which the smallest drift changes its reading by
-    one count."""
+    """The accelerometer with the coarsest count, the size of this count [m/s^2], and the time [s] in which the smallest drift
+    changes the accelerometer's reading by one count."""
     coarsest: tuple[str, float, float] | None = None
     for name in parameters.accelerometers:
         output = request.sensor.output(name)

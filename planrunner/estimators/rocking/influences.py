@@ -1,8 +1,8 @@
 """Type B influences on rocking drifts.
 
-Effects that differ from run to run (accelerometer stability and noise, drift, azimuth after caging, counts) are part of the scatter of
-the repeats. The budget lists them for comparison but does not add them. The prediction uses them. Effects common to all runs (site,
-installation angles) are added; they almost cancel between static and dynamic runs.
+Effects that differ from run to run (accelerometer stability and noise, drift, azimuth after caging, counts) are part of the scatter
+between repeated runs. The budget lists these effects for comparison but does not add them. The prediction uses these effects.
+Effects that are common to all runs (site, installation angles) are added; they almost cancel between static and dynamic runs.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def conditions_of(site: Site, parameters: RockingDriftParameters) -> RockingCond
 
 
 def drifts_of(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drifts of one run [deg/h] about the two level axes: by the accelerometers, then by the gimbals if there are encoders; shape (…, 2)
-    or (…, 4)."""
+    """Drifts of one run [deg/h] about the two level axes, shape (…, 2) or (…, 4): first the drifts by the accelerometers, then the
+    drifts by the gimbals if there are encoders."""
     parts = [accelerometer_drift(reduced, conditions)]
     if reduced.first.turn is not None:
         parts.append(gimbal_drift(reduced, conditions))
@@ -85,7 +85,7 @@ def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request
 def _of_all_runs(
     conditions: RockingConditions, request: EstimateRequest[RockingDriftParameters]
 ) -> Iterator[StatedCondition[RockingConditions]]:
-    """Influences that are common to all runs: latitude, gravity, azimuth and installation angles."""
+    """The inputs whose errors are common to all runs: latitude, gravity, azimuth and installation angles."""
     inputs = request.setup.inputs
     for stated in stated_site(inputs, request.site):
         yield stated.seen_by(lambda site: replace(conditions, earth=site.earth_rate_enu, gravity=site.gravity))
@@ -128,14 +128,14 @@ def _drifts_of_variants(conditions: RockingConditions, each: Sequence[ReducedRun
 
 
 def _portions(each: Sequence[T], reduced: ReducedRun) -> Iterator[Sequence[T]]:
-    """Splits a list of conditions or variants of a run, so that memory stays limited if the windows have many samples."""
+    """Splits a list of conditions or of variants of a run, so that little memory is needed even if the windows have many samples."""
     size = max(1, AT_ONCE // max(len(reduced.first.time), len(reduced.second.time)))
     for first in range(0, len(each), size):
         yield each[first : first + size]
 
 
 def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedCondition[ReducedRun]]:
-    """Influences that differ from run to run."""
+    """The inputs whose errors differ from run to run."""
     parameters, label = request.parameters, reduced.run.label
     names = {axis: f"{label} {AXES[axis]}" for axis in reduced.run.state.level}
     accelerometers = {name: partial(_tilted, reduced, axis) for axis, name in names.items()}
@@ -184,13 +184,13 @@ def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedConditi
 
 
 def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The drifts if the reading of one accelerometer is larger by this amount in the second window than in the first."""
+    """The run if the reading of one accelerometer is larger by `by` in the second window than in the first."""
     second = reduced.second
     return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
 
 
 def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The drifts if the element drifts additionally at this rate [rad/s] about one of its axes."""
+    """The run if the element drifts additionally at the rate `by` [rad/s] about one of its axes."""
     second, vector = reduced.second, by * reduced.seconds * np.eye(3)[axis]
     readings = second.readings @ turned_by(vector[None])[0].T
     turn = None if second.turn is None else second.turn + vector
@@ -198,15 +198,16 @@ def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
 
 
 def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The drifts if the attitude from the encoders rotates by this angle from the first window to the second although the element does
-    not rotate."""
+    """The run if the attitude from the encoders rotates by the angle `by` from the first window to the second, although the element
+    does not rotate."""
     second = reduced.second
     assert second.turn is not None
     return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))
 
 
 def _noise(request: Request) -> float:
-    """White noise of the noisiest accelerometer [m/s^2] in the difference between two windows after the filter."""
+    """Standard deviation, due to the white noise of the noisiest accelerometer, of the difference between two windows after the
+    filter [m/s^2]."""
     parameters = request.parameters
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     declared = [request.sensor.output(name) for name in parameters.accelerometers]
@@ -215,7 +216,7 @@ def _noise(request: Request) -> float:
 
 
 def azimuth_uncertainty(request: Request) -> InputQuantity | None:
-    """Uncertainty of the element's azimuth at t0 in one run; None if not stated."""
+    """Uncertainty of the element's azimuth at t0 in one run; None if it is not stated."""
     parameters = request.parameters
     if parameters.azimuth_uncertainty is not None:
         value, source = parameters.azimuth_uncertainty.value, "plan azimuth_uncertainty"

@@ -17,7 +17,8 @@ def _angle(description: str, example: str) -> Any:
 
 
 class Installation(Record):
-    """Installation angles of the accelerometers: rotation of an input axis about another axis of the element, right-handed."""
+    """Installation angles of the accelerometers: each is a right-handed rotation of an input axis about another axis of the
+    element."""
 
     xz: Quantity = _angle("Q_xz, x accelerometer about z.", "12 arcsec ± 2 arcsec")
     xy: Quantity = _angle("Q_xy, x accelerometer about y.", "-8 arcsec ± 2 arcsec")
@@ -27,11 +28,11 @@ class Installation(Record):
     zx: Quantity = _angle("Q_zx, z accelerometer about x.", "14 arcsec ± 2 arcsec")
 
     def stated(self) -> dict[str, Quantity]:
-        """Stated angles by name, in the order in which `RockingConditions` expects them."""
+        """The stated angles: name → quantity, in the order in which `RockingConditions` expects them."""
         return {"xz": self.xz, "xy": self.xy, "yz": self.yz, "yx": self.yx, "zy": self.zy, "zx": self.zx}
 
     def angles(self) -> Array:
-        """Stated angles [rad] in the order of `stated`."""
+        """The stated angles [rad], in the order of `stated`."""
         return np.array([one.value for one in self.stated().values()])
 
 
@@ -143,5 +144,5 @@ class RockingDriftParameters(Record):
     pairing_seed: int = key(Number(0, 2**31, integer=True), "Seed of the draw.", 1, default=1)
 
     def second(self, end: float) -> float:
-        """The time t1 [s] for records that last until `end` [s]."""
+        """The time t1 [s] if the records last until `end` [s]."""
         return end - self.window.value if self.second_window is None else self.second_window.value

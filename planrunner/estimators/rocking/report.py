@@ -1,4 +1,4 @@
-"""Tables, plots and sentences about a rocking test: comparison of the two methods, and the limits of the gravity method."""
+"""Tables, plots and sentences of the report on a rocking test: comparison of the two methods, and the limits of the gravity method."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def comparison(pairings: Sequence[Pairings]) -> Table:
 
 
 def sentence(pairings: Sequence[Pairings]) -> Said:
-    """The headline of the report in words."""
+    """A sentence that compares the two methods over all random pairs of runs."""
     better = [AXES[pairs.axis] for pairs in pairings if pairs.deviations[0] < pairs.deviations[1]]
     worse = [AXES[pairs.axis] for pairs in pairings if AXES[pairs.axis] not in better]
     all_pairs = sum(len(pairs.accelerometers) for pairs in pairings)
@@ -120,7 +120,7 @@ def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Tabl
 
 
 def method_error(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Table:
-    """Table of the possible error of one run's drift by the gravity method, deg/h."""
+    """Table of the errors that the drift of one run by the gravity method may have, deg/h."""
     parameters = request.parameters
     gravity = request.site.gravity
     rows = [
@@ -156,7 +156,7 @@ def method_error(request: EstimateRequest[RockingDriftParameters], seconds: floa
 
 
 def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
-    """Plots for each axis: the magnitudes of the drifts by both methods in ascending order."""
+    """Plots for each axis: the absolute values of the drifts by both methods, in ascending order."""
     return [
         Plot(
             f"Rocking drift about {AXES[pairs.axis]} over random pairings",

@@ -1,11 +1,12 @@
-"""Rocking drift of an inertial platform from the gravity vector in its accelerometers, and for comparison from gimbal angles.
+"""Rocking drift of an inertial platform, determined from the direction of gravity in its accelerometers and, for comparison, from
+gimbal angles.
 
-The base rocks while the stabilised element should keep its attitude in inertial space. If the element drifts, gravity tilts relative to
-it. The element is caged before each run, and a run is 10 min of navigation. Four runs form a group: static, dynamic, dynamic, static.
-Groups are recorded in states that differ by a turn of the base by 90°. For each run: (1) low-pass filter, (2) installation angles, (3)
-tilts, (4) their change from a window at t0 to a window at t1, (5) minus the change that an inertially fixed element would show; then
-(6) dynamic minus static runs. The module `windows` reads samples, `solution` does steps 2 to 5, and `statistics` does step 6 and random
-pairings.
+The base rocks while the stabilised element should keep its attitude in inertial space. If the element drifts, the direction of
+gravity changes relative to the element. The element is caged before each run, and a run is 10 min of navigation. Four runs form a
+group: static, dynamic, dynamic, static. Groups are recorded in states that differ by a turn of the base by 90°. The steps for each
+run are: (1) low-pass filter, (2) installation angles, (3) tilts, (4) change of the tilts from a window at t0 to a window at t1, (5)
+subtraction of the change that an inertially fixed element would show. Then (6) static runs are subtracted from dynamic runs. The
+module `windows` reads samples, `solution` does steps 2 to 5, and `statistics` does step 6 and the random pairings of runs.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class RockingDrift:
     Parameters = RockingDriftParameters
 
     def design(self, request: DesignRequest[RockingDriftParameters]) -> Design:
-        """Makes remarks on the plan. Raises `EstimationError` for segments that are not a rocking test."""
+        """Returns remarks on the plan. Raises `EstimationError` for segments that are not a rocking test."""
         parameters = request.parameters
         runs = find_runs(request.segments, parameters.rotation_order)
         found = remarks(request, runs)
@@ -88,8 +89,9 @@ class RockingDrift:
         return Design((), notes=tuple(notes), remarks=tuple(found))
 
     def foresee(self, request: DesignRequest[RockingDriftParameters]) -> Foresight:
-        """Predicts the drifts from declared effects that differ from run to run: accelerometers, drift, azimuth and rings. Runs of
-        several minutes are not simulated. Effects common to all runs cancel almost completely and are left out."""
+        """Predicts the drifts from declared effects that differ from run to run: accelerometer errors, drift, azimuth and ring
+        errors. Runs of several minutes are not simulated. Effects that are common to all runs cancel almost completely and are left
+        out."""
         runs = find_runs(request.segments, request.parameters.rotation_order)
         return _foreseen(request, by_state(quadruples(runs)), span(runs))
 
@@ -152,7 +154,8 @@ class RockingDrift:
 
 
 def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParameters) -> Windows:
-    """The windows, which are the same for all runs. The second window ends with the shortest run, unless the plan states its beginning."""
+    """The windows, which are the same for all runs. The second window lies at the end of the shortest run, unless the plan states
+    its beginning."""
     for item in recorded:
         if item.truncated:
             raise UnfitDataError(f"'{item.label}' was cut short: repeat its quadruple")
@@ -189,7 +192,7 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
 
 
 def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, Said | None]:
-    """Whether rings and gimbals can be used; if not, a warning with the reason."""
+    """Whether ring and gimbal angles can be used, and otherwise a warning with the reason."""
     parameters = request.parameters
     names = (*parameters.rings, *parameters.gimbals)
     missing = [name for name in names if any(name not in item.units for item in request.segments)]
@@ -293,7 +296,7 @@ def _extra(
 def _foreseen(
     request: DesignRequest[RockingDriftParameters], groups: Sequence[Sequence[Quadruple]], dwell: float | None
 ) -> Foresight:
-    """Predicts the result. dwell: s; None if it is not known."""
+    """Predicts the result of a run. dwell: dwell of the shortest run, s; None if it is not known."""
     parameters, table = request.parameters, request.setup.table
     recorded = all(request.sensor.output(name) is not None for name in (*parameters.rings, *parameters.gimbals))
     encoders = recorded and table is not None and len(table.axes) == len(parameters.rings)

@@ -1,4 +1,4 @@
-"""The runs of a rocking test: which segments are static and dynamic runs, and how four of them make a quadruple."""
+"""The runs of a rocking test: which segments are static and dynamic runs, and which four runs form a quadruple."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ WORDS = {False: "static", True: "dynamic"}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run in navigation. place: its index among the chosen segments; caged_before: whether the element was caged before the run,
-    None if the segments do not show it."""
+    """One run in navigation. place: index of the run among the chosen segments; caged_before: True if the element was caged before
+    the run, None if the segments do not show this."""
 
     segment: Segment
     place: int
@@ -36,14 +36,15 @@ class Run:
 
     @property
     def planned_lead(self) -> float:
-        """Planned time [s] from the release to the beginning of the record: the settling time, and the part of the rocking's fade-in that
-        is not recorded."""
+        """Planned time [s] from the release to the beginning of the record: the settling time, and the part of the fade-in of the
+        rocking that is not recorded."""
         motion = self.segment.motion
         return self.segment.settle + (motion.lead_in if isinstance(motion, Rock) else 0.0)
 
     @property
     def rest_before(self) -> float:
-        """Time [s] from the beginning of the record until the base begins to rock; 0 if it rocks from the beginning, or never."""
+        """Time [s] from the beginning of the record until the base begins to rock; 0 if the base rocks from the beginning, or
+        never."""
         motion = self.segment.motion
         return motion.delay if isinstance(motion, Rock) else 0.0
 
@@ -103,8 +104,8 @@ def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Ru
 
 
 def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
-    """Groups of four consecutive runs, each static, dynamic, dynamic, static in one orientation. Raises `EstimationError` that names
-    the first run that does not fit this order."""
+    """Groups of four consecutive runs: static, dynamic, dynamic, static, all in one orientation. Raises `EstimationError` for runs
+    that do not have this order; the message names the first such run."""
     found = []
     for first in range(0, len(runs), 4):
         four = tuple(runs[first : first + 4])
@@ -125,7 +126,7 @@ def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
 
 
 def by_state(found: Sequence[Quadruple]) -> list[list[Quadruple]]:
-    """The quadruples of each orientation, in the order in which the orientations come."""
+    """The quadruples of each orientation, in the order in which the orientations are recorded."""
     groups: list[list[Quadruple]] = []
     for quadruple in found:
         nominal = quadruple.runs[0].state.nominal

@@ -1,4 +1,4 @@
-"""Drift of one run from its two windows: from gravity in the accelerometers, and from gimbal and ring angles.
+"""Drift of one run, computed from its two windows: from gravity in the accelerometers, and from gimbal and ring angles.
 
 Drift means the rotation of the element relative to inertial space. The apparent tilt of an inertially fixed element, C(t0)·R(Ω_ie·t),
 is subtracted.
@@ -29,8 +29,9 @@ from planrunner.estimators.rocking.windows import Windows, low_pass, read_pieces
 
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
-    """Conditions of the solution. earth: (3,), rad/s, East-North-Up; gravity: m/s^2; installation: (6,), rad, in the order of
-    `Installation.stated`; turned: error of the table's azimuth, rad, positive if the true azimuth is farther east.
+    """The conditions under which drifts are computed. earth: (3,), Earth rate in East-North-Up, rad/s; gravity: m/s^2;
+    installation: (6,), rad, in the order of `Installation.stated`; turned: error of the table's azimuth, rad, positive if the true
+    azimuth is farther east.
 
     An object for m conditions (see `several_conditions`) has arrays with a leading axis of length m."""
 
@@ -60,8 +61,8 @@ class RockingConditions:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Filtered samples of one window. time: (n,) s; readings: (…, n, 3) m/s^2; turn: (…, n, 3) rad, rotation vector from the planned
-    attitude to that of the encoders, None without encoders."""
+    """Filtered samples of one window. time: (n,), s; readings: (…, n, 3), m/s^2; turn: (…, n, 3), rad, rotation vector from the
+    planned attitude to the attitude that the encoders show, None without encoders."""
 
     time: Array
     readings: Array
@@ -70,10 +71,10 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class ReducedRun:
-    """The windows of a run. before: the window that ends when the base begins to rock, if there is one. lead: time [s] from the release
-    to the beginning of the record. If it is None, the encoders give the azimuth at t0. Otherwise this azimuth is that of the planned
-    orientation, changed by the Earth's rotation since the release. off: rad, assumed error of the azimuth of this run, for
-    sensitivities.
+    """The windows of a run. before: the window that ends when the base begins to rock, if there is one. lead: time [s] from the
+    release to the beginning of the record. If `lead` is None, the encoders give the azimuth at t0. Otherwise the azimuth at t0 is
+    that of the planned orientation, changed by the Earth's rotation since the release. off: assumed error of the azimuth of this
+    run, rad, for the computation of sensitivities.
 
     An object for m variants of a run (see `several_runs`) has a leading axis of length m in the second window and in `off`."""
 
@@ -134,8 +135,8 @@ def expected_run(run: Run, times: tuple[float, float], conditions: RockingCondit
 
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
-    """Time [s] from the release to the beginning of the record: as stated, as recorded (`in_mode`), or as planned. Raises
-    `EstimationError` if the bench plays back a recording that does not contain this time."""
+    """Time [s] from the release to the beginning of the record: as the plan states it, else as recorded (`in_mode`), else as
+    planned. Raises `EstimationError` if the bench plays back a recording that does not contain this time."""
     if parameters.released_before is not None:
         return parameters.released_before.value
     if in_mode is not None:
@@ -149,7 +150,7 @@ def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode:
 
 
 def several_conditions(each: Sequence[RockingConditions]) -> RockingConditions:
-    """One object for m conditions. The drifts computed with it have the shape (m, 2)."""
+    """Combines m conditions in one object. The drifts computed with it have the shape (m, 2)."""
     return RockingConditions(
         np.stack([one.earth for one in each]),
         np.array([one.gravity for one in each]),
@@ -159,8 +160,8 @@ def several_conditions(each: Sequence[RockingConditions]) -> RockingConditions:
 
 
 def several_runs(each: Sequence[ReducedRun]) -> ReducedRun:
-    """One object for m variants of a run that differ in the second window and in `off`. The drifts computed from it have the shape
-    (m, 2)."""
+    """Combines m variants of a run, which differ in the second window and in `off`, in one object. The drifts computed from it have
+    the shape (m, 2)."""
     second, turns = each[0].second, [one.second.turn for one in each if one.second.turn is not None]
     readings = np.stack([one.second.readings for one in each])
     window = replace(second, readings=readings, turn=np.stack(turns) if turns else None)
@@ -186,9 +187,10 @@ def _drift_between(reduced: ReducedRun, later: Window, conditions: RockingCondit
 
 
 def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array, readings: Array) -> Array:
-    """Tilts (…, n, 2) [rad] about the two level axes, minus those of an inertially fixed element with the same attitude at t0.
+    """Tilts (…, n, 2) [rad] about the two level axes, minus the tilts of an inertially fixed element that has the same attitude at
+    t0.
 
-    time: (n,) s from the beginning of the record. readings: (…, n, 3) m/s^2, of the accelerometers at these times.
+    time: (n,), s from the beginning of the record. readings: (…, n, 3), m/s^2, readings of the accelerometers at these times.
     """
     state, earth = reduced.run.state, conditions.felt_earth
     gravity = np.asarray(conditions.gravity)[..., None]
@@ -200,7 +202,7 @@ def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array
 
 
 def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drift [rad/s] about the two level axes from the attitude that rings and gimbals give, shape (…, 2)."""
+    """Drift [rad/s] about the two level axes, shape (…, 2), from the attitude that ring and gimbal angles give."""
     state, earth = reduced.run.state, conditions.felt_earth
     zero = float(reduced.first.time.mean())
     in_space = [

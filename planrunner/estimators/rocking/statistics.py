@@ -1,4 +1,4 @@
-"""Computes rocking drifts with uncertainties from the drifts of runs, and compares two methods over random pairings.
+"""Computes rocking drifts with uncertainties from the drifts of runs, and compares the two methods in random pairs of runs.
 
 The rocking drift of a quadruple is the mean of its dynamic runs minus the mean of its static runs (step 6). Quadruples of one state are
 repeats of each other. For an axis that is level in several states, the result is the mean over these states.
@@ -27,9 +27,10 @@ WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 
 @dataclass(frozen=True, slots=True)
 class StateDrifts:
-    """Results of one state. level: the two level axes. quadruples: q of them. drifts: (q, 4, k), deg/h, of the four runs of each
-    quadruple. The k columns are the two axes by the accelerometers, then the same axes by the gimbals if there are encoders. expected:
-    covariance (k, k) of the rocking drift of one quadruple, for a prediction."""
+    """Results of one state. level: the two level axes. quadruples: the q quadruples of the state. drifts: (q, 4, k), deg/h, the
+    drifts of the four runs of each quadruple. The k columns are the drifts about the two level axes by the accelerometers, then
+    about the same axes by the gimbals if there are encoders. expected: for a prediction, the covariance (k, k) of the rocking drift
+    of one quadruple."""
 
     name: str
     level: tuple[int, int]
@@ -44,16 +45,16 @@ class StateDrifts:
 
     @property
     def runs(self) -> tuple[Array, Array]:
-        """Drifts of the static and of the dynamic runs, each (2q, k), deg/h."""
+        """The drifts of the static runs and the drifts of the dynamic runs, each (2q, k), deg/h."""
         static, dynamic = self.drifts[:, [0, 3]], self.drifts[:, [1, 2]]
         return static.reshape(-1, static.shape[2]), dynamic.reshape(-1, dynamic.shape[2])
 
     def scatter(self) -> tuple[Array, float]:
         """Covariance (k, k) of the mean rocking drift, and its degrees of freedom.
 
-        With several quadruples, it comes from their scatter. With a single quadruple, it comes from the differences between its two
-        dynamic runs and between its two static runs. It is not known which of the two pairs scatters more, so one degree of freedom is
-        used (Welch's formula gives between one and two).
+        With several quadruples, the covariance comes from their scatter. With a single quadruple, it comes from the difference
+        between the two dynamic runs and the difference between the two static runs. It is not known which of the two pairs scatters
+        more, so one degree of freedom is used (Welch's formula gives between one and two).
         """
         count = len(self.quadruples)
         if self.expected is not None:
@@ -67,9 +68,9 @@ class StateDrifts:
 
 @dataclass(frozen=True, slots=True)
 class CombinedDrifts:
-    """m rocking drifts over all states; those by the accelerometers come first. axes: the axis of each drift. by_gimbals: (m,), whether
-    each drift comes from the gimbals. values: (m,), deg/h, with `covariance` (m, m). shares: one matrix (m, k) for each state: the
-    weights of the k drifts of the state in the m results."""
+    """m rocking drifts, averaged over the states; the drifts by the accelerometers come first. axes: the axis of each drift.
+    by_gimbals: (m,), True for each drift that comes from the gimbals. values: (m,), deg/h, with `covariance` (m, m). shares: one
+    matrix (m, k) for each state: the weights of the state's k drifts in the m results."""
 
     axes: tuple[int, ...]
     by_gimbals: tuple[bool, ...]
@@ -80,7 +81,7 @@ class CombinedDrifts:
 
 
 def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
-    """Averages, for each level axis and each method, over the states in which the axis is level."""
+    """Averages the rocking drifts for each level axis and each method, over the states in which the axis is level."""
     columns = states[0].drifts.shape[2]
     seen = sorted({axis for state in states for axis in state.level})
     rows = [(axis, gimbals) for gimbals in (False, True)[: columns // 2] for axis in seen]
@@ -101,14 +102,15 @@ def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
 
 
 def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
-    """Effective degrees of freedom of a sum. If nothing scatters, this is the smallest number of its parts."""
+    """Effective degrees of freedom of a sum of variances. If all variances are zero, the result is the smallest number of degrees
+    of freedom of the parts."""
     return effective_degrees_of_freedom(np.sqrt(variances).tolist(), degrees) if any(variances) else min(degrees)
 
 
 @dataclass(frozen=True, slots=True)
 class Pairings:
-    """Random pairs of a static and a dynamic run, for one axis. accelerometers, gimbals: (p,), deg/h, the rocking drift of each pair by
-    either method."""
+    """Random pairs of a static and a dynamic run, for one axis. accelerometers, gimbals: (p,), deg/h, the rocking drift of each
+    pair by the accelerometers and by the gimbals."""
 
     axis: int
     accelerometers: Array
@@ -121,7 +123,7 @@ class Pairings:
 
     @property
     def deviations(self) -> tuple[float, float]:
-        """Standard deviation of each method, deg/h."""
+        """Standard deviation of the rocking drifts by each method, deg/h."""
         return _deviation(self.accelerometers), _deviation(self.gimbals)
 
 
@@ -130,8 +132,8 @@ def _deviation(values: Array) -> float:
 
 
 def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
-    """Makes random pairings within each state, one result for each level axis. If a state has at most `most` pairs, all of them are
-    used."""
+    """Makes random pairs of runs within each state, with one result for each level axis. If a state has at most `most` pairs, all
+    of them are used."""
     draw = np.random.default_rng(seed)
     found: dict[int, list[Array]] = {}
     for state in states:
@@ -150,10 +152,10 @@ def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
 
 
 def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float) -> Iterator[Said]:
-    """Warnings about runs whose drift equals the Earth's rate, or differs between the two methods.
+    """Warnings about runs whose drift is larger than half of the Earth rate, or differs between the two methods.
 
-    earth_rate: deg/h. stated: standard uncertainty [deg/h] of the difference between the methods that the declared errors of the rings
-    cause.
+    earth_rate: deg/h. stated: standard uncertainty [deg/h] of the difference between the two methods that follows from the declared
+    errors of the rings.
     """
     tests = sum(2 * len(state.level) for state in states)
     for state in states:
@@ -187,7 +189,7 @@ def _runs(dynamic: bool, state: str, axis: str) -> Said:
 
 
 def _differs(difference: Array, stated: float, level: float) -> bool:
-    """Student's t-test of a mean (n,) against zero."""
+    """Whether the mean of n differences is not zero, by Student's t-test, where `stated` adds to the uncertainty of the mean."""
     from scipy.special import stdtrit
 
     count = len(difference)

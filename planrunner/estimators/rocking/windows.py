@@ -1,8 +1,8 @@
 """A recorded run reduced to its two windows: accelerometers and encoders after a zero-phase low-pass filter.
 
-Only samples within a few filter lengths of a window are read into memory, so long runs need no more memory than short ones. The filter
-is a Butterworth low-pass of fourth order, run forwards and backwards; a parabola is subtracted from each piece before the filter and
-added afterwards, so that the slow turn of the element relative to gravity does not distort the ends of the piece.
+Only samples within a few filter lengths of a window are read into memory, so long runs need no more memory than short runs. The
+filter is a Butterworth low-pass of fourth order, run forwards and backwards. A parabola is subtracted from each piece before the
+filter and added afterwards, so that the slow turn of the element relative to gravity does not distort the ends of the piece.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ LONGEST_GAP = 0.5  # s, filled on a straight line
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """Positions of the windows, s from the beginning of a record. before: the beginning of a third window between the two, which ends
-    when the base begins to rock; None if there is no such window. end: the end of the record."""
+    """Positions of the windows, s from the beginning of a record. before: the beginning of a third window between the first and the
+    second, which ends when the base begins to rock; None if there is no such window. end: the end of the record."""
 
     first: float
     second: float
@@ -45,13 +45,13 @@ class Windows:
 
     @property
     def pieces(self) -> tuple[tuple[float, float], ...]:
-        """The times that are read around each window."""
+        """The times, from and to, that are read around each window."""
         reach = REACH / self.cutoff
         return tuple((max(0.0, begin - reach), min(self.end, begin + self.length + reach)) for begin in self.begins)
 
     def with_rest(self, rest: float) -> Windows:
-        """The windows of a run whose base is at rest for the first `rest` [s] of its record. A third window, at the end of this time, is
-        added if at least one filter length lies between it and the first window."""
+        """The windows of a run whose base is at rest for the first `rest` [s] of its record. A third window, at the end of this
+        time, is added if at least one filter length lies between the first and the third window."""
         before = rest - self.length
         apart = before >= self.first + self.length + 1 / self.cutoff
         return replace(self, before=before) if apart else self
@@ -59,7 +59,7 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class RecordPiece:
-    """Evenly spaced samples of a part of a record: time (n,) s from its beginning, values (n, k) in SI units."""
+    """Evenly spaced samples of a part of a record. time: (n,), s from the beginning of the record; values: (n, k), SI."""
 
     time: Array
     values: Array
@@ -95,7 +95,7 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
 
 
 def low_pass(piece: RecordPiece, cutoff: float) -> Array:
-    """Low-pass filter without delay: the values (n, k) without changes faster than `cutoff` [Hz]."""
+    """The values (n, k) after a low-pass filter without delay, which removes changes faster than `cutoff` [Hz]."""
     from scipy.signal import sosfiltfilt
 
     rate = 1 / float(piece.time[1] - piece.time[0])
@@ -109,7 +109,7 @@ def low_pass(piece: RecordPiece, cutoff: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _sections(ratio: float) -> Array:
-    """Second-order sections of the filter for a cutoff at this fraction of the sampling rate."""
+    """Second-order sections of the filter, for a cutoff that is given as a fraction of the sampling rate."""
     from scipy.signal import butter
 
     return np.asarray(butter(ORDER, ratio, fs=1.0, output="sos"))
@@ -126,7 +126,7 @@ def within(piece: RecordPiece, begin: float, length: float) -> NDArray[np.bool_]
 
 
 def scale(recorded: RecordedSegment, name: str) -> float:
-    """Value in SI units of one unit of a channel. Raises `EstimationError` for a channel that is missing or has an unknown unit."""
+    """The SI value of one unit of a channel. Raises `EstimationError` for a channel that is missing or has an unknown unit."""
     try:
         return unit(recorded.units[name]).factor
     except KeyError:
@@ -136,7 +136,7 @@ def scale(recorded: RecordedSegment, name: str) -> float:
 
 
 def _even(label: str, time: Array, values: Array, begin: float, end: float) -> RecordPiece:
-    """Fills short gaps by linear interpolation: samples that are missing or not a number."""
+    """Fills short gaps, which are samples that are missing or not a number, by linear interpolation."""
     sound = np.isfinite(values).all(axis=1)
     time, values = time[sound], values[sound]
     if time.size < 16:

@@ -1,1 +1,1 @@
-"""Strapdown navigation: alignment, position errors and their prediction."""
+"""Strapdown navigation: alignment, navigation errors and their prediction."""

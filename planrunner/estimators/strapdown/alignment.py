@@ -1,5 +1,5 @@
-"""Alignment of a recorded segment, at rest or turned from stop to stop: its preconditions, the coarse attitude and the noise from its
-first stop, and the fine attitude from the whole segment."""
+"""Alignment in a recorded segment, in which the unit is at rest or is turned from stop to stop: the preconditions of the alignment,
+the coarse attitude and the noise from the first stop, and the fine attitude from the whole segment."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ _MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change it
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments. density: (6, 6),
-    the white noise in navigation axes, from the scatter at rest: the covariance that it adds to the integrated outputs per second. white:
-    (6,), square roots of these densities in body axes. seconds: duration, s. turned: whether the unit was turned from stop to stop during
-    alignment, so that the constant errors of its sensors were estimated too. rest: the readings at the first stop; stops: those at all
-    stops."""
+    """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments of angle and
+    velocity. density: (6, 6), density of the white noise in navigation axes, from the scatter at rest: the covariance that the
+    noise adds to the integrated outputs per second. white: (6,), square roots of the noise densities in body axes. seconds:
+    duration of the alignment, s. turned: True if the unit was turned from stop to stop during alignment, so that the constant
+    errors of its sensors were estimated too. rest: the readings at the first stop; stops: the readings at all stops."""
 
     alignment: Alignment
     last: Array
@@ -62,8 +62,8 @@ class Aligned:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """Readings of the sensors at rest. means: (6, b), over consecutive spans of `length` [s], rad/s and m/s². white: (6,), white noise,
-    rad/√s and m/s/√s; freedom: degrees of freedom of `white`."""
+    """Readings of the sensors at rest. means: (6, b), means over consecutive spans of `length` [s], rad/s and m/s². white: (6,),
+    square root of the density of the white noise, rad/√s and m/s/√s; freedom: degrees of freedom of `white`."""
 
     means: Array
     length: float
@@ -80,9 +80,9 @@ def align(
     follow: float | None = None,
     lasting: float = 0.0,
 ) -> Aligned:
-    """Finds the attitude at the end of a segment. site: with latitude, height and gravity of the place. constant: (6,), standard
-    uncertainty of the constant errors, rad/s and m/s², for a unit that is turned during alignment. follow: as for `FineAlignment`.
-    lasting: length of alignment and navigation, s. Raises `EstimationError`."""
+    """Finds the attitude at the end of a segment. site: the place, with its latitude, height and gravity. constant: (6,), standard
+    uncertainty of the constant errors, rad/s and m/s²; used only for a unit that is turned during alignment. follow: as in
+    `FineAlignment`. lasting: total length of alignment and navigation, s. Raises `EstimationError`."""
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
@@ -138,14 +138,14 @@ def align(
 
 
 def stillness(segment: Segment, seconds: float) -> float:
-    """Duration [s] of rest from the beginning, at most `seconds`. The coarse attitude is computed from this time."""
+    """Duration [s], at most `seconds`, of the rest at the beginning of a segment. The coarse attitude is computed from this time."""
     first = segment.motion.stop if isinstance(segment.motion, Cycle) else seconds
     return min(first, seconds, _COARSE)
 
 
 def end_attitude(segment: Segment, table: TableModel | None, seconds: float | None = None) -> Array | None:
-    """The planned attitude at the end of a segment (3, 3), rows are the sensor's axes; None if it is not known. seconds: the recorded
-    length; by default the planned dwell."""
+    """The planned attitude (3, 3) at the end of a segment, whose rows are the sensor's axes; None if it is not known. seconds: the
+    recorded length of the segment; by default the planned dwell."""
     if segment.attitude is None or not isinstance(segment.motion, Cycle):
         return segment.attitude if isinstance(segment.motion, Rest) else None
     dwell = segment.dwell if seconds is None else seconds
@@ -163,8 +163,9 @@ def same_attitude(one: Array | None, other: Array | None) -> bool:
 
 
 def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, ...]:
-    """A warning if the attitude differs from the planned one by more than 90 deg. One reversed channel changes it by 180 deg. planned: (3,
-    3), rows are the sensor's axes; None if it is not known. rotation: (3, 3), from body to navigation axes, as found."""
+    """A warning if the attitude found differs from the planned attitude by more than 90 deg. One reversed channel changes the
+    attitude by 180 deg. planned: (3, 3), rows are the sensor's axes; None if it is not known. rotation: (3, 3), the attitude found,
+    from body to navigation axes."""
     if planned is None:
         return ()
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(planned @ rotation)) - 1) / 2)))
@@ -181,7 +182,7 @@ def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, .
 
 
 def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
-    """Pieces of the record from its beginning that cover the first stop."""
+    """The pieces at the beginning of the record that cover the first stop."""
     found: list[Increments] = []
     covered = 0.0
     for piece in pieces:
@@ -193,8 +194,9 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
 
 
 def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRest]:
-    """Mean (6,), rad/s and m/s², over the first `seconds`, and the readings. The white noise is the Allan deviation of means over one
-    second, which slow motion does not enlarge; its degrees of freedom are those of overlapping differences of white noise."""
+    """The mean (6,), rad/s and m/s², over the first `seconds`, and the readings in this time. The white noise is the Allan
+    deviation of means over one second, which slow motion does not enlarge; its degrees of freedom are those of overlapping
+    differences of white noise."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
     within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))
@@ -222,7 +224,7 @@ def to_navigation(rotation: Array, variances: Array) -> Array:
 
 
 def levelled_out(density: Array) -> Array:
-    """The density (6, 6) of a unit that rotates about the vertical, so that the east and north axes have the same noise."""
+    """The density (6, 6) for a unit that rotates about the vertical, so that the east and north axes have the same noise."""
     found = np.zeros_like(density)
     for k in (0, 3):
         horizontal = (density[k, k] + density[k + 1, k + 1]) / 2
@@ -257,13 +259,14 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
 
 
 def _rate_error(mean: Array, site: Site) -> float:
-    """Difference between the mean rate at rest and the Earth's rate, horizontal and upward component, rad/s. mean: (6,), rad/s and m/s²."""
+    """The length of the difference between the mean rate at rest and the Earth's rate, each given by its horizontal and upward
+    component, rad/s. mean: (6,), rad/s and m/s²."""
     found, earth = _rates(mean, site)
     return float(np.linalg.norm(found - earth))
 
 
 def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
-    """Horizontal and upward component of the mean rate, (2,), and of the Earth's rate, rad/s."""
+    """Horizontal and upward component, (2,), of the mean rate and of the Earth's rate, rad/s."""
     rate = float(np.linalg.norm(mean[:3]))
     up = float(mean[:3] @ mean[3:]) / float(np.linalg.norm(mean[3:]))
     earth = site.earth_rate * np.array([math.cos(site.latitude), math.sin(site.latitude)])
@@ -280,7 +283,7 @@ def _quiet(label: str, mean: Array, site: Site) -> Said:
 
 
 def _check_at_rest(label: str, mean: Array, site: Site) -> None:
-    """Checks that the unit is at rest. mean: (6,), rad/s and m/s², at the first stop."""
+    """Checks that the unit is at rest. mean: (6,), rad/s and m/s², the mean readings at the first stop."""
     if not np.isfinite(mean).all():
         raise UnfitDataError(f"segment '{label}' has too few usable samples: record it again")
     force = float(np.linalg.norm(mean[3:]))

@@ -1,7 +1,9 @@
-"""Checks and predictions of a strapdown navigation before it is recorded: suitability of its segments, and expected errors.
+"""Checks and predictions of a strapdown navigation before it is recorded: whether its segments are suitable, and the expected
+errors.
 
-Expected errors follow from the declared white noise and from the constant errors that the plan states as uncertainties. The filter of
-the alignment predicts the remaining errors. Noise and errors, rotated with the table, are then the input of the linear error equations.
+Expected errors follow from the declared white noise and from the constant errors that the plan states as uncertainties. The filter
+of the alignment predicts the remaining errors. Noise and remaining errors, rotated with the table, are then the input of the linear
+error equations.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculli
 
 
 def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:
-    """Makes remarks on the planned segments. Raises `EstimationError` for unsuitable segments or outputs."""
+    """Returns remarks on the planned segments. Raises `EstimationError` for unsuitable segments or outputs."""
     parameters = request.parameters
     for name in (*parameters.gyros, *parameters.accelerometers):
         if request.sensor.output(name) is None:
@@ -175,7 +177,7 @@ def _on_navigation(request: DesignRequest[StrapdownNavigationParameters], moving
 def _expected(
     request: DesignRequest[StrapdownNavigationParameters], stop: Segment, moving: Sequence[Segment]
 ) -> tuple[tuple[Coefficient, ...], str]:
-    """The expected errors and a note on them; without errors, the note gives the reason."""
+    """The expected errors and a note about them; if there are no expected errors, the note gives the reason."""
     parameters = request.parameters
     white, constant = _declared(request), _stated(parameters)
     dwells = [segment.dwell for segment in (stop, *moving)]
@@ -228,7 +230,7 @@ def _expected(
 
 
 def _declared(request: DesignRequest[StrapdownNavigationParameters]) -> Array:
-    """White noise as the sensor declares it (6,), rad/√s and m/s/√s."""
+    """The white noise (6,) that the sensor declares, rad/√s and m/s/√s."""
     parameters = request.parameters
     found = np.zeros(6)
     for k, name in enumerate((*parameters.gyros, *parameters.accelerometers)):
@@ -256,8 +258,8 @@ def _about_up(stop: Segment, count: int, step: float) -> Array:
 
 
 def _turning(segments: Sequence[Segment], rotation: Array, step: float) -> Array:
-    """Matrices from body to navigation axes for (ε, ∇), averaged over each `step` [s], (n, 6, 6). rotation: (3, 3), at the beginning of
-    each segment."""
+    """Matrices (n, 6, 6) from body to navigation axes for gyro errors ε and accelerometer errors ∇, averaged over each `step` [s].
+    rotation: (3, 3), attitude at the beginning of each segment."""
     found = []
     for segment in segments:
         count = max(1, round((segment.dwell or 0.0) / step))

@@ -1,9 +1,10 @@
-"""Biases that drift during a navigation, found at its stops, and the part of the navigation errors that the drift causes.
+"""Biases that drift during a navigation: the drift is found at the stops, and its part of the navigation errors is computed.
 
-The readings of each position have a constant of their own; a drift is common to all positions. Its courses are those of the static
-methods (`observation.drift`), and so is their test (`drift_fit`). The navigation is not corrected: its errors are those of this unit on
-this day. The change that the drift causes is an error that is not corrected with regard to the errors that constant biases would cause
-(JCGM 100:2008, F.2.4.5). It follows from the linear error equations (`wandering`).
+The readings in each position of the unit have a separate constant; a drift is common to all positions. The courses that a drift may
+have are those of the static methods (`observation.drift`), and the test of a drift is the same (`drift_fit`). The navigation is not
+corrected, because its errors are the errors of this unit on this day. With constant biases, the navigation would have other errors.
+The change that the drift causes is therefore an error that is not corrected (JCGM 100:2008, F.2.4.5). This change follows from the
+linear error equations (`wandering`).
 """
 
 from __future__ import annotations
@@ -29,12 +30,13 @@ _MOST_POSITIONS = 0.5  # of the observations: otherwise a drift looks like a cha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopDrift:
-    """What the stops show. fitted: the courses of the drift. changes: (6,), largest minus smallest bias during alignment and navigation
-    according to the fitted drift, rad/s and m/s²; uncertainties: (6,), of these changes. effect: (7, n, r), errors that the drift causes at
-    n times of the navigation, in the states of `error_equations`: its first column is the sum over all sensors, and the others are
-    independent changes that the uncertainty of the drift allows. time: (n,), s since the navigation began. scatter: (6,), square root of
-    the variance of the readings of each sensor at stops about the fitted drift, over that expected; unexplained: (6,), whether this is
-    more than noise and stated flicker explain."""
+    """What the stops show about a drift of the six sensors. fitted: the fitted courses of the drift. changes: (6,), the largest
+    minus the smallest bias during alignment and navigation according to the fitted drift, rad/s and m/s²; uncertainties: (6,),
+    uncertainties of these changes. effect: (7, n, r), errors that the drift causes at n times of the navigation, in the states of
+    `error_equations`. The first column is the sum over all sensors; the others are independent changes that the uncertainty of the
+    drift allows. time: (n,), s since the navigation began. scatter: (6,), for each sensor, the square root of the ratio of two
+    variances of the readings at stops about the fitted drift: observed divided by expected; unexplained: (6,), True if noise and
+    stated flicker do not explain this ratio."""
 
     fitted: FittedDrift
     changes: Array
@@ -46,8 +48,8 @@ class StopDrift:
 
 
 def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, float]) -> StopDrift | None:
-    """Looks for a drift of the six sensors at the stops. flicker: stated bias instability by index of the sensor, rad/s or m/s². None if
-    the stops cannot show a drift."""
+    """Searches for a drift of the six sensors in the readings at the stops. flicker: index of a sensor → stated bias instability,
+    rad/s or m/s². Returns None if the stops cannot show a drift."""
     n = len(stops.time)
     if not n or not (stops.white > 0).all():
         return None
@@ -89,7 +91,8 @@ def _with_effect(
     response: WanderingBias,
     freedom: float,
 ) -> StopDrift:
-    """The effect of the fitted courses. courses: (n + l, 1) columns, over the n observations and the l intervals of the response."""
+    """The fitted drift with its effect on the navigation. courses: the courses of the drift, each with one column of n + l rows:
+    for the n observations, then for the l intervals of the response."""
     from scipy.special import fdtrc
 
     left = fits[0].degrees_of_freedom

@@ -59,8 +59,8 @@ _ACCELEROMETER = STANDARD_GRAVITY * 1e-3  # m/s^2, 1 mg
 
 @dataclass(frozen=True, slots=True)
 class _Coordinate:
-    """A coordinate of the start position. information: the run information that may give it; channel: the reference channel that may
-    give it; farthest: its largest value on Earth, rad or m."""
+    """A coordinate of the start position. information: name of the run information that may give the coordinate; channel: name of
+    the reference channel that may give it; farthest: largest value of the coordinate on Earth, rad or m."""
 
     information: str
     channel: str
@@ -128,13 +128,13 @@ class StrapdownNavigationParameters(Record):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels of the gyros x, y, z, then of the accelerometers x, y, z."""
+        """The channels of the gyros x, y, z, then of the accelerometers x, y, z."""
         return (*self.gyros, *self.accelerometers)
 
     @property
     def constant_errors(self) -> Array:
-        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: the stated values; otherwise values so large that the data
-        alone determine the errors."""
+        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: the stated values, or, if none are stated, values so
+        large that the data alone determine the errors."""
         gyro = self.gyro_uncertainty.value if self.gyro_uncertainty else _GYRO
         accelerometer = self.accelerometer_uncertainty.value if self.accelerometer_uncertainty else _ACCELEROMETER
         return np.array([gyro] * 3 + [accelerometer] * 3)
@@ -142,9 +142,10 @@ class StrapdownNavigationParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Navigated:
-    """Result of a navigation. site: the place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: duration, s. start:
-    time at which the navigation began, s. gap: time without samples after the alignment, s. wandering: response to biases that change.
-    opposed: indices of gyros that seem to have the wrong sign. drift: what the stops show; None if they cannot show a drift, or if the
+    """Result of a navigation. site: the place where the navigation starts. final: (4,), east and north errors of position and
+    velocity at the end [m, m, m/s, m/s]. seconds: duration of the navigation, s. start: time at which the navigation began, s. gap:
+    time without samples after the alignment, s. wandering: response of the navigation to biases that change. opposed: indices of
+    gyros that seem to have the wrong sign. drift: what the stops show about a drift; None if they cannot show a drift, or if the
     carrier moves."""
 
     site: Site
@@ -161,7 +162,7 @@ class Navigated:
 
 
 def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S, Sequence[S]]:
-    """The segment to align in and those to navigate. Raises `EstimationError`."""
+    """The segment for the alignment, and the segments to navigate. Raises `EstimationError`."""
     found = [k for k, label in enumerate(labels) if matches(label, pattern)]
     if not found:
         raise EstimationError(
@@ -178,8 +179,8 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
-    """The position of the alignment. It comes from run information, otherwise from the reference channels, otherwise from the bench's
-    site. factor: gravity at the site divided by normal gravity. Raises `EstimationError`."""
+    """The position at which the alignment takes place. Each coordinate comes from run information, else from the reference
+    channels, else from the bench's site. factor: gravity at the site divided by normal gravity. Raises `EstimationError`."""
 
     def place(coordinate: _Coordinate) -> float | None:
         if text := request.setup.information.get(coordinate.information, "").strip():
@@ -191,7 +192,7 @@ def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: R
 
 
 def _at(site: Site, place: Callable[[_Coordinate], float | None]) -> Site:
-    """The site with the coordinates that `place` contains."""
+    """The site with the coordinates that `place` gives; a coordinate for which `place` gives None is unchanged."""
     latitude, longitude, height = (place(one) for one in (_LATITUDE, _LONGITUDE, _HEIGHT))
     return replace(
         site,
@@ -202,8 +203,8 @@ def _at(site: Site, place: Callable[[_Coordinate], float | None]) -> Site:
 
 
 def _told(coordinate: _Coordinate, text: str) -> float:
-    """Reads a coordinate from text. A plain number is in degrees or metres, as receivers display it. Raises `EstimationError` for text
-    that is not a position."""
+    """Reads a coordinate from text. A plain number is in degrees or metres, as receivers display coordinates. Raises
+    `EstimationError` for text that is not a position."""
     try:
         value = math.radians(float(text)) if coordinate.dimension == "angle" else float(text)
     except ValueError:
@@ -220,7 +221,7 @@ def _told(coordinate: _Coordinate, text: str) -> float:
 
 
 def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigated:
-    """Aligns and navigates. Each sample is read once. Raises `EstimationError`."""
+    """Aligns, and then navigates. Each sample is read once. Raises `EstimationError`."""
     parameters = request.parameters
     stop, moving = parts(request.segments, [item.label for item in request.segments], parameters.align)
     rates = {item.segment.sample_rate or request.sensor.sample_rate for item in (stop, *moving)}
@@ -262,18 +263,19 @@ def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigat
 
 
 def _earth_rate(site: Site) -> Array:
-    """In East-North-Up, (3,), rad/s."""
+    """The Earth rate in East-North-Up, (3,), rad/s."""
     return np.array([0.0, site.earth_rate * math.cos(site.latitude), site.earth_rate * math.sin(site.latitude)])
 
 
 def wandering_sensors(inputs: Inputs, parameters: StrapdownNavigationParameters) -> dict[int, InputQuantity]:
-    """The stated bias instabilities by index of the sensor: gyros x, y, z, then accelerometers x, y, z."""
+    """The sensors with a stated bias instability: index of the sensor (gyros x, y, z, then accelerometers x, y, z) → bias
+    instability."""
     stated = (inputs.of_output(Aspect.BIAS_INSTABILITY, name) for name in parameters.channels)
     return {k: quantity for k, quantity in enumerate(stated) if quantity is not None}
 
 
 def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:
-    """Value in rad/s or m/s² of one unit of an output, also of an output that gives increments."""
+    """The value in rad/s or m/s² of one unit of an output; for an output of increments, per sample interval."""
     known = unit(quantity.unit)
     increments = known.dimension in (DIMENSIONS["angle"], DIMENSIONS["speed"])
     return known.factor * (sensor.sample_rate if increments else 1.0)
@@ -285,8 +287,8 @@ def _gap(
     moving: Sequence[RecordedSegment],
     reader: IncrementReader,
 ) -> float:
-    """Time [s] between alignment and navigation. The attitude is assumed to stay the same over this time if the unit cannot have
-    rotated. Raises `EstimationError`."""
+    """Time [s] between alignment and navigation. If the unit cannot have rotated in this time, its attitude is assumed to stay the
+    same. Raises `EstimationError` otherwise."""
     first = moving[0]
     gap = first.statistics.start - stop.statistics.end - reader.interval
     if not gap > reader.bridge + reader.interval / 2:
@@ -354,7 +356,7 @@ def _begin(
     aligned: Aligned,
     every: int,
 ) -> tuple[Navigator, Site]:
-    """The navigator at the beginning of the first interval, and its place."""
+    """The navigator at the beginning of the first interval, and the place at which it starts."""
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     stated = request.setup.information
@@ -380,13 +382,13 @@ def _begin(
 
 
 def _before(values: Array) -> float:
-    """A reference channel extrapolated linearly to one interval before its first sample."""
+    """The value of a reference channel one interval before its first sample, by linear extrapolation."""
     return float(2 * values[0] - values[1]) if len(values) > 1 else float(values[0])
 
 
 def _truth(piece: Increments, site: Site, at: NDArray[np.int64]) -> Truth:
-    """The true position at some samples of a block, from the reference channels. Without them, the unit is assumed to be at rest at the
-    place of the start."""
+    """The true position at some samples of a block, from the reference channels. Without reference channels, the unit is assumed to
+    stay at the place of the start."""
     reference = piece.reference
 
     def of(name: str, otherwise: float) -> Array:

@@ -1,8 +1,9 @@
-"""Increments of angle and velocity from recorded samples, block by block: units, missing samples, and the clock.
+"""Increments of angle and velocity, computed from recorded samples block by block: conversion of units, missing samples, and the
+clock.
 
-A sample is the mean over the interval that ends at its time stamp, so the increment is sample times interval. Outputs that are already
-increments (angle, velocity) are used unchanged. Gaps of at most `bridge` seconds are filled by linear interpolation; a longer gap is an
-error, because the attitude after it is unknown.
+A sample is the mean over the interval that ends at its time stamp, so an increment is the sample times the interval. Outputs that
+are already increments (angle, velocity) are used unchanged. Gaps of at most `bridge` seconds are filled by linear interpolation; a
+longer gap is an error, because the attitude after it is unknown.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ _RATE_TOLERANCE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Increments:
-    """Integrated rates and specific forces of a recording. values: (6, n), rad and m/s on body x, y, z. interval: (n,), s, the time
-    that each increment covers; time: (n,), s, the end of this time. reference: SI values of reference channels, by channel, (n,).
-    kelvin: (n,), of the sensor's thermometer; None without one."""
+    """Integrated rates and specific forces of a recording. values: (6, n), rad and m/s along the body axes x, y, z. interval: (n,),
+    s, the time that each increment covers; time: (n,), s, the end of this time. reference: reference channel → values (n,), SI.
+    kelvin: (n,), readings of the sensor's thermometer, K; None without a thermometer."""
 
     time: Array
     interval: Array
@@ -48,11 +49,11 @@ class Increments:
 
 
 class IncrementReader:
-    """Reads the increments of consecutive segments. It continues the clock from one segment to the next."""
+    """Reads the increments of consecutive segments. The clock continues from one segment to the next."""
 
     def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float, thermometer: str | None = None):
-        """channels: three gyros and three accelerometers in the order x, y, z. sample_rate: Hz. bridge: s. thermometer: channel of a
-        temperature that is read with them."""
+        """channels: three gyros and three accelerometers in the order x, y, z. sample_rate: Hz. bridge: length of the longest gap
+        that is filled, s. thermometer: a temperature channel that is read together with these channels."""
         self.channels = tuple(channels)
         self.interval = 1 / sample_rate
         self.bridge = bridge
@@ -62,7 +63,7 @@ class IncrementReader:
         self._before: Array | None = None
 
     def part(self) -> None:
-        """Marks a break: the next segment does not follow the preceding one without a gap."""
+        """Marks a break before the next segment, which does not follow the preceding segment without a gap."""
         self._last = self._before = None
 
     def blocks(self, recorded: RecordedSegment) -> Iterator[Increments]:
@@ -86,7 +87,7 @@ class IncrementReader:
             yield Increments(rows[0], interval, values, found, kelvin)
 
     def _clock(self, label: str, rows: Array) -> tuple[Array, Array]:
-        """The interval that each sample covers, and the samples after short gaps are filled."""
+        """The interval that each sample covers, and the samples, after short gaps have been filled."""
         time = rows[0]
         begin = time[0] - self.interval if self._last is None else self._last
         steps = np.diff(time, prepend=begin)
@@ -136,8 +137,8 @@ class IncrementReader:
 
 
 def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, NDArray[np.bool_]]:
-    """Factors to SI (6,), and whether each channel is an increment. Raises `EstimationError` for a missing channel, or one whose unit is
-    neither that of a rate nor of an increment."""
+    """Factors that convert channels to SI (6,), and True for each channel that gives increments. Raises `EstimationError` for a
+    missing channel, or for a channel whose unit is neither that of a rate nor that of an increment."""
     factors, integrated = np.empty(len(channels)), np.zeros(len(channels), dtype=np.bool_)
     for k, name in enumerate(channels):
         if name not in recorded.units:
@@ -159,13 +160,13 @@ def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, N
 
 
 def reference_mean(recorded: RecordedSegment, name: str) -> float:
-    """Mean of a reference channel over a segment, SI. Raises `EstimationError`."""
+    """The mean of a reference channel over a segment, SI. Raises `EstimationError`."""
     statistics = recorded.statistics
     return float(statistics.mean[statistics.of(name)]) * _reference_unit(recorded, name)
 
 
 def reference_speed(recorded: RecordedSegment) -> float:
-    """Largest speed along one direction in the reference channels [m/s]; 0 without these channels. Raises `EstimationError`."""
+    """The largest absolute velocity in any of the reference channels [m/s]; 0 without such channels. Raises `EstimationError`."""
     statistics, largest = recorded.statistics, 0.0
     for name, dimension in REFERENCES.items():
         if dimension == "speed" and name in recorded.units:

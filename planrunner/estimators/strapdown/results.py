@@ -1,6 +1,6 @@
 """Results of a strapdown navigation: coefficients, tables, plots and notes.
 
-The module `uncertainty` computes their uncertainties.
+The module `uncertainty` computes the uncertainties of the coefficients.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _table(points: Array, uncertainty: Array) -> Table:
-    """Table of errors at whole hours; for shorter runs, at every ten minutes, every minute or every point."""
+    """A table of the errors at whole hours; for shorter runs, at every ten minutes, at every minute, or at every point."""
     time = points[0]
     steps = [3600.0, 600.0, 60.0, 1.0]
     step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])
@@ -135,7 +135,7 @@ def _table(points: Array, uncertainty: Array) -> Table:
 
 
 def _constants(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Table, ...]:
-    """Table of the constant errors that the alignment estimated, if the unit was turned during it."""
+    """A table of the constant errors that the alignment estimated, if the unit was turned during the alignment."""
     if not found.aligned.turned:
         return ()
     alignment = found.aligned.alignment
@@ -166,7 +166,7 @@ def _plots(points: Array) -> tuple[Plot, ...]:
 
 
 def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Said:
-    """Source of the uncertainties of the errors, in words."""
+    """States in words where the uncertainties of the errors come from."""
     if not wandering_sensors(request.setup.inputs, request.parameters):
         return said(
             "The uncertainties of the errors come from the white noise observed during alignment, propagated through the linear "
@@ -296,6 +296,6 @@ def _at_stops(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _change(channel: str, size: float, sensor: int) -> Said:
-    """The drift of one sensor in words. size: rad/s or m/s²."""
+    """States the drift of one sensor in words. size: size of the drift, rad/s or m/s²."""
     text, factor = ("deg/h", DEGREE * HOUR) if sensor < _GYROS else ("ug", 1e6 / STANDARD_GRAVITY)
     return said("{output} by {size:.2g} {unit}", output=channel, size=size * factor, unit=text)

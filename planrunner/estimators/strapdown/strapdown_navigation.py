@@ -1,8 +1,9 @@
 """Pure inertial navigation of a recording: alignment during a stop, then attitude, velocity and position by strapdown mechanisation, and
 the errors relative to the true position.
 
-The module `alignment` contains the conditions for an alignment; `reading` handles units, gaps and the clock; `navigation_errors` and
-`results` compute the reported figures; `design` predicts the errors. docs/navigation.md gives conventions and definitions.
+The module `alignment` contains the conditions for an alignment and the alignment itself; `reading` handles units, gaps and the
+clock; `navigation_errors` and `results` compute the reported figures; `design` predicts the errors. docs/navigation.md gives
+conventions and definitions.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ class StrapdownNavigation:
     Parameters = StrapdownNavigationParameters
 
     def design(self, request: DesignRequest[StrapdownNavigationParameters]) -> Design:
-        """Makes remarks on the planned segments. Raises `EstimationError`."""
+        """Returns remarks on the planned segments. Raises `EstimationError`."""
         from planrunner.estimators.strapdown.design import design
 
         return design(request)
 
     def foresee(self, request: DesignRequest[StrapdownNavigationParameters]) -> Foresight:
-        """Predicts the errors from the declared properties."""
+        """Predicts the navigation errors from the declared properties of the sensor."""
         from planrunner.estimators.strapdown.design import foresee
 
         return foresee(request)
 
     def estimate(self, request: EstimateRequest[StrapdownNavigationParameters]) -> Estimate:
-        """Computes the errors of the navigation. Raises `EstimationError`."""
+        """Computes the errors of the navigation from the recording. Raises `EstimationError`."""
         from planrunner.estimators.strapdown.results import assemble
 
         return assemble(request, navigate(request))

@@ -1,9 +1,9 @@
 """Uncertainties of the results of a strapdown navigation.
 
-The uncertainties describe how well one run determines the navigation errors that the constant errors of the sensors cause. Their
-sources are white noise, which the alignment estimates; the uncertainty of the alignment that the noise causes, propagated through the
-linear error equations; and the stated bias instabilities (see `wandering`). Constant errors are part of the measured errors. They
-contribute to the uncertainty only in the angles of the alignment, which do not reveal them.
+The uncertainties describe how well one run determines the navigation errors that the constant errors of the sensors cause. The
+uncertainties come from white noise, which the alignment estimates; from the uncertainty of the alignment that this noise causes,
+propagated through the linear error equations; and from the stated bias instabilities (see `wandering`). Constant errors are part of
+the measured errors. They contribute to the uncertainty only of the alignment angles, because these angles do not reveal them.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ _MOMENTS = 96  # at which the effect of biases that wander is evaluated
 
 
 class Spread:
-    """Uncertainty from noise. covariance: (m, m), of the coefficients in their units. radial: (n,), m, standard uncertainty of the radial
-    error at the points of the course."""
+    """Uncertainty from noise. covariance: (m, m), covariance of the coefficients in their units. radial: (n,), m, standard
+    uncertainty of the radial error at the points of `ErrorRecord.points`."""
 
     def __init__(self, equations: ErrorEquations, found: Navigated, points: Array, turns: bool):
         start = np.zeros((SIZE, SIZE))
@@ -83,9 +83,9 @@ class Spread:
 
 
 class Wander:
-    """Uncertainty from biases that wander. influences: one for each sensor with a stated bias instability. radial: (n,), m, standard
-    uncertainty that these sensors cause in the radial error at the points of the course. unstated: the flicker of each sensor whose bias
-    instability the bench file does not give."""
+    """Uncertainty from biases that wander. influences: one influence for each sensor with a stated bias instability. radial: (n,),
+    m, standard uncertainty that these sensors cause in the radial error at the points of `ErrorRecord.points`. unstated: the
+    flicker of each sensor whose bias instability the bench file does not give."""
 
     def __init__(self, request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, points: Array):
         self.influences: tuple[Influence, ...] = ()
@@ -117,7 +117,8 @@ class Wander:
 
 
 def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> FlickerEvidence | None:
-    """What the first stop of the alignment shows of the flicker of a sensor. rate: rad/s or m/s² per unit of its channel."""
+    """What the first stop of the alignment shows about the flicker of a sensor. rate: size of the unit of the sensor's channel,
+    rad/s or m/s²."""
     rest = found.aligned.rest
     n = rest.means.shape[1]
     if not (n > 1 and rest.white[sensor] > 0):
@@ -135,7 +136,8 @@ def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> Flicke
 
 
 def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
-    """Covariances (n, 4, 4) at the times (n,), interpolated between covariances at k moments (k, 4, 4) and zero at time zero."""
+    """Covariances (n, 4, 4) at the times `time` (n,), interpolated linearly between `covariances` (k, 4, 4) at k moments; the
+    covariance at time zero is zero."""
     known = np.concatenate([np.zeros((1, *covariances.shape[1:])), covariances])
     each = known.reshape(len(known), -1).T
     at = np.append(0.0, moments)
@@ -143,16 +145,18 @@ def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
 
 
 def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
-    """Standard uncertainties of the radial error and of the speed at the points, from covariances (n, k, k) of position and velocity."""
+    """Standard uncertainties of the radial error and of the speed error at the points, from covariances (n, k, k) of position and
+    velocity."""
     return _along(points[1:3], covariances[:, :2, :2]), _along(points[3:5], covariances[:, 2:4, 2:4])
 
 
 def joined(found: Navigated, points: Array, both: Array, radial: Array, speed: Array) -> Array:
     """Covariance (m, m) of `NAMES` in their units, without the contribution of the CEP rate.
 
-    The angles and the errors at the end follow the state linearly. For figures over time, the uncertainty is an upper bound that
-    assumes fully correlated errors; correlations between these figures are set to zero. both: (7, 7), of tilts after alignment and of
-    errors at the end; radial, speed: (n,), standard uncertainties at the points.
+    The angles and the errors at the end depend linearly on the state. For figures over time, the uncertainty is an upper bound,
+    which assumes that the errors at all times are fully correlated; correlations between these figures are set to zero. both: (7,
+    7), joint covariance of the tilts after alignment and of the errors at the end; radial, speed: (n,), standard uncertainties at
+    the points.
     """
     angles = np.eye(_DIRECT)
     angles[:3, :3] = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
@@ -176,8 +180,8 @@ def joined(found: Navigated, points: Array, both: Array, radial: Array, speed: A
 
 
 def _along(errors: Array, covariances: Array) -> Array:
-    """Standard uncertainty of the length of vectors (2, n) with covariances (n, 2, 2). If the length is zero, it is that of the longer
-    axis."""
+    """Standard uncertainty of the length of vectors (2, n) with covariances (n, 2, 2). If the length of a vector is zero, it is the
+    root of the sum of the two variances."""
     size = np.hypot(*errors)
     unit_vectors = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
     along = np.einsum("in,nij,jn->n", unit_vectors, covariances, unit_vectors)
@@ -189,9 +193,9 @@ def influences(
     request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated, points: Array
 ) -> tuple[Influence, ...]:
     """Influences of the latitude and of constant sensor errors. Constant sensor errors influence only the angles. An error of the
-    latitude makes the assumed Earth rate wrong, which influences errors and figures over time, but hardly the alignment. Repeating a
-    navigation under other conditions takes too long, so the error equations give the sensitivities; a test compares them with repeated
-    navigations. points: as returned by `ErrorRecord.points`."""
+    latitude makes the assumed Earth rate wrong. This influences the errors at the end and the figures over time, but hardly the
+    alignment. Repeating a navigation under other conditions takes too long, so the sensitivities come from the error equations; a
+    test compares them with repeated navigations. points: result of `ErrorRecord.points`."""
     parameters = request.parameters
     rotation = found.aligned.alignment.rotation
     turned = np.zeros((INPUTS, INPUTS))
@@ -227,10 +231,10 @@ def influences(
 
 
 def drift_influence(found: Navigated, points: Array) -> Influence | None:
-    """Influence of the drift that the stops show; None without such a drift. points: as returned by `ErrorRecord.points`.
+    """Influence of the drift that the stops show; None if they show no drift. points: result of `ErrorRecord.points`.
 
-    The change of each coefficient is the difference between the figures of the course with the drift and without it. Changes by the
-    uncertainty of the drift are small, and are independent of each other."""
+    The change of each coefficient is the difference between its values with the drift and without the drift. The changes that the
+    uncertainty of the drift allows are small and independent of each other."""
     drift = found.drift
     if drift is None or not drift.fitted.courses:
         return None
@@ -251,7 +255,7 @@ def drift_influence(found: Navigated, points: Array) -> Influence | None:
 
 
 def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count: int) -> Array:
-    """Errors of position [m] and velocity [m/s] per rad of error of the stated latitude, (4, count), after each `step` [s]."""
+    """Errors of position [m] and velocity [m/s] per rad of error of the stated latitude, (4, count), at the end of each `step` [s]."""
     shift = np.zeros((SIZE, 1))
     shift[1] = float(radii(site.latitude)[0]) + site.height
     found = equations.responses(shift, np.zeros((count, INPUTS, 1)), step) - shift
@@ -259,8 +263,8 @@ def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count
 
 
 def _figures(course: Array) -> Array:
-    """The figures of `NAMES` after the angles, (m, k), from k courses (5, n, k) in the form of `ErrorRecord.points`, without the first
-    point."""
+    """The figures of `NAMES` that follow the angles, (m, k), from k sets of errors (5, n, k) in the form of `ErrorRecord.points`,
+    without the first point."""
     time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
     largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
     each = np.arange(course.shape[2])

@@ -1,9 +1,9 @@
 """Flicker in a navigation: the response of the linear error equations to biases that wander during alignment and navigation.
 
 A constant error is defined as the average over a stated span (see `observation.flicker`). Only deviations from this average disturb
-alignment and navigation. The errors of a navigation are linear in the sensors' errors. They are therefore sums over short intervals,
-and in each interval the response to a constant sensor error is known. The covariance of the means of flicker over these intervals then
-gives the covariance of the errors.
+alignment and navigation. The errors of a navigation are linear in the sensors' errors. The errors of a navigation are therefore
+sums over short intervals, and the response to a constant sensor error in each interval is known. The covariance of the means of
+flicker over these intervals then gives the covariance of the errors.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _AXES = 3
 
 @dataclass(frozen=True, slots=True)
 class WanderingBias:
-    """Response of a navigation to errors of its sensors in intervals of `step` [s].
+    """Response of a navigation to sensor errors that are constant in each interval of `step` [s].
 
-    aligned: (3, 6, m), tilt that remains after alignment, rad, for a unit error of each of the 6 sensors in each of the m intervals of
-    the alignment. attitude: (n, 3, 3), mean attitude over each interval of the navigation, with the body axes as columns in
-    East-North-Up. between: number of intervals from the beginning of the alignment to the beginning of the navigation. span: time over
-    which constant errors are averages, s.
+    aligned: (3, 6, m), tilt that remains after alignment, rad, for a unit error of each of the 6 sensors in each of the m intervals
+    of the alignment. attitude: (n, 3, 3), mean attitude over each interval of the navigation, with the body axes as columns in
+    East-North-Up. between: number of intervals from the beginning of the alignment to the beginning of the navigation. span: time
+    over which constant errors are averages, s.
     """
 
     equations: ErrorEquations
@@ -40,18 +40,18 @@ class WanderingBias:
 
     @property
     def begun(self) -> int:
-        """Number of intervals before those of the navigation."""
+        """Number of intervals before the first interval of the navigation."""
         return max(self.between, int(self.aligned.shape[2]))
 
     @property
     def middles(self) -> Array:
-        """Middle of each interval of alignment and navigation, s since the alignment began."""
+        """The middle of each interval of alignment and navigation, s since the alignment began."""
         return np.asarray(self.step * (np.arange(self.begun + len(self.attitude)) + 0.5))
 
     def errors(self, biases: Array) -> Array:
         """Errors (7, n + 1, r) at the beginning of the navigation and after each of its n intervals, in the states of
-        `error_equations`, for r courses of the sensors' biases. biases: (6, l, r), rad/s and m/s², means over the intervals whose
-        middles are `middles`."""
+        `error_equations`, for r cases of biases that change. biases: (6, l, r), rad/s and m/s², mean biases over the intervals
+        whose middles are `middles`."""
         m = self.aligned.shape[2]
         start = np.zeros((SIZE, biases.shape[2]))
         start[TILT] = np.einsum("asm,smr->ar", self.aligned, biases[:, :m])
@@ -66,8 +66,8 @@ class WanderingBias:
         return turned
 
     def covariances(self, moments: Array) -> Array:
-        """Joint covariance (k, 6, 7, 7) of the tilts after alignment [rad] and of the position and velocity errors at k moments of the
-        navigation, for each sensor with a bias instability of 1 rad/s or 1 m/s²."""
+        """Joint covariance (k, 6, 7, 7), at k moments of the navigation, of the tilts after alignment [rad] and of the position and
+        velocity errors, for each sensor with a bias instability of 1 rad/s or 1 m/s²."""
         begun, count = self.begun, len(self.attitude)
         transition, response = self.equations.step(self.step)
         driven = np.empty(
@@ -95,12 +95,13 @@ class WanderingBias:
 
 
 def interval(seconds: float, most: int) -> float:
-    """Length [s] of intervals that divide a time of `seconds` into at most about `most` intervals."""
+    """Length [s] of the intervals into which a time of `seconds` is divided: at least `SHORTEST`, and long enough for at most
+    `most` intervals."""
     return max(SHORTEST, math.ceil(seconds / most))
 
 
 class MeanAttitude:
-    """Computes the mean attitude over intervals of a navigation from its knots."""
+    """Computes the mean attitude over intervals of a navigation from the attitudes at the navigator's knots."""
 
     def __init__(self, step: float):
         self.step = step
@@ -108,7 +109,7 @@ class MeanAttitude:
         self._counts: list[int] = []
 
     def take(self, time: Array, rotations: Array) -> None:
-        """Adds knots. time: (m,), s since navigation began; rotations: (m, 3, 3)."""
+        """Adds the attitudes at knots. time: (m,), s since navigation began; rotations: (m, 3, 3)."""
         place = np.maximum(np.ceil(time / self.step - 1e-9).astype(np.int64) - 1, 0)
         for k in np.unique(place):
             while len(self._sums) <= k:
