@@ -1,8 +1,8 @@
 """Analyses of a run: numbered folders, each written atomically with a list of digests and never changed afterwards.
 
-Each list contains the digest of the previous list, the journal head at the time of the analysis, and the digest of the seal.
-Analyses therefore form a chain, like the events of the journal: a changed or removed analysis is detected as long as a later one
-exists.
+Each list contains the digest of the previous list, the journal head at the time of the analysis, and the digest of the seal, if
+there was one. Analyses therefore form a chain, like the events of the journal: a changed or removed analysis is detected as long as
+a later one exists.
 """
 
 from __future__ import annotations

@@ -28,10 +28,10 @@ _PER_COLUMN = 4  # times as many means as columns that a fit needs
 
 @dataclass(frozen=True, slots=True)
 class MotionCourse:
-    """The course of a motion. columns: (c, p), means over c short intervals of the p functions that make up the course. Weighted by
-    the number of samples in each interval, the columns are orthonormal and have zero mean. samples: (c,), number of samples in each
-    interval; zero where the table is not in its steady motion. products: (p, p), inner products of the same functions over single
-    samples, which averaging does not attenuate."""
+    """The course of a motion. columns: (c, p), values of the p functions that make up the course, each as a mean over c short
+    intervals. Weighted by the number of samples in each interval, the columns are orthonormal and have zero mean. samples: (c,),
+    number of samples in each interval; zero where the table is not in its steady motion. products: (p, p), inner products of the
+    same functions over single samples, which averaging does not attenuate."""
 
     columns: Array
     samples: Array

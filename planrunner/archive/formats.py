@@ -54,7 +54,7 @@ def require_own_digest(data: bytes, value: JsonObject, path: Path) -> None:
 
 
 def from_bytes(data: bytes) -> Json:
-    """JSON data; NaN, infinities and excessive nesting are refused. Raises ValueError."""
+    """Reads JSON data; refuses NaN, infinities and excessive nesting. Raises ValueError."""
     try:
         value = _decode(data.decode("utf-8"))
     except RecursionError:
@@ -101,7 +101,8 @@ def _check_of(name: str) -> Check:
 
 
 def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> JsonObject:
-    """The content of a JSON file of a run folder, checked against its schema. path: for messages. Raises `IntegrityError`."""
+    """The content of a JSON file of a run folder, checked against its schema. path: path of the file, for messages. Raises
+    `IntegrityError`."""
     try:
         value = from_bytes(data)
     except ValueError as error:
@@ -135,7 +136,7 @@ def event_fault(event: Mapping[str, Json]) -> str | None:
 
 @lru_cache(maxsize=1)
 def _events() -> dict[str, Check]:
-    """Maps each kind of event to its check: the keys common to all events, and those of the kind."""
+    """Maps each kind of event to the check of its keys: the keys common to all events, and the keys of this kind."""
     whole = schema("journal-event")
     checks = {}
     for kind, branch in whole["$defs"]["events"].items():

@@ -82,8 +82,9 @@ class LiveNotice:
 @dataclass(frozen=True, slots=True)
 class LiveState:
     """The present state of a run. at: time of this state, UTC, ISO 8601. index: index of the present segment, counted from 0.
-    fraction: completed part of the planned time, 0 to 1. time_left: s of real time, None if it is not yet known. strip_time: end of
-    each interval of the strip charts, s, on the sensor's clock. hidden_channels: number of channels beyond those listed."""
+    fraction: completed part of the planned time, 0 to 1. time_left: remaining real time, s; None if it is not yet known.
+    strip_time: end of each interval of the strip charts, s, on the sensor's clock. hidden_channels: number of channels beyond those
+    listed."""
 
     at: str
     index: int

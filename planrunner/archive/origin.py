@@ -1,4 +1,4 @@
-"""Checks whether this user made a run folder on this computer. It needs no network and does not trust the folder.
+"""Checks whether this user made a run folder on this computer. The check needs no network and does not trust the folder.
 
 A key of 32 random bytes stays in the user's state folder. The run folder contains `.origin`: an HMAC-SHA-256, made with that key,
 of the digest of the journal's first line. That line contains the digests of run.json, plan and bench. `.origin` cannot be made

@@ -26,14 +26,14 @@ BATCHES = 32
 class Statistics:
     """One-pass statistics of one segment. Arrays run over `channels`; values are in the channels' units.
 
-    count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,).
-    covariance: (k, k) between samples. standard_error: (k,), standard errors of the means, from the scatter of `batches`
-    consecutive batch means, which allows for noise that is correlated within a batch. If a known motion changes the output within
-    the segment (its course), `covariance` and `standard_error` describe the differences from this course. start, end: times of the
-    first and of the last sample, s. largest_gap: longest time between consecutive samples, s. course: (p, batches), functions of
-    the fitted course in the batch means, scaled so that the sum of their squares is the number of degrees of freedom that the fit
-    takes from the scatter of the batch means (for uncorrelated samples). mean_covariance: (k, k), covariance of the means, from the
-    same scatter as their standard errors; shape (0, 0) if it is unknown.
+    count: number of samples; a row with a NaN in any channel is left out and counted in `rejected`. mean, minimum, maximum: (k,).
+    covariance: (k, k), between the samples of the channels. standard_error: (k,), standard errors of the means, from the scatter of
+    `batches` consecutive batch means, which allows for noise that is correlated within a batch. If a known motion changes the
+    output within the segment (its course), `covariance` and `standard_error` describe the differences from this course. start, end:
+    times of the first and of the last sample, s. largest_gap: longest time between consecutive samples, s. course: (p, batches),
+    functions of the fitted course in the batch means, scaled so that the sum of their squares is the number of degrees of freedom
+    that the fit takes from the scatter of the batch means (for uncorrelated samples). mean_covariance: (k, k), covariance of the
+    means, from the same scatter as their standard errors; shape (0, 0) if it is unknown.
     """
 
     channels: tuple[str, ...]
@@ -53,7 +53,7 @@ class Statistics:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom of the standard error; 0 if it is unknown."""
+        """Degrees of freedom of the standard error; 0 if the standard error is unknown."""
         return max(self.batches - 1 - float(np.sum(self.course**2)), 0.0)
 
     @property
@@ -101,11 +101,12 @@ class FindKind(StrEnum):
 class Find:
     """Samples of a segment that are faulty or suspect.
 
-    channel: empty if all channels are affected. first: index of the first row in the segment, counted from 0. rows: number of rows.
-    time: time of the first row, s. seconds: duration. size: largest distance from the surrounding samples, in the channel's unit;
-    for a stuck or clipped stretch, the value of its samples; for lost samples, their number. noise: standard deviation of the
-    surrounding samples in the channel's unit; NaN if unknown. before, after: levels of the samples before and after, in the
-    channel's unit. count: number of findings that this finding represents. bad: whether the screening excludes the samples.
+    channel: name of the channel; empty if all channels are affected. first: index of the first row in the segment, counted from 0.
+    rows: number of rows. time: time of the first row, s. seconds: duration. size: largest distance from the surrounding samples, in
+    the channel's unit; for a stuck or clipped stretch, the value of its samples; for lost samples, their number. noise: standard
+    deviation of the surrounding samples in the channel's unit; NaN if unknown. before, after: levels of the samples before and
+    after, in the channel's unit. count: number of findings that this finding represents. bad: whether the screening excludes the
+    samples.
     """
 
     kind: FindKind

@@ -394,7 +394,7 @@ def _source(name: str) -> str:
 
 
 def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) -> bool:
-    """Writes a file if necessary; returns whether it was written. Raises `InputError` if it exists with another content."""
+    """Writes a file if necessary; returns whether it was written. Raises `InputError` if the file exists with different content."""
     new = not files.exists(path)
     if new:
         files.makedirs(path.rpartition("/")[0], exist_ok=True)

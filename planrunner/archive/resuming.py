@@ -91,7 +91,7 @@ def _append(journal: Journal, state: JournalState, kind: str, data: Mapping[str,
 
 
 def _unknown_files(run: GuardedFolder, storage: Storage, state: JournalState) -> dict[tuple[int, int], list[Part]]:
-    """Complete files of samples that the journal does not list because their event was not written, by segment and attempt."""
+    """Complete files of samples that the journal does not list because their event was not written, grouped by segment and attempt."""
     known = {part.file for part in state.files()}
     found: dict[tuple[int, int], list[Part]] = {}
     folder = run.folder(FOLDER)

@@ -294,7 +294,7 @@ class RunWriter:
         self._append(event, data)
 
     def take_watchdog_report(self) -> None:
-        """Enters the actions of a watchdog since the end of the run into the journal. Raises `OSError`."""
+        """Enters into the journal the actions that a watchdog has taken since the end of the run. Raises `OSError`."""
         report = read_report(self.folder)
         if report is not None:
             self.note("rescued", report=report)

@@ -210,8 +210,8 @@ def _entries(found: Examined) -> RecordedEntries | None:
 
 
 def _recorded(found: Examined, standing: RecordedEntries) -> RecordedEntries:
-    """Entries in the folder of samples, listed before the journal is read. The journal then contains the event of every listed file that
-    has one."""
+    """Entries in the folder of samples, listed before the journal is read. If a listed file has an event, the journal then contains
+    this event."""
     if SEGMENTS not in standing:
         found.error("run-file-missing", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
         return {}
@@ -540,7 +540,7 @@ def _read(found: Examined, name: str, limit: int) -> bytes | None:
 
 @contextmanager
 def _collecting(found: Examined) -> Iterator[None]:
-    """Turns `IntegrityError` and `OSError` raised inside into findings."""
+    """Turns `IntegrityError` and `OSError` that the enclosed code raises into findings."""
     try:
         yield
     except IntegrityError as error:  # its message says what to do

@@ -1,4 +1,5 @@
-"""The information in a set of observations by the four usual criteria of optimal design, and its efficiency relative to the best set.
+"""Measures the information in a set of observations by the four usual criteria of optimal design, and the efficiency of the set
+relative to the best set.
 
 rows: shape (n, p), one row for each observation, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the
 information matrix in units of the inverse variance of one observation. D maximises |M|. A minimises the trace of M⁻¹ (sum of the

@@ -180,7 +180,7 @@ class Monitor:
         return self._headers[name]
 
     def _ended(self, name: str) -> RecentRun | None:
-        """A run that is not running. The journal of such a run is read again only if it has grown."""
+        """A recent run that is not in progress. The journal of such a run is read again only if it has grown."""
         try:
             folder = self._archive.folder(name)
             journal = folder.entry(JOURNAL)

@@ -44,8 +44,8 @@ class RepeatedStretch:
 
 @dataclass(frozen=True)
 class Repeated:
-    """The stuck stretches of a recording. log_bayes: log BF of stuck stretches against none. stretches: the likely ones, the longest
-    first. held: (N, K), true for the samples of the stretches."""
+    """The stuck stretches of a recording. log_bayes: log BF of stuck stretches against none. stretches: the likely stretches, the
+    longest first. held: (N, K), true for the samples of the stretches."""
 
     log_bayes: float
     stretches: tuple[RepeatedStretch, ...]
@@ -159,9 +159,9 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
     """Fits one line. Returns the frequency of the line and its standard uncertainty, Hz; the columns of the effect at this
     frequency; and the amplitudes and their standard uncertainties (P, 2), SI.
 
-    frequency: where the search begins, within the resolution of the recording. Gauss–Newton in the frequency, which all channels share;
-    the basis vectors of the segments are projected out of every column, because they have also been removed from the samples. The noise
-    level of a channel is that of the samples without the line.
+    frequency: where the search begins, within the resolution of the recording. The fit uses Gauss–Newton steps in the frequency,
+    which all channels share. The basis vectors of the segments are projected out of every column, because they have also been
+    removed from the samples. The noise level of a channel is that of the samples without the line.
     """
     observed = weighing.observed
     used = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]

@@ -364,9 +364,9 @@ def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure,
 def predictions(
     weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row. change:
-    (M, K), coefficients of the change of the outputs. Used by tests in which the true gap is known. worth: the least log BF at which a
-    fold selects one of the choices."""
+    """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row.
+    change: (M, K), coefficients of the change of the outputs. Tests in which the true gap is known use this function. worth: the
+    least log BF at which a fold selects one of the choices."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]

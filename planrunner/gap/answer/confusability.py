@@ -30,7 +30,7 @@ def energy(signature: Sequence[Array]) -> float:
 
 
 def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
-    """The largest fraction of a signature's energy that one of several variants reproduces."""
+    """The fraction of a signature's energy that the best of several variants reproduces."""
     total = energy(signature)
     if total <= 0:
         return 0.0
@@ -55,7 +55,7 @@ def beside(together: EffectSet, name: str) -> float:
 
 
 def shared(best: Sequence[Weighed]) -> Array:
-    """The confusability ρ(A|B), with one row for each A, before data are recorded. It is an average over amplitudes from A's prior,
+    """The confusability ρ(A|B), with one row for each A, before data are recorded. ρ is an average over amplitudes from A's prior,
     tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
     parts = [slice(low, high) for low, high in pairwise(bounds)]

@@ -85,7 +85,7 @@ class Diagnosis:
     probabilities of all hypotheses. absorbed: effects that the nominal parameters reproduce almost completely → the share of their
     energy that remains. unknown: form of a gap that the catalogue does not contain, if the verdict is unknown. rest: the part that
     the named effects do not explain; None if no effect is named, or if a random walk is among the named effects. pictures: data for
-    plots. given: parameters of the effects that are known to act, fitted together with the named ones."""
+    plots. given: parameters of the effects that are known to act, fitted together with the named effects."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]
@@ -163,7 +163,7 @@ class Diagnosis:
 
 
 def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions()) -> Diagnosis:
-    """Diagnoses a recording. Raises `ObservationError` if it cannot be diagnosed."""
+    """Diagnoses a recording. Raises `ObservationError` if the recording cannot be diagnosed."""
     if len(observed) < FEWEST_SEGMENTS:
         few = f"the recording has {len(observed)} segments; distinguishing an effect from fitted parameters needs {FEWEST_SEGMENTS} or more"
         hint = (

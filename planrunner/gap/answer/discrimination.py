@@ -85,7 +85,7 @@ def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
-    """Expected probability of the true rival among all, after measurements with the given information (P, P).
+    """Expected posterior probability of the true rival after measurements with the given information (P, P).
 
     The log evidence is assumed to be normal with the expectation D of `expected_evidence` and the variance 2D, as for two known signals.
     """

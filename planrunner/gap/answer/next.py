@@ -40,9 +40,9 @@ _HELPS = 0.005  # smallest reduction of the expected loss that justifies a segme
 @dataclass(frozen=True)
 class SegmentProposal:
     """Proposed segments. segments: the proposed segments in order; empty if nothing on the bench helps. rivals: names and present
-    probabilities of the remaining explanations. now: expected probability of the true rival at present; probability: the same after
-    `seconds` of test time. repeating: time [s] and expected probability if the recorded segments are repeated. sensor: an
-    instrument that could separate the rivals if the segments of the bench cannot."""
+    probabilities of the remaining explanations. now: expected probability of the true rival at present; probability: expected
+    probability of the true rival after `seconds` of test time. repeating: time [s] and expected probability if the recorded
+    segments are repeated. sensor: an instrument that could separate the rivals if the segments of the bench cannot."""
 
     segments: tuple[Segment, ...]
     rivals: tuple[tuple[str, float], ...]

@@ -47,7 +47,7 @@ def amplitudes(
 
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
-    """The shape with its uncertainty, from the evidence of the evaluated values."""
+    """The shape of an effect with its uncertainty, from the evidence for each evaluated value of the shape."""
     effect = candidate.effect
     if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
         # One of a few numbers, of which the amplitudes belong to the best.

@@ -3,7 +3,7 @@
 The evidence determines directly the probability that effects of the catalogue are the whole cause, that they act together with
 something else, and that none of them acts. The probability of effects is then divided among sets of them. For this, the evidence is
 computed with the noise enlarged by the dispersion of the residuals (`gap.answer.remainder`). If even the best set leaves more than
-noise, the evidence for its names is weaker by this factor.
+noise, the evidence for the effects that it names is weaker by this factor.
 
 Noise is never a rival of a cause. Hypotheses that differ only in an effect on the level of the noise are the same cause, and their
 probabilities are added. The probability of each effect on the noise is stated in addition.
@@ -43,11 +43,11 @@ _Key = TypeVar("_Key", str, tuple[str, ...])
 class Posterior:
     """The posterior. probability: probability of every cause. A set of effects has a name such as 'a+b', in alphabetical order, or
     'a+b+unknown' if something else acts in addition. An effect on the level of the noise is a cause only if nothing else acts.
-    noise: probability of each effect on the level of the noise, whatever the cause. log_evidence: of each hypothesis relative to
-    none; for effects, from the coefficients alone. pairs: the evaluated columns of sets of two or more deterministic effects. sets:
-    the same sets with their effects. kinds: log evidence, relative to none, of the patterns that "unknown" could be. by_channel:
-    log BF (K,) of each pattern in one channel alone. levels: effects that only raise the noise level. lines: tones. beside:
-    probability of a tone or bursts in addition to an effect."""
+    noise: probability of each effect on the level of the noise, whatever the cause. log_evidence: log evidence of each hypothesis
+    relative to none; for effects, from the coefficients alone. pairs: the evaluated columns of sets of two or more deterministic
+    effects. sets: the same sets with their effects. kinds: log evidence, relative to none, of the patterns that "unknown" could be.
+    by_channel: log BF (K,) of each pattern in one channel alone. levels: effects that only raise the noise level. lines: tones.
+    beside: probability of a tone or bursts in addition to an effect."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -77,9 +77,10 @@ def without_unknown(name: str) -> str:
 
 @dataclass(frozen=True)
 class _NoiseOnly:
-    """Effects on the noise. walk: a random walk of the gyros, or ''; others: maps each state of the noise of a triad, gyro or accel, to
-    its effect; levels: log densities. apart: log BF of the effects that the recording shows outside the coefficients, such as a line;
-    each of them is present or absent independently of the others."""
+    """Effects on the noise. walk: a random walk of the gyros, or ''; others: maps each state of the noise of a triad, gyro or
+    accel, to its effect; levels: log density of the measured white noise for each combination of states. apart: log BF of the
+    effects that the recording shows outside the coefficients, such as a line; each of them is present or absent independently of
+    the others."""
 
     walk: str
     others: Mapping[tuple[str, Level], str]
@@ -214,7 +215,7 @@ def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, 
 def _of_effects(
     weighing: Weighing, candidates: Sequence[Candidate], noise: _NoiseOnly, refit: bool = True
 ) -> tuple[dict[str, float], dict[str, EffectSet]]:
-    """Log evidence, relative to none, of none, of single effects and of sets; and the sets that were evaluated in full."""
+    """Log evidence, relative to "none", of "none" itself, of single effects and of sets; and the sets that were evaluated in full."""
     nothing = np.zeros(len(weighing.base))
     start = weighing.evidence(nothing) + noise.declared
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
@@ -325,7 +326,7 @@ def _shared(logs: Mapping[str, float]) -> dict[str, float]:
 
 
 def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
-    """Weights with the sum 1, computed from their logarithms."""
+    """Weights that are normalised to the sum 1, computed from their logarithms."""
     total = np.logaddexp.reduce(list(logs.values()))
     return {name: float(np.exp(value - total)) for name, value in logs.items()}
 

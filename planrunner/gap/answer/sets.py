@@ -122,8 +122,8 @@ def sets_of(
 
 
 def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
-    """Log evidence of pairs of probable effects with all others. The best pairs are evaluated in full. The other pairs keep their
-    evidence at the declared noise."""
+    """Log evidence of pairs, each of a probable effect and any other effect. The best pairs are evaluated in full. The other pairs
+    keep their evidence at the declared noise."""
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
     quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
     for first in map(Member.best, ranked):

@@ -1,7 +1,7 @@
 """The form of a gap whose cause the catalogue does not contain: its channels, the factor on which it depends, and its share.
 
 The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable of them determines the factor
-that the gap follows. The residuals of the simulation give its form.
+that the gap follows. The residuals of the simulation give the form of the gap.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def unknown_form(weighing: Weighing, found: Posterior) -> UnknownForm | None:
 
 
 def _labels(weighing: Weighing, factor: Factor) -> list[str]:
-    """The level of the factor in each segment. Without a common factor, each segment is its own level."""
+    """The level of the factor in each segment. Without a common factor, each segment is a level of its own."""
     observed = weighing.observed
     if factor is Factor.TEMPERATURE:
         middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2

@@ -144,8 +144,8 @@ def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | Non
 
 def ambiguity_set(probability: Mapping[str, float], said: Verdict) -> list[str]:
     """The most probable hypotheses with a total probability of 95 %, the most probable first, and always the hypothesis of the
-    verdict. The verdict may be less probable than these if the residuals count as form residue, or if "none" is so probable that
-    nothing is named."""
+    verdict. The verdict may be less probable than these hypotheses if the residuals count as form residue, or if "none" is so
+    probable that nothing is named."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)
@@ -203,10 +203,10 @@ def _rival_sets(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
-    """The effects of a set to name, and its weakest effect if this may be form residue of the strongest. This is so if, at more
-    than 50 σ, the weakest effect explains less than the fraction `RESIDUE` of what all effects explain together. If it explains
-    less than the fraction `FORM`, it is not named. An effect is not form residue if it acts on channels on which the others do not
-    act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
+    """The effects of a set that are named, and the weakest effect of the set if it may be form residue of the strongest. This is so
+    if, at more than 50 σ, the weakest effect explains less than the fraction `RESIDUE` of what all effects explain together. If it
+    explains less than the fraction `FORM`, it is not named. An effect is not form residue if it acts on channels on which the
+    others do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

@@ -1,13 +1,13 @@
 """Bayes factors: the evidence for the amplitudes of an effect, compared with no effect.
 
-The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in units of
-the noise. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker effects cannot be
-distinguished from none and count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same directions and any λ. The Bayes
-factor is therefore computed in three steps. For given s² it is that of the Gaussian model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I +
-s²D½GD½)⁻¹D½c, with G the signatures' Gram matrix and c their product with the data. It is multiplied by the posterior probability that λ
-= θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is a sum of scaled non-central χ² variables; its
-distribution is approximated by a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the density
-continues, because a stronger effect is still that effect.
+The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in
+units of the noise. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker
+effects cannot be distinguished from no effect, and count as absent. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same
+directions and any λ. The Bayes factor is therefore computed in three steps. For given s² it is that of the Gaussian model, log BF =
+−½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c, with G the signatures' Gram matrix and c their product with the data. It is
+multiplied by the posterior probability that λ = θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is
+a sum of scaled non-central χ² variables; its distribution is approximated by a scaled χ² with the same mean and variance (Patnaik,
+Biometrika 36, 1949). Above `STRONGEST` the density continues, because a stronger effect is still that effect.
 """
 
 from __future__ import annotations
@@ -116,7 +116,8 @@ def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tu
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
-    """The most probable s² (p,) of the effect of every column. They are found for one effect at a time while the others are fixed."""
+    """The most probable s² (p,) of the effect of every column. These s² are found for one effect at a time while the others are
+    fixed."""
     ends = np.cumsum(widths or (len(score),))
     parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
     traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]
@@ -135,7 +136,7 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
     """The log BF of two effects together: the first effect has the columns 0 … first − 1, the second the remaining columns. Each
-    has a separate s² on the grid `energies` and at least the strength `WEAKEST`."""
+    effect has a separate s² on the grid `energies`, and at least the strength `WEAKEST`."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
@@ -145,7 +146,7 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
 def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
-    """The log BF of any number of effects together. Each has a separate s² on the grid `energies` and at least the strength
+    """The log BF of any number of effects together. Each effect has a separate s² on the grid `energies`, and at least the strength
     `WEAKEST`. near: (p,), s² at which the search for the most probable s² begins.
 
     A grid over all s² would have one dimension for each effect. Instead, the most probable s² are found for one effect at a time,

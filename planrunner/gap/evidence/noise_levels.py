@@ -141,7 +141,7 @@ def _within_two(x: Array | float) -> Array:
 
 
 def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
-    """Log density of an excess by triad, for all elements of the arrays."""
+    """Log density of the excess of each triad if only the declaration can be wrong, for all elements of the arrays."""
     width = float(np.hypot(HOLDS, sigma))
     holds, each = np.ones(()), np.ones(())
     for x in excess.values():
@@ -153,8 +153,8 @@ def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
 
 
 def _density(excess: Mapping[str, float], sigma: float, larger: Sequence[str]) -> float:
-    """Log density of excesses by triad. The levels of some triads are the declared ones, right or wrong, multiplied by one excess
-    each."""
+    """Log density of the excess of each triad if effects raise the noise of the triads `larger`: their levels are the declared
+    levels, right or wrong, multiplied by one excess each."""
     shapes = [EXCESS[:, None], EXCESS[None, :]]
     lowered: dict[str, Array | float] = dict(excess)
     for kind, more in zip(larger, shapes, strict=False):

@@ -2,11 +2,11 @@
 
 Both are measured outside the coefficients, where no effect of the catalogue acts. Therefore noise cannot absorb an effect, and an
 effect cannot appear as noise. At the lowest frequencies, little remains outside the coefficients. If the noise is coloured, its
-spectrum there also follows the cosine coefficients, by the median of their squares. An effect in fewer than half of the segments
-hardly changes this median. Rounded, filtered or differenced outputs and lines of interference make the noise coloured; vibration
-makes it differ between segments. The noise counts as white, and as equal in all segments, unless Schwarz's criterion (BIC; Annals
-of Statistics 6, 1978) prefers the richer description. A spectrum that is measured only at rest, or only in motion, is used for both
-if it also describes the other segments better than white noise does.
+spectrum at these frequencies is also derived from the cosine coefficients, by the median of their squares. An effect in fewer than
+half of the segments hardly changes this median. Rounded, filtered or differenced outputs and lines of interference make the noise
+coloured; vibration makes it differ between segments. The noise counts as white, and as equal in all segments, unless Schwarz's
+criterion (BIC; Annals of Statistics 6, 1978) prefers the richer description. A spectrum that is measured only at rest, or only in
+motion, is used for all segments if it also describes the other segments better than white noise does.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ class NoiseWithin:
 
 
 def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Array) -> NoiseWithin:
-    """Measures the noise of the remainder. white: (K,), SI, standard deviation of a sample of white noise; left: (M, K), SI·√samples,
-    coefficients without the fitted nominal parameters."""
+    """Measures the noise within the segments, outside the coefficients. white: (K,), SI, standard deviation of a sample of white
+    noise; left: (M, K), SI·√samples, coefficients without the fitted nominal parameters."""
     count = np.maximum(spectrum.count, 0.0)
     low = np.flatnonzero((spectrum.harmonic == 0) & (spectrum.frequency > 0))
     band_of = np.minimum(np.searchsorted(spectrum.edges, spectrum.frequency[low], side="right"), count.shape[1]) - 1
@@ -190,6 +190,6 @@ def _better(ratio: Array, count: Array) -> bool:
 
 
 def _fits(energy: Array, count: Array, variance: Array) -> bool:
-    """Whether variances (B,) from other data describe energies (B,) with degrees of freedom (B,) better than white noise does.
-    Their likelihoods are compared directly, because no parameter is fitted."""
+    """Whether variances (B,) from other data describe energies (B,) with degrees of freedom (B,) better than white noise does. The
+    likelihoods of the two descriptions are compared directly, because no parameter is fitted."""
     return bool((energy * (1 - 1 / variance) - count * np.log(variance)).sum() > 0)

@@ -209,7 +209,7 @@ def segment_means(observed: Observed, values: Array) -> Array:
 
 
 def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
-    """Finds segments that share samples. Their evidence would count twice."""
+    """Finds segments that share samples. The evidence of these samples would count twice."""
     used = [item for item in in_time_order(recording) if item.statistics.count > 1]
     for before, after in pairwise(used):
         shared = before.statistics.start + before.statistics.duration - after.statistics.start

@@ -1,9 +1,9 @@
 """Rounding errors in the means of many samples that are rounded to counts.
 
 Noise of half a count or more dithers the rounding, so that its errors average out. With smaller noise, an error remains that
-depends on the position of the mean within a count. Repeats do not average it out. The scatter of rounded samples does not show how
-small the noise is: readings that alternate between two counts scatter by half a count, whatever the noise is. The numbers of
-samples at each count show how small it is, because only sufficiently large noise reaches a third count.
+depends on the position of the mean within a count. Repeats do not average this error out. The scatter of rounded samples does not
+show how small the noise is: readings that alternate between two counts scatter by half a count, whatever the noise is. The numbers
+of samples at each count show how small it is, because only sufficiently large noise reaches a third count.
 """
 
 from __future__ import annotations

@@ -30,9 +30,8 @@ _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the low
 
 @dataclass(frozen=True)
 class SpectralBasis:
-    """The basis of one segment. vectors: (n, m), orthonormal, the first constant. frequency: (m,), Hz, 0 for the mean; harmonic: (m,),
-    order
-    of the motion's harmonic, 0 for the cosine transform."""
+    """The basis of one segment. vectors: (n, m), orthonormal; the first one is constant. frequency: (m,), Hz, 0 for the mean;
+    harmonic: (m,), order of the motion's harmonic, 0 for the cosine transform."""
 
     vectors: Array
     frequency: Array
@@ -229,7 +228,8 @@ def _robust(
 
 
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
-    """White standard deviation of a sample (K,) and its degrees of freedom (K,), from the upper bands of segments at rest.
+    """Standard deviation of the white noise of a sample (K,), and its degrees of freedom (K,), from the upper bands of segments at
+    rest.
 
     If no segment is at rest, all segments are used. The bands begin at one eighth of the sampling rate, above all slow processes.
     """

@@ -200,7 +200,7 @@ class ChannelWeights:
         return made
 
     def inflated(self, ratio: float) -> ChannelWeights:
-        """The same weights if the variance of the noise is multiplied by `ratio`."""
+        """The same weights after the variance of the noise has been multiplied by `ratio`."""
         made, root = copy(self), float(np.sqrt(ratio))
         made._covariance = self._covariance * ratio
         made.scale = self.scale / root

@@ -89,7 +89,7 @@ def _terms(observed: Observed, nominal: Sequence[str]) -> list[AmplitudeKey]:
 
 
 def _columns(effect: Effect, shape: float | None, observed: Observed) -> Sequence[Column]:
-    """The columns of an effect with one shape; none if it cannot act in this run."""
+    """The columns of an effect with one shape; empty if the effect cannot act in this run."""
     if isinstance(effect, Shaped):
         return effect.at(observed, shape).columns if shape is not None and len(effect.grid(observed)) else ()
     return next((one.columns for one in effect.variants(observed) if one.shape == shape), ())

@@ -1,5 +1,5 @@
-"""Evaluates the candidates: the evidence for each form of every effect, and the fraction of its energy that the nominal parameters
-do not absorb."""
+"""Evaluates the candidates: the evidence for each form of every effect, and the fraction of the effect's energy that the nominal
+parameters do not absorb."""
 
 from __future__ import annotations
 
@@ -138,7 +138,8 @@ class Candidate:
 
     @property
     def shape_cost(self) -> float:
-        """Logarithm of the loss from averaging over the shape, relative to the best shape at the first setting; never positive."""
+        """Logarithm of the factor by which averaging over the shape reduces the evidence, relative to the best shape at the first
+        setting; never positive."""
         return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
 
     @property

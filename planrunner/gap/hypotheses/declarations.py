@@ -146,8 +146,8 @@ def _fit(observed: Observed) -> _Fit:
 
 
 def _stuck(observed: Observed, index: int) -> bool:
-    """Whether a channel is constant throughout a segment although it has noise in most others. Such a channel is at a limit and
-    shows only a part of its input. A channel with coarse counts is constant in most segments at rest."""
+    """Whether a channel is constant throughout a segment although it has noise in most other segments. Such a channel is at a limit
+    and shows only a part of its input. A channel with coarse counts is constant in most segments at rest."""
     spread = np.array([np.ptp(observed.values[part, index]) for part in observed.segments()])
     return bool(np.median(spread) > 0 and spread.min() == 0)
 
@@ -175,7 +175,7 @@ def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
 
 
 def _factor(gain: Array, direction: Array, kind: str) -> float | None:
-    """The known factor between a gain and a direction; 1 for an ordinary scale factor, None for an unknown one."""
+    """The known factor between a gain and a direction; 1 for an ordinary scale factor, None for an unknown factor."""
     size = float(gain @ direction) / float(direction @ direction)
     if size <= 0:
         return None

@@ -214,9 +214,9 @@ def _evidence(weighing: Weighing, form: Weighed) -> float:
 
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: float) -> tuple[float, float]:
     """The most probable shape and the standard deviation of its logarithm. The search uses the grid, continues beyond it if the
-    best shape is at its edge, and then refines between the best shape and its neighbours until these are within one standard
-    deviation. A shape that the data barely constrain is reported up to the edge of the grid. near: a shape near which the search
-    begins, NaN if none is known."""
+    best shape is at its edge, and then refines between the best shape and its neighbours until the neighbours are within one
+    standard deviation. A shape that the data barely constrain is reported up to the edge of the grid. near: a shape near which the
+    search begins, NaN if none is known."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)

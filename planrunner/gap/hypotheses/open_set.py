@@ -226,9 +226,9 @@ def outside(weighing: Weighing) -> Outside:
 @dataclass(frozen=True)
 class _Scan:
     """The remainder of a channel at rest and turning, prepared for a periodogram. chosen: (n,), indices of the samples; weight:
-    (n,), their number of raw samples; samples: (n,), SI, divided by the level of the noise of their segments. slot: (n,), place on
-    a grid of `length` times `step` s. level: (n,), of the noise, as standard deviation relative to `white`; coloured: whether its
-    spectrum is not white. Empty if the run is too long."""
+    (n,), number of raw samples in each of them; samples: (n,), SI, divided by the level of the noise of their segments. slot: (n,),
+    place on a grid of `length` times `step` s. level: (n,), level of the noise, as standard deviation relative to `white`;
+    coloured: True if the spectrum of the noise is not white. The scan is empty if the run is too long."""
 
     chosen: NDArray[np.int64]
     weight: Array
@@ -308,9 +308,9 @@ def _scan(weighing: Weighing, index: int) -> _Scan:
 
 def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
     """Fits a sine near this frequency [Hz] to the samples of a scan (Gauss–Newton in the frequency) and subtracts the part of it
-    that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. spacing: Hz, of the periodogram. The
-    search begins at the highest of finer values about the frequency, because gaps between segments raise its neighbours almost as
-    high."""
+    that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. spacing: distance between the
+    frequencies of the periodogram, Hz. The search begins at the highest of finer values about the frequency, because gaps between
+    segments raise the neighbouring values almost as high."""
     observed, spectrum = weighing.observed, weighing.spectrum
     time = observed.time - observed.time.mean()
     root = np.sqrt(scan.weight)
