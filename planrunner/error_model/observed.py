@@ -17,6 +17,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.physics.moved_body import BodyMotion
+from planrunner.physics.sampled_motion import AngleFrom, angle_from, once_per_turn
 from planrunner.plan.schedule import Motion, RecordedMotion, Rock, Segment, Spin
 from planrunner.plan.units import unit
 
@@ -98,8 +99,9 @@ def joined(
     rejected: int = 0,
     along: Array | None = None,
     bins: Bins | None = None,
+    encoder: bool = True,
 ) -> Observed:
-    """Joins segments in sequence. rejected, along, bins: as in `Observed`."""
+    """Joins segments in sequence. rejected, along, bins, encoder: as in `Observed`."""
 
     def stacked(parts: Iterable[Array]) -> Array:
         return np.concatenate([np.zeros(0), *parts])
@@ -126,6 +128,7 @@ def joined(
         excess_voltage=_excess([one.overvoltage for one in segments], segments),
         excess_pressure=_excess([one.overpressure for one in segments], segments),
         courses=tuple(one.course for one in segments) if any(one.course is not None for one in segments) else (),
+        encoder=encoder,
     )
 
 
@@ -155,7 +158,8 @@ class Observed:
     the recording shows it, None if attitude and angle determine it. The tuple is empty if all entries would be None.
     excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`; None means zero everywhere. past: if the samples are
     one block of a simulation, the temperatures before the first sample, for each value of an effect's shape. reach: largest
-    distance of a sensor from the axis of a table, m.
+    distance of a sensor from the axis of a table, m. encoder: whether the angle of a turning table is known, from an encoder or from
+    a simulation.
     """
 
     site: Site
@@ -184,6 +188,7 @@ class Observed:
     excess_pressure: Array | None = None
     past: Mapping[float, tuple[TemperatureCourse, ...]] = field(default_factory=dict)
     reach: float = 1.0
+    encoder: bool = True
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -208,6 +213,27 @@ class Observed:
     def moved(self) -> NDArray[np.bool_]:
         """The segments (S,) whose motion is known only from the recording."""
         return np.array([isinstance(motion, RecordedMotion) for motion in self.motions], dtype=bool)
+
+    @cached_property
+    def angle_from(self) -> tuple[AngleFrom, ...]:
+        """What shows the angle of the table in each segment (S,)."""
+        if self.encoder:
+            return (AngleFrom.PLAN,) * len(self)
+        axes = [self.channels[index].axis for index in self.of_kind("accel")]
+        each = zip(self.motions, self.attitude, strict=True)
+        return tuple(angle_from(motion, attitude, self.site, axes) for motion, attitude in each)
+
+    @cached_property
+    def unknown_phase(self) -> Array:
+        """Amplitude of the nominal input that each channel sees once per turn with an unknown phase, (S, K), SI. It is zero in segments in
+        which the angle of the table is known or shown by gravity."""
+        out = np.zeros((len(self), len(self.channels)))
+        for index, (motion, source) in enumerate(zip(self.motions, self.angle_from, strict=True)):
+            if source is AngleFrom.NOTHING and isinstance(motion, Spin):
+                site = {"gyro": self.site.earth_rate_enu, "accel": self.site.specific_force_enu}
+                seen = {kind: once_per_turn(motion, self.attitude[index], vector) for kind, vector in site.items()}
+                out[index] = [abs(seen[channel.kind][channel.axis]) for channel in self.channels]
+        return out
 
     @cached_property
     def turn(self) -> Array:

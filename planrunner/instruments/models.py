@@ -166,7 +166,8 @@ class SensorModel:
     modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: True if
     the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s] of its
     temperature relative to the air, 0 if not declared. records_angle: whether it records the table's angle about one axis, so that motion
-    about several axes cannot be recorded. nominal_supply: V, supply voltage from which effects of the supply count.
+    about several axes cannot be recorded. nominal_supply: V, supply voltage from which effects of the supply count. stabilised: whether
+    gimbals decouple the outputs from the motion of the table.
     """
 
     kind: str
@@ -178,6 +179,7 @@ class SensorModel:
     thermal_lag: float = 0.0
     records_angle: bool = False
     nominal_supply: float = NOMINAL_SUPPLY
+    stabilised: bool = False
 
     def rate_refused(self, asked: float | None) -> str:
         """The reason why the sensor cannot be sampled at `asked` Hz; empty if it can, or if no rate is requested."""

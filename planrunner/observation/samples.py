@@ -18,7 +18,15 @@ from planrunner.observation.refusals import ObservationError
 from planrunner.observation.surroundings import Monitors, changes, settled, temperature_of
 from planrunner.physics.earth import Site
 from planrunner.physics.moved_body import BodyMotion, averaged
-from planrunner.physics.sampled_motion import fading, motion_at
+from planrunner.physics.sampled_motion import (
+    AngleFrom,
+    angle_from,
+    fading,
+    motion_at,
+    once_per_turn,
+    start_angle,
+)
+from planrunner.physics.table_motion import about_one_axis
 from planrunner.plan.schedule import RecordedMotion, Rest, Rock, Spin
 from planrunner.plan.units import unit
 
@@ -89,6 +97,7 @@ def observed(
         magnetic=magnetic,
         rejected=sum(rows.rejected for _, rows, *_ in made),
         bins=None if size is None else bins_of(size, [rows for _, rows, *_ in made]),
+        encoder=angle_channel is not None,
     )
 
 
@@ -129,19 +138,38 @@ def _part(
         raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
     if not isinstance(motion, Rest | Spin | Rock):
         raise ObservationError(f"segment '{item.label}' is a cycle of turns and stops: leave it out of the diagnosis")
+    if not about_one_axis(motion):
+        raise ObservationError(f"segment '{item.label}' rocks several rings at once: leave it out of the diagnosis")
     extra = [*([] if angle is None else [angle]), *monitors.channels]
     rows = rows_of(item, channels, extra, size, angle)
     time, table = rows.time, rows.table
     left = 1.0 if size is None else fading(motion, size, 1 / rows.step)
     encoder = None if angle is None or item.expected else _in_si(item, angle, table)
-    part = motion_at(motion, time - rows.begin, encoder, left)
+    values = np.column_stack([table[channel.name] * channel.factor for channel in channels])
+    start = 0.0
+    if isinstance(motion, Spin) and encoder is None and not item.expected:
+        start = _start_angle(motion, np.array(item.segment.attitude), site, channels, time - rows.begin, values)
+    part = motion_at(motion, time - rows.begin, encoder, left, start)
     warm = None if monitors.thermometer is None else _in_si(item, monitors.thermometer, table)
     temperature = temperature_of(item, time, warm)
     part["temperature"], part["temperature_rate"] = temperature.celsius, temperature.rate
     part |= monitors.excess_of(item, time, table)
-    part["values"] = np.column_stack([table[channel.name] * channel.factor for channel in channels])
+    part["values"] = values
     part["time"] = time - power_on
     return part, rows, temperature.uncertainty, None
+
+
+def _start_angle(
+    motion: Spin, attitude: Array, site: Site, channels: Sequence[Channel], since: Array, values: Array
+) -> float:
+    """The angle [rad] of a table without encoder at the first sample: from gravity if gravity shows it, otherwise from all channels."""
+    accelerometers = [channel.axis for channel in channels if channel.kind == "accel"]
+    by_gravity = angle_from(motion, attitude, site, accelerometers) is AngleFrom.GRAVITY
+    vectors = {"gyro": site.earth_rate_enu, "accel": site.specific_force_enu}
+    seen = {kind: once_per_turn(motion, attitude, vector) for kind, vector in vectors.items()}
+    used = [k for k, channel in enumerate(channels) if channel.kind == "accel" or not by_gravity]
+    expected = np.array([seen[channels[k].kind][channels[k].axis] for k in used])
+    return start_angle(motion, since, values[:, used], expected)
 
 
 def _moved_part(

@@ -1,23 +1,48 @@
-"""Motion of the table at the samples of a segment, from the plan and the encoder, and its attenuation by averaging over bins."""
+"""Motion of the table at the samples of a segment, from the plan and the encoder, and its attenuation by averaging over bins. If there
+is no encoder, the angle of a turning table follows from what the sensor measures."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
 
 import numpy as np
 
 from planrunner.base.arrays import Array
+from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rock, Spin
 
+SHOWS_ANGLE = 1.0
+"""m/s²: smallest amplitude of gravity along an accelerometer that shows the angle of a turning table. It is far above the amplitude that
+errors of an accelerometer or a tilt of the table cause once per turn."""
 
-def motion_at(motion: Motion, since: Array, encoder: Array | None, left: float = 1.0) -> dict[str, Array]:
+FOREIGN = 3.0
+"""Ratio of the measured to the expected input once per turn at and above which the input has another cause than the Earth."""
+
+
+class AngleFrom(StrEnum):
+    """What shows the angle of the table. PLAN: an encoder, or the plan if the table does not turn continuously. GRAVITY: the
+    accelerometers, while the table turns about an axis that is not vertical. NOTHING: the table turns, and its angle at the beginning of
+    the segment is unknown."""
+
+    PLAN = "plan"
+    GRAVITY = "gravity"
+    NOTHING = "nothing"
+
+
+def motion_at(
+    motion: Motion, since: Array, encoder: Array | None, left: float = 1.0, start: float = 0.0
+) -> dict[str, Array]:
     """Angle, rate and acceleration of the table `since` s after a segment's first sample.
 
     left: factor by which averaging over a bin reduces the rate and angle of a rocking table (see `fading`). The rate is then the mean over
     the bin; angle and acceleration apply to its middle. With an encoder, the planned form (a constant rate or a sine) is fitted to the
-    measured angle, so that phases follow the actual motion.
+    measured angle, so that phases follow the actual motion. start: rad, angle of a turning table without encoder at the first sample.
     """
     zero = np.zeros(len(since))
     if isinstance(motion, Spin):
-        start = 0.0 if encoder is None else float(np.angle(np.mean(np.exp(1j * (encoder - motion.rate * since)))))
+        if encoder is not None:
+            start = float(np.angle(np.mean(np.exp(1j * (encoder - motion.rate * since)))))
         return {"angle": start + motion.rate * since, "rate": zero + motion.rate, "acceleration": zero}
     if isinstance(motion, Rock):
         pulse = 2 * np.pi * motion.frequency
@@ -34,6 +59,44 @@ def motion_at(motion: Motion, since: Array, encoder: Array | None, left: float =
         return {"angle": swing + c, "rate": rate, "acceleration": np.where(still, 0.0, -(pulse**2) * swing)}
     level = zero if encoder is None else zero + float(np.angle(np.mean(np.exp(1j * encoder))))
     return {"angle": level, "rate": zero, "acceleration": zero}
+
+
+def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
+    """Components (3,), complex, in sensor axes of the part of a site vector that changes once per turn.
+
+    At the angle θ of the table, the sensor sees the vector A·(p + q·cos θ − (a × q)·sin θ). A is the attitude of the sensor, a is the
+    axis of the table, p is the part of the vector along this axis, and q is the rest. The part that changes is the real part of
+    A·(q + i·a × q)·exp(iθ).
+    """
+    about = np.asarray(motion.about, dtype=float)
+    across = vector - (about @ vector) * about
+    return np.asarray(attitude @ (across + 1j * np.cross(about, across)))
+
+
+def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequence[int]) -> AngleFrom:
+    """What shows the angle of a table without encoder. accelerometers: the axes (0, 1, 2) of the sensor with an accelerometer."""
+    if not isinstance(motion, Spin):
+        return AngleFrom.PLAN
+    seen = once_per_turn(motion, attitude, site.specific_force_enu)[list(accelerometers)]
+    return AngleFrom.GRAVITY if np.abs(seen).max(initial=0.0) > SHOWS_ANGLE else AngleFrom.NOTHING
+
+
+def start_angle(motion: Spin, since: Array, values: Array, expected: Array) -> float:
+    """The angle [rad] of a turning table at its first sample for which the outputs agree best with the expected input.
+
+    values: (n, K), SI; expected: (K,), complex, of `once_per_turn`. The least-squares estimate of a common phase is arg Σ p*·q/σ², with
+    the expected and the measured complex amplitudes p and q of a channel and its noise σ (a matched filter). The noise is that of the
+    differences of consecutive samples. If the input is `FOREIGN` times as large as expected, it has another cause, and its phase does
+    not show the angle. The angle is then 0.
+    """
+    phase = motion.rate * since
+    terms = np.column_stack([np.ones(len(since)), np.cos(phase), np.sin(phase)])
+    _, cosine, sine = np.linalg.lstsq(terms, values, rcond=None)[0]
+    noise = np.diff(values, axis=0).std(axis=0)
+    weight = 1 / np.maximum(noise, 1e-9 * np.abs(values).max(initial=1e-300)) ** 2
+    matched = np.sum(weight * expected.conj() * (cosine - 1j * sine))
+    foreign = abs(matched) > FOREIGN * np.sum(weight * np.abs(expected) ** 2)
+    return 0.0 if foreign else float(np.angle(matched))
 
 
 def period_of(motion: Motion) -> float:

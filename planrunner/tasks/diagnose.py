@@ -311,6 +311,10 @@ def corrected_observation(
     from planrunner.observation.samples import observed
 
     sound, used = recorded.sound, _outputs(recorded.sound.plan)
+    if sound.sensor.stabilised:
+        message = "gimbals decouple the outputs of this sensor from the table, so the plan does not give their input"
+        hint = "diagnose a sensor that is fixed to the table"
+        raise InputError.at(Mark(recorded.where), "gap-unfit", message, hint)
     shown = {
         name
         for item in _chosen(recorded)

@@ -117,7 +117,8 @@ def _blocks(block: Block) -> Callable[[Sequence[str]], Iterator[Block]]:
     return blocks
 
 
-def observation(shown: Shown) -> Observed:
+def observation(shown: Shown, encoder: bool = True) -> Observed:
+    """The case as the product reads it. encoder: whether the recording contains the angle of the table."""
     declared = shown.bench["site"]
     site = Site(
         np.radians(declared["latitude_deg"]),
@@ -129,7 +130,7 @@ def observation(shown: Shown) -> Observed:
         recorded_segments(shown),
         site,
         sensor_model(shown),
-        angle_channel="table_angle_deg",
+        angle_channel="table_angle_deg" if encoder else None,
         temperature_channel="temperature_degC",
         magnetic=declared["magnetic_field_enu"],
     )

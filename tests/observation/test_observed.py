@@ -73,6 +73,8 @@ def test_bad_recordings_say_what_is_wrong() -> None:
         observed([], SITE, SENSOR)
     with pytest.raises(ObservationError, match="'P0' is unknown"):
         observed([replace(unknown, segment=replace(unknown.segment, attitude=None))], SITE, SENSOR)
+    with pytest.raises(ObservationError, match="'P0' rocks several rings at once"):
+        observed([_segment(0, Rock(0.1, 1.0, (0.0, 0.5), 5.0))], SITE, SENSOR)
     with pytest.raises(ObservationError, match="no channel 'encoder'"):
         observed([_segment(0, Rest())], SITE, SENSOR, angle_channel="encoder")
     with pytest.raises(ObservationError, match="no channel of angular rate"):

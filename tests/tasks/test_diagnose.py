@@ -17,7 +17,8 @@ from planrunner.cli import main
 from planrunner.cli.exit_codes import DONE, WRONG_INPUT
 from planrunner.instruments import recording_file
 from planrunner.tasks import diagnose as diagnosing
-from planrunner.tasks.diagnose import diagnose_recorded, observe, recorded_file, recorded_run
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.diagnose import Recorded, diagnose_recorded, observe, recorded_file, recorded_run
 from tests.recorded_imu import SHORT, TURNED, Row, write_recording
 
 ROOT = Path(__file__).parents[2]
@@ -505,3 +506,10 @@ def named_from_file(tmp_path, capsys):
     assert found["where"][0]["channel"].startswith("gyro")
     assert "gyro_scale_asymmetry" in page.read_text(encoding="utf-8")
     return found
+
+
+def test_a_sensor_on_a_stabilised_platform_is_refused() -> None:
+    """Gimbals keep it level while the table turns, so neither the plan nor the table gives its input."""
+    sound = check_plan(Path(__file__).parents[2] / "plans" / "platform_rocking.yaml").sound()
+    with pytest.raises(InputError, match="gimbals decouple the outputs"):
+        observe(Recorded(sound, (), "runs/platform"))

@@ -83,7 +83,27 @@ def foresee(
                 (part - mean).T @ (part - mean) / (len(part) * sigma**2)
                 for part, mean, sigma in zip(rows, means, noise, strict=True)
             )
+            within -= _hidden(planned, len(observed) + index, rows, noise, segments[index].dwell or 0.0)
             yield Foreseen(segments[index], np.asarray(within), means, noise, flicker)
+
+
+def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array, seconds: float) -> Array:
+    """Information (P, P) per second that a segment does not give because the angle of the turning table is unknown. rows: by channel, (n,
+    P); noise: (K,), white noise density; seconds: dwell.
+
+    A component in phase, with the signal c·√2·cos θ, competes with the input of amplitude A and unknown phase (`Observed.unknown_phase`).
+    With the covariance σ²·I + A²·w·wᵀ of the samples, where w = cos θ and |w|² = T/2 for a dwell T and unit density of the noise, the
+    share A²T/2 ÷ (σ² + A²T/2) of its information is lost (Sherman and Morrison). The same holds for sin θ."""
+    amplitude = planned.unknown_phase[number]
+    size = rows[0].shape[1]
+    lost = np.zeros((size, size))
+    angle = planned.angle[planned.segments()[number]]
+    waves = np.sqrt(2) * np.column_stack([np.cos(angle), np.sin(angle)])
+    for channel in np.flatnonzero(amplitude).tolist():
+        power, variance = amplitude[channel] ** 2 * seconds / 2, noise[channel] ** 2
+        seen = waves.T @ rows[channel] / len(angle)
+        lost += power / (variance + power) * (seen.T @ seen) / variance
+    return lost
 
 
 def following(

@@ -29,7 +29,7 @@ def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[Paramet
         if not own:
             continue
         weight = weighing.weights[index][0]
-        columns = weight.whiten(design)
+        columns = weight.whiten(np.hstack([design, weighing.angles[index]]))
         size = np.linalg.norm(columns, axis=0) + 1e-300
         left, values, right = np.linalg.svd(columns / size, full_matrices=False)
         told = values > 1e-8 * values.max(initial=0.0)

@@ -36,6 +36,7 @@ from planrunner.gap.evidence.weighing import (
     settings_of,
     walking_alike,
 )
+from planrunner.physics.sampled_motion import AngleFrom
 from planrunner.plan.model import NOMINAL_TERMS
 
 ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
@@ -153,7 +154,8 @@ class Weighing:
     removed: (N, K), SI, signal that is subtracted from the samples before they are evaluated, such as a line. held: (N, K), True
     for samples that are replaced by the fit, such as samples that repeat an earlier one. coarse: (K,), True for channels whose
     noise does not dither the rounding to counts; their samples show rounding, not noise. Settings of both triads are combined:
-    index = gyro setting × accelerometer settings + accelerometer setting.
+    index = gyro setting × accelerometer settings + accelerometer setting. angles: by channel, (M, n), the columns of
+    `angle_columns` that act on it.
     """
 
     def __init__(
@@ -185,10 +187,13 @@ class Weighing:
             part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
             for index, part in enumerate(coefficients)
         ]
-        self.nominal = [independent(columns) for columns in self.whole]
+        angles = coefficients_of(observed, self.spectrum, angle_columns(observed))
+        self.angles = [part[:, part.any(axis=0)] for part in angles]
+        self.nominal = [independent(np.hstack(parts)) for parts in zip(self.whole, self.angles, strict=True)]
         self.noise = noise_within(observed, self.spectrum, self.white, self._left())
         self.observed = self.seen()
         relative = self.noise.of_coefficients(observed, self.spectrum)
+        relative = relative + of_unknown_phase(observed, self.spectrum) / self.white**2
         rounding = undithered(observed, self.white, self.coarse)
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
@@ -228,10 +233,11 @@ class Weighing:
         out = self._reference.copy()
         for index, nominal in enumerate(self.whole):
             own = [column for column in self.nominal_columns if index in column.parts]
-            size = np.linalg.norm(nominal, axis=0) + 1e-300
+            design = np.hstack([nominal, self.angles[index]])
+            size = np.linalg.norm(design, axis=0) + 1e-300
             left = self.spectrum.values[:, index] - (0.0 if taken is None else taken[index])
-            values = np.linalg.lstsq(nominal / size, left, rcond=None)[0] / size
-            for column, value in zip(own, values, strict=True):
+            values = np.linalg.lstsq(design / size, left, rcond=None)[0] / size
+            for column, value in zip(own, values, strict=False):
                 out[:, index] += column.parts[index] * (column.magnitude * value)
         return out
 
@@ -399,6 +405,39 @@ def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
             if f"{kind}_{part}" in nominal:
                 columns += make(observed, kind)
     return columns
+
+
+def angle_columns(observed: Observed) -> list[Column]:
+    """The change of the specific force per radian of the angle of the table at the beginning of a segment, for each accelerometer and each
+    segment in which gravity shows this angle. The angle that gravity shows contains the errors of the accelerometers. With a free
+    correction for each channel, what looks like an angle is no evidence."""
+    shown = [index for index, source in enumerate(observed.angle_from) if source is AngleFrom.GRAVITY]
+    if not shown:
+        return []
+    change = -np.cross(observed.table_axis, observed.force)
+    return [
+        Column(
+            "angle",
+            "rad",
+            1.0,
+            1.0,
+            {channel: observed.seen(channel, change) for channel in observed.of_kind("accel")},
+            np.arange(len(observed)) == segment,
+            axis=None,
+        )
+        for segment in shown
+    ]
+
+
+def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
+    """Variance (M, K) of the coefficients, SI²·samples, from the nominal input with an unknown phase (`Observed.unknown_phase`). Its cosine
+    and sine components count as normal, each with the amplitude of the input as standard deviation."""
+    amplitude = observed.unknown_phase
+    if not amplitude.any():
+        return np.zeros((len(spectrum_.segment), len(observed.channels)))
+    waves = np.column_stack([np.cos(observed.angle), np.sin(observed.angle)])
+    seen = spectrum_.project(observed, waves, np.asarray(amplitude.any(axis=1)))
+    return np.asarray((seen**2).sum(axis=1, keepdims=True) * amplitude[spectrum_.segment] ** 2)
 
 
 def simulated(observed: Observed, nominal: Sequence[str]) -> Array:

@@ -123,7 +123,8 @@ class VirtualPlatform:
             for name in RINGS[: parameters.rings]
         )
         outputs = (*accelerometers, *gimbals, *table)
-        return SensorModel("stabilised-platform", outputs, parameters.sample_rate.value, modes=("caged", "navigation"))
+        modes = ("caged", "navigation")
+        return SensorModel("stabilised-platform", outputs, parameters.sample_rate.value, modes=modes, stabilised=True)
 
     @classmethod
     def connect(cls, parameters: VirtualPlatformParameters, surroundings: Surroundings) -> VirtualPlatform:
