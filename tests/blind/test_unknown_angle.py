@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planrunner.cli import main
-from planrunner.error_model.effects.interface import ActsOnNoise, effect_named
+from planrunner.error_model.effects.interface import OutsideCoefficients, effect_named
 from planrunner.gap.answer.diagnosis import Diagnosis
 from planrunner.gap.hypotheses.declarations import corrected
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_run
@@ -51,7 +51,7 @@ def without_angle(here: Path, plan: str, sensor: str, effects: tuple[str, ...], 
 @pytest.mark.parametrize(("plan", "sensor"), [("rates", "fog"), ("poor", "mems")])
 def test_an_unknown_angle_is_no_effect(plan: str, sensor: str, tmp_path: Path) -> None:
     _, found = without_angle(tmp_path, plan, sensor, (), 11)
-    noise = {name for name in found.verdict.effects if isinstance(effect_named(name), ActsOnNoise)}
+    noise = {name for name in found.verdict.effects if isinstance(effect_named(name), OutsideCoefficients)}
     assert {*found.verdict.effects} == noise and found.verdict.kind != "unknown"
 
 
