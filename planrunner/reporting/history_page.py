@@ -96,7 +96,7 @@ def _chart(found: Trend, key: str, y_title: str, series: list[tuple[str, Chart]]
         for change in found.changes:
             middle = (days[change.index - 1] + days[change.index]) / 2
             axes.axvline(middle, linestyle=":", color=COLOURS[3], linewidth=1.2)
-        locator = AutoDateLocator(maxticks=6)  # type: ignore[no-untyped-call]
+        locator = AutoDateLocator(minticks=2, maxticks=6)  # type: ignore[no-untyped-call]
         axes.xaxis.set_major_locator(locator)
         axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
         axes.set_ylabel(y_title)

@@ -4,8 +4,13 @@ A balanced, fully crossed random-effects model with all interactions, for one to
 
     E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
 
+<<<<<<< HEAD
 with r repetitions and a_f levels of factor f. The variance components follow from these expectations; a negative component counts
 as zero. Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of the modified
+=======
+with r repetitions and a_f levels of factor f. The variance components follow from it; a negative one counts as zero, also in the sums.
+Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of the modified
+>>>>>>> 92b7075d (History: dates over any span, and parts of a gauge study that add up)
 large-sample method: Graybill and Wang (Journal of the American Statistical Association 75, 1980) for sums of mean squares, and Ting
 et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as Burdick, Borror and Montgomery (Design and
 Analysis of Gauge R&R Studies, 2005) apply them.
@@ -171,10 +176,13 @@ def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int, 
         combos[factors] = {key: c / size for key, c in terms.items()}
     found = [_estimated("repeatability", combos[()], squares)]
     found += [_estimated(" × ".join(one.factors), combos[one.factors], squares) for one in anova if one.factors]
+    own = {(): found[0].variance, **{one.factors: part.variance for one, part in zip(anova, found[1:], strict=False)}}
     gauge = [key for key in combos if key and key != (item,)]
     for name, parts in (("reproducibility", gauge), ("gauge R&R", [(), *gauge]), ("total", list(combos))):
         if parts:
-            found.append(_estimated(name, _sum([combos[part] for part in parts]), squares))
+            made = _estimated(name, _sum([combos[part] for part in parts]), squares)
+            variance = sum(own[part] for part in parts)
+            found.append(VarianceComponent(name, variance, min(made.lower, variance), max(made.upper, variance)))
     return found
 
 

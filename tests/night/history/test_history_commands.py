@@ -232,6 +232,15 @@ def test_a_drift_is_no_series_of_changes(tmp_path: Path) -> None:
     assert found.drift.slope * 30 == pytest.approx(0.05, abs=3 * 30 * found.drift.slope_uncertainty)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "span", [0.02, 900.0, pytest.param(60.0, marks=pytest.mark.slow), pytest.param(1100.0, marks=pytest.mark.slow)]
+)
+def test_charts_have_dates_over_any_span(span: float, tmp_path: Path) -> None:
+    found = history_of(tmp_path, [1.0, 1.1, 1.0], [0.0, span / 2, span])
+    assert history_page.render_history(found).count("<svg") >= 3
+
+
 @pytest.mark.parametrize(
     ("days", "what"),
     [

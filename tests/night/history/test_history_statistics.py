@@ -282,6 +282,20 @@ def test_the_sums_of_squares_are_those_of_statsmodels() -> None:
         assert three[names].sum_of_squares == pytest.approx(sum_of_squares, abs=1e-8) and three[names].df == df
 
 
+def test_parts_add_up_to_the_total_even_if_some_are_estimated_below_zero() -> None:
+    """Whole numbers without any effect: about half of the components are estimated below zero."""
+    values = np.random.default_rng(2).integers(0, 20, 24).astype(float).tolist()
+    design = list(np.ndindex(3, 2, 2, 2))
+    labels = {name: [str(p[axis]) for p in design] for axis, name in enumerate(("device", "operator", "bench"))}
+    study = {one.name: one for one in gauge_study(labels, values).components}
+    sums = ("reproducibility", "gauge R&R", "total")
+    parts = {name: one.variance for name, one in study.items() if name not in sums}
+    assert list(parts.values()).count(0.0) >= 2
+    assert study["total"].variance == pytest.approx(sum(parts.values()))
+    assert study["gauge R&R"].variance == pytest.approx(sum(parts.values()) - parts["device"])
+    assert all(one.lower <= one.variance <= one.upper for one in study.values())
+
+
 def three_factors(rng: np.random.Generator) -> tuple[dict[str, list[str]], list[float]]:
     """8 devices × 4 operators × 3 benches, twice: σ = 2 of devices, 0.7 of operators, 0.5 of benches, 0.3 of all interactions, 0.4 of
     values."""
