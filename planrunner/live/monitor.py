@@ -97,8 +97,8 @@ class Activity:
 
 @dataclass(slots=True)
 class _Pulse:
-    """The last live state of a run. at: the time that this state states. seen: time when this state was first seen, s. alive:
-    whether the folder of the run was found locked; None if the lock was not tried for this state."""
+    """The last live state of a run. at: the time in this state. seen: time when this state was first seen, s. alive: whether the
+    folder of the run was found locked; None if the lock was not tried for this state."""
 
     at: str
     seen: float

@@ -1,9 +1,9 @@
 """The server of the live page: on the loopback interface only, with a token, without any external request.
 
-The page and its script contain no data and need no token. All data and actions need the token in the `Authorization` header; the page takes
-it from the fragment of its address, which browsers do not send. A cookie would be sent to every other server on this computer. Requests
-whose `Host` is not this server, and actions whose `Origin` is not this page, are refused: so another site cannot reach the server through
-the browser, even if its name resolves to 127.0.0.1.
+The page and its script contain no data and need no token. All data and actions need the token in the `Authorization` header; the
+page takes it from the fragment of its address, which browsers do not send. A cookie would be sent to every other server on this
+computer. Requests whose `Host` is not this server, and actions whose `Origin` is not this page, are refused. Another site can
+therefore not reach the server through the browser, even if the name of that site resolves to 127.0.0.1.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Growth of small errors of an inertial navigator at rest: the linear error equations with Schuler and 24-hour oscillations.
 
 State, SI: position errors east and north, velocity errors east and north, and the tilt (φ_E, φ_N, φ_U) by which the computed attitude is
-turned from the true one, C_computed = (1 − φ×)·C. Inputs in navigation axes: gyro errors ε and accelerometer errors ∇. The φ-angle form of
-Titterton and Weston, "Strapdown Inertial Navigation Technology", 2nd ed., section 12.3, with the vertical channel held:
+turned from the true attitude, C_computed = (1 − φ×)·C. Inputs, in navigation axes: gyro errors ε and accelerometer errors ∇. The
+equations have the φ-angle form of Titterton and Weston, "Strapdown Inertial Navigation Technology", 2nd ed., section 12.3, with the
+vertical channel held:
 
     δv̇_E = −g·φ_N + 2Ω_U·δv_N + ∇_E          φ̇_E = −δv_N/R_N + Ω_U·φ_N − Ω_N·φ_U − ε_E
     δv̇_N =  g·φ_E − 2Ω_U·δv_E + ∇_N          φ̇_N =  δv_E/R_E − Ω_U·δL − Ω_U·φ_E − ε_N

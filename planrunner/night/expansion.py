@@ -1,5 +1,5 @@
-"""The tests of a suite: each plan on each device and bench, with each combination of its matrix, and the tests for which each one
-waits."""
+"""The tests of a suite: each plan on each device and bench, with each combination of its matrix, and the other tests for which each
+test waits."""
 
 from __future__ import annotations
 

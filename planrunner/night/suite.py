@@ -129,7 +129,7 @@ class SuiteDevice(Record):
 
 
 class SuitePlan(Record):
-    """A plan of the night. It runs once for each device, bench, and combination of `matrix` and `parameters`."""
+    """A plan of the night. The plan runs once for each device, bench, and combination of `matrix` and `parameters`."""
 
     plan: str = key(
         Text(_PATH, "a plan file"), "The plan, relative to the suite.", "../flexure_gyro_eight_position.yaml"

@@ -4,8 +4,8 @@
 tests have ended and what time it is. `planrunner check` simulates it with the planned durations (`foresee`). A night updates it
 with real events. Both therefore follow the same rules. Times are instants, seconds since 1970 UTC.
 
-On each bench, the first test in the order of the suite begins that meets three conditions: its dependencies have ended, its device
-is free, and it ends in time according to its planned duration.
+On each bench, the test that begins next is the first one, in the order of the suite, that meets three conditions: its dependencies
+have ended, its device is free, and it ends in time according to its planned duration.
 """
 
 from __future__ import annotations
@@ -231,7 +231,7 @@ class NightCourse:
             self._lost.update(self._dependents[index])
 
     def _resume(self, now: float) -> None:
-        """Makes tests ready whose pause has ended."""
+        """Makes those tests ready whose pause has ended."""
         while self._paused and self._paused[0][0] <= now:
             since, index = heappop(self._paused)
             test, state = self.tests[index], self._tests[index]
@@ -324,7 +324,7 @@ class NightCourse:
         return within and self.hours.begins <= now < self.hours.closes
 
     def _first(self, bench: _Bench, busy: Collection[str], now: float) -> int | None:
-        """The first ready test of a bench whose device is free and that could begin now with respect to the hours."""
+        """The first ready test of a bench that could begin now with respect to the hours, and whose device is free."""
         found: int | None = None
         looked_at: list[int] = []
         too_long: set[tuple[bool, float | None]] = set()
@@ -414,8 +414,8 @@ class NightCourse:
 
 
 def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
-    """The hours of the night that begins at or after an instant. It begins at the instant itself if the window is open, otherwise
-    when it opens next."""
+    """The hours of the night that begins at or after an instant. The night begins at the instant itself if the window is open,
+    otherwise when the window opens next."""
     closes = math.inf
     if suite.window is not None:
         opening = next(openings(suite.window, begins, zone))

@@ -1,11 +1,11 @@
 """Spikes in recorded angles: single samples that do not lie on the course of the motion.
 
-Encoders and gimbals may keep one value for a long time, and while the base rocks, each sample differs from the one before by far more than
-a harmful spike. A sample is therefore compared with the value that its six neighbours give at its place. This is the interpolation through
-six equally spaced points, whose error for a sine with the phase step φ is (2·sin(φ/2))⁶/20 of the amplitude: 3·10⁻⁴ for 15 samples per
-period. A sample is a spike if it lies farther from this value than the noise or the motion around it explains, and if all its neighbours
-lie on their courses as soon as it is replaced. The second condition excludes steps, and sudden starts and stops. A small sudden change of
-the rate looks nearly like a spike; the better fit decides.
+Encoders and gimbals may keep one value for a long time, and while the base rocks, each sample differs from the one before by far
+more than a harmful spike. A sample is therefore compared with the value that its six neighbours give at its place. This is the
+interpolation through six equally spaced points, whose error for a sine with the phase step φ is (2·sin(φ/2))⁶/20 of the amplitude:
+3·10⁻⁴ for 15 samples per period. A sample is a spike if it lies farther from this value than the noise or the motion around it
+explains, and if all its neighbours lie on the course of the motion as soon as the sample is replaced. The second condition excludes
+steps, and sudden starts and stops. A small sudden change of the rate looks nearly like a spike; the better fit decides.
 
 The samples next to the ends have fewer than three neighbours on one side. They are compared with the parabola through the next three
 samples. The first and the last sample are not examined, because a motion may begin or end there.
@@ -74,7 +74,7 @@ class AngleSpikes:
             self._examine(last=False)
 
     def finish(self) -> list[Find]:
-        """All finds. Call it once, after the last samples."""
+        """All findings. Call it once, after the last samples."""
         self._examine(last=True)
         return self.found
 

@@ -35,7 +35,7 @@ class CorrelatedError:
     channel: str = ""
 
     def covariance(self, one: int, other: int) -> Array | float:
-        """Contribution to the covariance between the observations of two outputs, (n, n); 0.0 if the error acts on only one of them."""
+        """Contribution to the covariance between the observations of two outputs, (n, n); 0.0 unless the error acts on both."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))

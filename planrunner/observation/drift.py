@@ -2,9 +2,9 @@
 temperature.
 
 A drift is a nuisance: its courses are fitted together with the coefficients, so that the uncertainties of the coefficients include
-a contribution of the unknown drift. Each course is the mean over each segment, minus its average over the recorded time of all
-segments of the estimate. A constant is therefore the value for the whole test: at the average time, at the average temperature and
-at its average rate of change. The constant therefore has the same meaning for outputs that use only some of the segments.
+a contribution of the unknown drift. A course is described by its mean over each segment, minus its average over the recorded time
+of all segments of the estimate. A constant is therefore the value for the whole test: at the average time, at the average
+temperature and at its average rate of change. Thus a constant has the same meaning for outputs that use only some of the segments.
 """
 
 from __future__ import annotations

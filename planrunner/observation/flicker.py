@@ -25,7 +25,7 @@ SPAN = parse_quantity("24 h")
 
 
 def drift_span() -> Quantity:
-    """The key for the span of estimators that report constants."""
+    """The key that states the time span over which a constant is the average, for estimators that report constants."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
         "A reported constant is the mean over this time span, which has the test in its middle and is at least as long as the test. "
@@ -128,9 +128,9 @@ def _mean_logarithm(low: Array, high: Array) -> Array:
 def _between(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
     """Average of ln|t − t′| over t in one of n intervals and t′ in one of m others, (n, m).
 
-    It is computed from the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends. For intervals that are short
-    compared with their distance d, these differences cancel; there it is ln d − (a² + b²)/(24·d²), with an error of fourth order in a/d
-    and b/d.
+    It is computed from the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends. For intervals that are
+    short compared with their distance d, these differences cancel; there the average is ln d − (a² + b²)/(24·d²), with an error of
+    fourth order in a/d and b/d.
     """
     if len(low) > _ROWS:
         parts = [slice(first, first + _ROWS) for first in range(0, len(low), _ROWS)]

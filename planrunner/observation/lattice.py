@@ -57,7 +57,7 @@ def undeclared_step(values: Array) -> float:
 
 
 def seen_levels(values: Array, step: float) -> Array:
-    """The levels of values (N,), collected piece by piece until further ones cannot change the result."""
+    """The levels of values (N,), collected piece by piece until further levels cannot change the result."""
     levels = np.empty(0)
     for first in range(0, len(values), _PIECE):
         levels = np.union1d(levels, levels_of(values[first : first + _PIECE], step))

@@ -49,7 +49,7 @@ def rows_of(finds: Iterable[Find]) -> int:
 
 def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) -> tuple[Statistics, float]:
     """Statistics of each channel from its own good rows. Covariances between channels use rows that are good in all channels. Also
-    returns the fraction of good rows in the channel with the fewest."""
+    returns the fraction of good rows in the channel with the fewest good rows."""
     raw = recorded.statistics
     rows = raw.count + raw.rejected
     sets: dict[frozenset[tuple[int, int]], list[str]] = {}

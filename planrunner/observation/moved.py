@@ -87,8 +87,8 @@ def recorded_course(
 
 
 def supposed_course(time: Array, site: Site) -> MotionShown:
-    """An assumed motion about all axes, for a segment that has not been recorded. It contains everything that an effect needs in order
-    to act. No reported number may depend on it."""
+    """An assumed motion about all axes, for a segment that has not been recorded. It contains everything that an effect needs in
+    order to act. Reported numbers must not depend on this motion."""
     since = time - time[0]
     rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
     zero = np.zeros(len(time))

@@ -29,13 +29,13 @@ SIGNIFICANCE = (
 class Observations:
     """Means of k channels over n segments, in the channels' units.
 
-    mean: (n, k). standard_error: (n, k), of each mean, from the scatter within its segment; NaN if the segment is too short.
-    batches: (n,), number of batches for this standard error. start, end: (n,), of the recorded interval, half-open, s on the run's
-    clock. correlation: (k, k), correlation of the channels' noise, over all segments. expected: True if the observations are
-    predicted from a schedule; means then have no noise, and standard errors come from the declared noise. share: (n,), fraction of
-    the samples that are used; None for all. courses: (n,), the course of each segment as in `Statistics`; None without motion.
-    within: number of further observations at the end that are not means but contrasts within segments; their standard errors are
-    known.
+    mean: (n, k). standard_error: (n, k), standard error of each mean, from the scatter within its segment; NaN if the segment is
+    too short. batches: (n,), number of batches for this standard error. start, end: (n,), beginning and end of the recorded
+    interval, half-open, s on the run's clock. correlation: (k, k), correlation of the channels' noise, over all segments. expected:
+    True if the observations are predicted from a schedule; means then have no noise, and standard errors come from the declared
+    noise. share: (n,), fraction of the samples that are used; None if all are used. courses: (n,), the course of each segment as in
+    `Statistics`; None without motion. within: number of further observations at the end that are not means but contrasts within
+    segments; their standard errors are known.
     """
 
     channels: tuple[str, ...]
@@ -96,7 +96,7 @@ class Weighting(StrEnum):
 @dataclass(frozen=True, slots=True)
 class WithinSegmentNoise:
     """Within-segment standard uncertainty of one channel's means. sigma: (n,), all positive. known: False if the samples within the
-    segments give no information; sigma is then 1. degrees_of_freedom: those of sigma."""
+    segments give no information; sigma is then 1. degrees_of_freedom: degrees of freedom of sigma."""
 
     sigma: Array
     known: bool
@@ -110,7 +110,7 @@ class WithinSegmentNoise:
 
 
 def weights_of(channels: Sequence[str], noises: Sequence[WithinSegmentNoise]) -> dict[str, str]:
-    """For the settings of an estimate: the words about the weights of each channel."""
+    """The words about the weights of each channel, for the settings that an estimate reports."""
     return {name: noise.weighting.value for name, noise in zip(channels, noises, strict=True)}
 
 
@@ -210,9 +210,9 @@ def within_segment_noise(
     """The noise of one channel's means, for weights and for uncertainties.
 
     The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran,
-    Statistical Methods, 13.10) finds that it differs between them; then each segment keeps its own. Thus, equal noise gives weights by
-    recorded time only, and chance differences between short segments do not influence the weights. explained: (n,), part of the
-    variance of the means that has another known cause and is subtracted.
+    Statistical Methods, 13.10) finds that this product differs between the segments; then each segment keeps its own value. Thus,
+    equal noise gives weights by recorded time only, and chance differences between short segments do not influence the weights.
+    explained: (n,), part of the variance of the means that has another known cause and is subtracted.
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
@@ -261,7 +261,8 @@ def _noise(sensor: SensorModel, channel: str) -> NoiseModel:
 
 
 def _rounding(sensor: SensorModel, channel: str, variances: Array) -> Array:
-    """Contribution of rounding to the uncertainty of each mean, (n,): resolution/√12 if the noise is too small to dither it."""
+    """Contribution of rounding to the uncertainty of each mean, (n,): resolution/√12 if the noise is too small to dither the
+    rounding."""
     noise = _noise(sensor, channel)
     return np.where(noise.dithers(variances), 0.0, noise.resolution / math.sqrt(12))
 

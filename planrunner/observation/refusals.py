@@ -14,8 +14,8 @@ class ObservationError(Exception):
 class EstimationError(Exception):
     """The data or the segments are not suitable for this estimate. The message gives the reason, for a quality engineer.
 
-    hint: the remedy, if other segments or another estimator would not help. key: the key of the estimate that must be corrected, if there
-    is one.
+    hint: the remedy, if it is other than to choose other segments or another estimator. key: the key of the estimate that must be
+    corrected, if there is one.
     """
 
     def __init__(self, message: str, hint: str = "", key: str = ""):

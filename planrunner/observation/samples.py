@@ -49,11 +49,11 @@ def observed(
 ) -> Observed:
     """The recorded segments of a run for a diagnosis, in order of time, as slow noise and hysteresis require.
 
-    only: the channels to use, by default all; measured: channels to use regardless of their names and units. Names give their axes
-    (`axis_of`); angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the
-    table's encoder; temperature_channel: thermometer; supply_channel: voltmeter of the supply; pressure_channel: barometer. For a
-    channel that is not given, the plan's values are used. power_on: recording time of power-on, s. Raises `ObservationError` if the
-    recording cannot be diagnosed.
+    only: the channels to use, by default all; measured: channels that are used as measurements regardless of their names and units.
+    Names give their axes (`axis_of`); angular-rate channels are gyros and acceleration channels accelerometers, whatever their
+    names. angle_channel: the table's encoder; temperature_channel: thermometer; supply_channel: voltmeter of the supply;
+    pressure_channel: barometer. If the channel of a quantity is not given, the plan's values of this quantity are used. power_on:
+    recording time of power-on, s. Raises `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")

@@ -617,8 +617,8 @@ class Screening:
         return Find(kind, self.channels[k], run.row, run.length, run.time, seconds, run.value, math.nan, before, after)
 
     def _flat_tops(self, k: int, known: Sequence[Find]) -> list[Find]:
-        """Finds noise that is cut off at the largest or smallest value: many more samples are at this value than just below it. known:
-        other finds, whose samples may be at the extremes."""
+        """Finds noise that is cut off at the largest or smallest value: many more samples are at this value than just below it.
+        known: other findings, whose samples may be at the extremes."""
         runs = self.runs[k]
         if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []

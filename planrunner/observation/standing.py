@@ -104,7 +104,7 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
     """Whether white noise of this standard deviation leaves one count within this number of samples. This is so if the probability
-    that the noise stays within the count is at most `chance`. Up to 0.3 count² of its variance may come from the counts: a channel
+    that the noise stays within the count is at most `chance`. Up to 0.3 count² of the variance may come from the counts: a channel
     that alternates between two counts without any noise has this variance."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:

@@ -2,8 +2,9 @@
 
 Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint angle zero.
 With the site's azimuth α (clockwise from north), the attitude of the platform in East-North-Up is R_z(−α)·R_1·R_2·R_3. With all
-joints at zero and α = 0, the sensor's x, y, z axes point east, north, up. Adjacent axes are at right angles. The inverse solves the
-classical subproblems of screw theory (Murray, Li, Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3).
+joints at zero and α = 0, the sensor's x, y, z axes point east, north, up. Adjacent axes are at right angles. The joint angles for
+an attitude follow from the classical subproblems of screw theory (Murray, Li, Sastry, A Mathematical Introduction to Robotic
+Manipulation, 1994, section 3.3).
 """
 
 from __future__ import annotations
@@ -141,7 +142,7 @@ def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azi
 @lru_cache(maxsize=8192)
 def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, azimuth: float) -> tuple[Angles, ...]:
     """Joint angles for an attitude, independent of the table's present position. In gimbal lock one angle is free, and `near`
-    determines it; empty if `near` is None. Raises `Unreachable` if the axes do not allow the attitude."""
+    determines it; the result is then empty if `near` is None. Raises `Unreachable` if the axes do not allow the attitude."""
     wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
     candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
     off = _misalignment(axes, candidates[0], wanted) if candidates else 0.0

@@ -95,9 +95,10 @@ class RotationCycle:
     # -- the residual -------------------------------------------------------------------------------------------------
 
     def integral(self, frequency: float = 0.0) -> tuple[complex, complex]:
-        """The integral ∫ exp(i(θ − ωt)) dt over the stops and over the turns of one cycle [s], with ω = `frequency` in rad/s.
+        """The integrals ∫ exp(i(θ − ωt)) dt over the stops and over the turns of one cycle [s], with ω = `frequency` in rad/s.
 
-        At ω = 0 this is the residual of the cycle. At k times 2π/period, divided by the period, it is the k-th Fourier coefficient.
+        At ω = 0 their sum is the residual of the cycle. At ω = k·2π/period, their sum divided by the period is the k-th Fourier
+        coefficient.
         """
         begins, lasting, angles, rates, slopes, turning = self._pieces
         beat = rates - frequency

@@ -21,8 +21,8 @@ _GRANTED = 1 + 1e-9  # allowance for rounding at a limit
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """A requirement that an axis does not meet. kind: 'rings' (too few), 'axis' (none has the direction), 'rate', 'acceleration' or
-    'travel'; message: what the motion requires and what the axis offers."""
+    """A requirement that an axis does not meet. kind: 'rings' (too few axes), 'axis' (none has the direction), 'rate',
+    'acceleration' or 'travel'; message: what the motion requires and what the axis offers."""
 
     kind: str
     message: str
@@ -76,7 +76,7 @@ def spin_excess(
 
 
 def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | None, motion: Rock) -> list[Excess]:
-    """Requirements beyond the limits of the rings, for a rocking motion. joints: rad, the angles about which the rings rock; None if
+    """Requirements beyond the limits of the axes, for a rocking motion. joints: rad, the angles about which the axes rock; None if
     unknown."""
     found: list[Excess] = []
     if len(motion.phases) > len(axes):

@@ -1,8 +1,8 @@
 """Names that certificates show in their own language: names of conditions, of references that are named after their role, and of
 estimators.
 
-In English, an estimator has the name that plans use. An estimator of a plug-in package has the name that plans use in every
-language.
+In English, an estimator has the name that plans use. An estimator of a plug-in package has, in every language, the name that plans
+use.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ def _rounds(found: FoundCycles) -> Table:
 
 
 def vector(left: complex) -> str:
-    """A residual as (along, across) in seconds."""
+    """A residual in seconds as text: its component along the error and, if not zero, its component across the error."""
     along, across = (f"{part:+.2f}" if abs(part) >= 5e-3 else "0" for part in (left.real, left.imag))
     return f"{along} s" if across == "0" else f"{along} s, {across} s across"
 

@@ -104,7 +104,7 @@ def cut(text: str) -> str:
 
 
 def _segments(segments: Sequence[SegmentChange]) -> Table:
-    """One row for each kind of change: segments that change in the same way share it."""
+    """One row for each kind of change: segments that change in the same way share one row."""
     rows: dict[tuple[str, str, str], list[str]] = {}
     for item in segments:
         name = item.after if item.after is not None else item.before or ""

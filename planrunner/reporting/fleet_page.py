@@ -112,7 +112,7 @@ def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
 
 def _clear(part: Data) -> float:
     """Ratio of the difference from the other parts to its expanded uncertainty; if there are no other parts, ratio of the part
-    itself."""
+    itself to its expanded uncertainty."""
     one = part["difference"] or part["part"]
     return abs(float(one["value"])) / float(one["expanded_uncertainty"])
 

@@ -1,7 +1,7 @@
 """Charts as inline SVG: values per label or over x, curves, correlations, and the timeline of a schedule.
 
-They are drawn by matplotlib at the width of a phone and scaled by the page, so that text is legible on phones and large screens. Text stays
-text, and equal data give equal bytes.
+They are drawn by matplotlib at the width of a phone and scaled by the page, so that text is legible on phones and large screens.
+Text in a chart stays text, and equal data give equal bytes.
 """
 
 from __future__ import annotations
@@ -298,7 +298,7 @@ def _bounded(margins: Array) -> Array:
 
 
 def _inline(text: str, key: str, title: str, described: str) -> str:
-    """The file from matplotlib as an element: without prologue, with unique ids and a name, scaling with its container."""
+    """The file from matplotlib as an `<svg>` element: without prologue, with unique ids and a name, scaling with its container."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r"<!--.*?-->\s*", "", body, flags=re.DOTALL)

@@ -34,7 +34,7 @@ VERDICT = {"pass": "bold green", "warned": "bold yellow", "fail": "bold red", "n
 
 
 def console(width: int | None = None, file: TextIO | None = None) -> Console:
-    """A console for these tables. If the output is not a terminal, it is wide enough for unbroken rows and has no colour."""
+    """A console for these tables. If the output is not a terminal, the console is wide enough for unbroken rows and has no colour."""
     from rich.console import Console
     from rich.segment import Segment
 

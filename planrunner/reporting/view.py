@@ -277,7 +277,7 @@ MODULE = 2
 
 
 def seal_code(digest: str) -> str:
-    """The code of a digest as inline SVG, black on white in every colour scheme. The page gives the alternative text."""
+    """A QR code with a digest as inline SVG, black on white in every colour scheme. The page gives the alternative text."""
     import segno
 
     code = segno.make(PREFIX + digest, error="m", micro=False)

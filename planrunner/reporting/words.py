@@ -28,7 +28,7 @@ def listed(names: Sequence[str], word: str = "and") -> str:
 
 
 def behind_number(unit: str) -> str:
-    """A blank and the unit, to follow a number; empty for pure numbers."""
+    """A space and the unit, to follow a number; empty for pure numbers."""
     return "" if unit in ("", "1") else f" {unit}"
 
 

@@ -80,12 +80,12 @@ def propagate(
     heavy: Sequence[bool] = (),
     workers: Workers = ALONE,
 ) -> Propagated:
-    """Makes draws in blocks until the numerical spread of every result is below its tolerance, or until `most` draws are made. The spread
-    is twice the standard deviation of the average over the blocks. The results are mean, standard deviation and both ends of the
-    interval.
+    """Makes draws in blocks until the results have stabilised, or until `most` draws are made. A result has stabilised when twice
+    the standard deviation of its average over the blocks is below its tolerance. The results are mean, standard deviation and both
+    ends of the interval.
 
-    tolerances: (m,), in the coefficients' units; heavy: (m,), True for coefficients whose standard deviation the rule omits. workers:
-    share the blocks; the same seed gives the same digits with any workers.
+    tolerances: (m,), in the coefficients' units; heavy: (m,), True for coefficients whose standard deviation the rule omits.
+    workers: processes that share the blocks; the same seed gives the same digits for any number of workers.
     """
     limit = np.asarray(tolerances, dtype=float)
     light = ~np.asarray(heavy, dtype=bool) if len(heavy) else np.ones(len(limit), dtype=bool)
@@ -180,7 +180,8 @@ def t_draws(
 def _scaled_to_t(
     root: Array, groups: Sequence[tuple[NDArray[np.intp], float]], rng: np.random.Generator, n: int
 ) -> Array:
-    """groups: rows that share one estimated variance, with its degrees of freedom."""
+    """Jointly normal draws, in which the rows of each group are scaled to Student's t. groups: rows that share one estimated
+    variance, with its degrees of freedom."""
     values = root @ rng.standard_normal((root.shape[1], n))
     for rows, freedom in groups:
         scale = t_scale(rng, freedom, n)

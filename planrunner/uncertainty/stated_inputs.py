@@ -59,8 +59,8 @@ def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 
 def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
-    """Warns about a latitude whose uncertainty is smaller than usual deviations of the vertical if the bench does not state which latitude
-    it is."""
+    """Warns if the bench does not state which kind of latitude it gives, although the uncertainty of the latitude is smaller than
+    usual deviations of the vertical."""
     site, simulated = bench.site, bench.simulation is not None or (runs_on_virtual_clock(bench) and not models.replays)
     u = site.latitude.standard_uncertainty
     if simulated or site.latitude_kind is not None or site.deviation_of_vertical is not None:

@@ -46,7 +46,7 @@ def agreement(
     values: Mapping[str, Sequence[tuple[float, float]]], reference: str | None = None
 ) -> tuple[ParticipantAgreement, ...]:
     """The E_n number of every participant, by name. values: participant → values with standard uncertainties. reference: the
-    participant whose value is the assigned one. The result is empty if there are fewer than two participants."""
+    participant whose value is the assigned value. The result is empty if there are fewer than two participants."""
     means = {name: _mean(found) for name, found in values.items() if found}
     compared = []
     for name, (value, u) in sorted(means.items()):

@@ -5,9 +5,9 @@ two means,
 
     T_k = (m₂ − m₁)² / (1/W₁ + 1/W₂),    W = Σ 1/σ_i²,  m = Σ x_i/σ_i² / W
 
-The most likely place has the largest T_k (Hawkins, Journal of the American Statistical Association 72, 1977). Its p-value is
-bounded by the sum over all places (Bonferroni), p ≤ (n − 1)·P(χ²₁ > T). The test is therefore conservative. Each side is then
-searched again (binary segmentation; Scott and Knott, Biometrics 30, 1974).
+The most likely place has the largest T_k (Hawkins, Journal of the American Statistical Association 72, 1977). The p-value of this
+place is bounded by the sum over all places (Bonferroni), p ≤ (n − 1)·P(χ²₁ > T). The test is therefore conservative. Each side is
+then searched again (binary segmentation; Scott and Knott, Biometrics 30, 1974).
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ def _p(z: float, n: int) -> float:
 
 def steps_fit_better(values: Array, sigma: Array, days: Array, changes: Sequence[ChangePoint]) -> bool:
     """Whether levels with these changes describe the values better than one straight line over time, by the Bayesian information
-    criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays (n,). A drift also resembles a series of changes, but
-    no circumstance changes at them."""
+    criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays have the shape (n,). A drift also resembles a series
+    of changes, but no circumstance changes at them."""
     n, w = len(values), 1 / sigma**2
     edges = [0, *(one.index for one in changes), n]
     steps = sum(_misfit(values[a:b], w[a:b], np.ones((b - a, 1))) for a, b in pairwise(edges))
@@ -119,8 +119,8 @@ def _misfit(values: Array, weight: Array, design: Array) -> float:
 
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
-    """Circumstances that changed with the level. Those that distinguish the two stretches best come first. circumstances:
-    circumstances of every run, in the order of the values."""
+    """Circumstances that changed with the level. The circumstances that distinguish the two stretches best come first.
+    circumstances: circumstances of every run, in the order of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin
     before, after = known[split - 1], known[split]

@@ -5,12 +5,12 @@ A new value x of the check standard with the stated standard uncertainty u is co
 - a reference value R with the standard uncertainty u_R, if the bench file states one: |x − R| ≤ 3·√(u² + u_R² + τ²);
 - its own first values, if there are enough of them: the charts of `control_charts`, whose mean and τ come from these.
 
-τ is the stated repeatability, or else that of the first values. A tested value never contributes to its own limits. The method is
-that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2: a Shewhart chart, and an exponentially weighted moving average
-for small changes, of the values of a check standard about an accepted value, with limits from data that were taken before; SOP 17
-(NISTIR 7383) describes the same with three standard deviations as limits of action, and a test against the reference value. Here
-the stated uncertainty of each value widens its own limits (docs/decisions/0045). The comparison with a reference has no average:
-its uncertainty u_R is the same in all values, and would not become smaller.
+τ is the stated repeatability or, if none is stated, the scatter of the first values. A tested value never contributes to its own
+limits. The method is that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2: a Shewhart chart, and an exponentially
+weighted moving average for small changes, of the values of a check standard about an accepted value, with limits from data that
+were taken before; SOP 17 (NISTIR 7383) describes the same with three standard deviations as limits of action, and a test against
+the reference value. Here the stated uncertainty of each value widens its own limits (docs/decisions/0045). The comparison with a
+reference has no average: its uncertainty u_R is the same in all values, and would not become smaller.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class ControlState:
 
 
 def state_in(index: Index, bench: Bench, now: datetime) -> ControlState | None:
-    """The state of the check standard of a bench at a moment, according to an index; None if the bench has none."""
+    """The state of the check standard of a bench at a moment, according to an index; None if the bench has no check standard."""
     rule = bench.check_standard
     if rule is None:
         return None

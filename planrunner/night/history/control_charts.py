@@ -106,7 +106,7 @@ def ewma(
     same shape as values.
 
     The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. It begins with 0, so that the first limits are narrower. steady: if
-    True, it begins with its final value for the first σ, λ/(2 − λ) σ², as in the handbook.
+    True, the variance begins with its final value for the first σ, λ/(2 − λ) σ², as in the handbook.
     """
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     average, half = np.empty_like(values), np.empty_like(values)

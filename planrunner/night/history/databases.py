@@ -57,8 +57,8 @@ class Database(Protocol):
 
 
 def open_database(index: str | None, archive: Path) -> Database:
-    """The database of an archive's index. index: a file, or the URL of a PostgreSQL database; if None, the environment names it, by
-    default a file in this user's state folder. Raises `InputError`."""
+    """The database of an archive's index. index: a file, or the URL of a PostgreSQL database. If it is None, the environment may
+    name the index; otherwise the index is a file in this user's state folder. Raises `InputError`."""
     named = index or os.environ.get(INDEX) or ""
     if re.match(r"postgres(ql)?://", named):
         return Postgres(named)

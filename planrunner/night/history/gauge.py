@@ -1,6 +1,7 @@
 """Gauge repeatability and reproducibility: the variance of a measurement by device, operator, bench and repetition.
 
-A balanced, fully crossed random-effects model with all interactions, for one to three factors. Each mean square has the expectation
+The model is a balanced, fully crossed random-effects model with all interactions, for one to three factors. Each mean square has
+the expectation
 
     E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
 

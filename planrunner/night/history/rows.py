@@ -151,8 +151,8 @@ class IndexedRun:
 
 @dataclass(frozen=True, slots=True)
 class RunFilter:
-    """A filter for runs; an empty value matches all. Texts match equal values and, with `*` and `?`, patterns. since, until: first
-    and last moment, ISO 8601 in UTC; if `until` is a day, it means the end of that day."""
+    """A filter for runs; an empty value matches all runs. Texts match equal values and, with `*` and `?`, patterns. since, until:
+    first and last moment, ISO 8601 in UTC; if `until` is a day, it means the end of that day."""
 
     device: str = ""
     plan: str = ""
