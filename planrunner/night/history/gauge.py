@@ -5,15 +5,10 @@ the expectation
 
     E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
 
-<<<<<<< HEAD
 with r repetitions and a_f levels of factor f. The variance components follow from these expectations; a negative component counts
-as zero. Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of the modified
-=======
-with r repetitions and a_f levels of factor f. The variance components follow from it; a negative one counts as zero, also in the sums.
-Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of the modified
->>>>>>> 92b7075d (History: dates over any span, and parts of a gauge study that add up)
-large-sample method: Graybill and Wang (Journal of the American Statistical Association 75, 1980) for sums of mean squares, and Ting
-et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as Burdick, Borror and Montgomery (Design and
+as zero, also in the sums. Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of
+the modified large-sample method: Graybill and Wang (Journal of the American Statistical Association 75, 1980) for sums of mean squares,
+and Ting et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as Burdick, Borror and Montgomery (Design and
 Analysis of Gauge R&R Studies, 2005) apply them.
 """
 
