@@ -169,11 +169,11 @@ def fitted_drift(
     if not drift.shown and any(course.order for course in chosen):
         chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
     plain, whole = fits(matrix), fits(joined(matrix, chosen))
-    if not drift.shown and not _explained(whole, noises):
+    if not drift.shown and not explained_by_noise(whole, noises):
         suspected = _suspected(matrix, magnitudes, names, drift, None, fits)
         return FittedDrift(by_evidence=True, judged=True, suspected=suspected)
     bent = () if drift.shown else _nonlinear(matrix, plain, fits)
-    if bent and _explained(bent, noises) and _criterion(bent, len(matrix)) < _criterion(whole, len(matrix)):
+    if bent and explained_by_noise(bent, noises) and _criterion(bent, len(matrix)) < _criterion(whole, len(matrix)):
         doubted = tuple(
             one
             for course in chosen[:1]
@@ -311,7 +311,7 @@ def _chance(
     from scipy.special import fdtrc
 
     r, left = course.columns.shape[1], after[0].degrees_of_freedom
-    explained = _explained(after, noises)
+    explained = explained_by_noise(after, noises)
     freedom = sum(noise.degrees_of_freedom for noise in noises)
     m, smallest, drops = len(after), 1.0, 0.0
     for one, other, noise in zip(before, after, noises, strict=True):
@@ -329,7 +329,7 @@ def _chance(
     return 2 * min(m * smallest, together)
 
 
-def _explained(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> bool:
+def explained_by_noise(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> bool:
     """Whether the noise within the segments explains the residuals of all outputs together (F-test). False if the noise is unknown."""
     from scipy.special import fdtrc
 

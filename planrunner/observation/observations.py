@@ -221,19 +221,24 @@ def within_segment_noise(
         shares = explained if isinstance(explained, float) else explained[: len(error) - observations.within]
         means = within_segment_noise(observations.of_means, channel, shares)
         return replace(means, sigma=np.concatenate([means.sigma, error[len(means.sigma) :]]))
-    degrees = np.where(np.isfinite(error), observations.freedom, 0.0)
+    plain = pooled_noise(error, observations.seconds, observations.freedom)
+    return replace(plain, sigma=_left(plain.sigma**2, explained)) if plain.known else plain
+
+
+def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentNoise:
+    """The noise of n means, as for `within_segment_noise`, from their standard errors (n,), recorded times (n,), s, and the degrees of
+    freedom of the standard errors (n,)."""
+    degrees = np.where(np.isfinite(error), freedom, 0.0)
     usable = (degrees > 0) & (error > 0)
     n = len(error)
     if not usable.any():
         return WithinSegmentNoise(np.ones(n), False, Weighting.EQUAL, 0.0)
-    spread = error**2 * observations.seconds
+    spread = error**2 * seconds
     pooled = float(np.sum(degrees[usable] * spread[usable]) / np.sum(degrees[usable]))
     if usable.all() and n > 1 and variances_differ(spread, degrees, pooled):
-        freedom = float(np.sum(error**2) ** 2 / np.sum(error**4 / degrees))
-        return WithinSegmentNoise(_left(error**2, explained), True, Weighting.INDIVIDUAL, freedom)
-    return WithinSegmentNoise(
-        _left(pooled / observations.seconds, explained), True, Weighting.POOLED, float(np.sum(degrees[usable]))
-    )
+        own = float(np.sum(error**2) ** 2 / np.sum(error**4 / degrees))
+        return WithinSegmentNoise(error, True, Weighting.INDIVIDUAL, own)
+    return WithinSegmentNoise(np.sqrt(pooled / seconds), True, Weighting.POOLED, float(np.sum(degrees[usable])))
 
 
 def _left(variance: Array, explained: Array | float) -> Array:

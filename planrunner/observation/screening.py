@@ -32,7 +32,7 @@ from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import OutputModel, SensorModel
 from planrunner.observation.angle_spikes import AngleSpikes
 from planrunner.observation.standing import PER_SIGMA, RUN, leaves_count, with_standing
-from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.plan.schedule import Cycle, Rest, Segment, Spin
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 
 RowNumbers = NDArray[np.int64]
@@ -56,6 +56,8 @@ _SPARSE, _STRETCH = 16, 64  # of so many stretches of so many samples one shows 
 _FEW = 50  # large changes that are looked at one by one
 _SAMPLED = 4096  # distances from which the scale is taken
 _SLOPE_FROM = 16  # differences from which the slope at an end is known well enough
+_UNTRIMMED = 1.113  # mean of all changes of white Gaussian noise over the mean of the smallest 95 %
+_SETTLED = 0.25  # s: so far from a turn to a stop, a change is no part of the turn
 _JERK = 1.5  # mean changes around a sample, in a segment that may move freely: less is no outlier
 _LEAST = 16  # samples of a segment that is examined
 _TOGETHER = 8  # good samples between outliers of one burst, at most
@@ -119,7 +121,8 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
             if output.name in units and varies(output):
                 counts[output.name], scales[output.name] = output.noise.resolution, output.full_scale
         steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
-        return Screening(counts, scales, rows, steady=steady, angles=angles)
+        stopping = isinstance(segment.motion, Cycle)
+        return Screening(counts, scales, rows, steady=steady, stopping=stopping, angles=angles)
 
     return watch
 
@@ -283,12 +286,13 @@ class Screening:
         rows: int,
         *,
         steady: bool,
+        stopping: bool = False,
         angles: Sequence[AngleSpikes] = (),
     ):
         """counts: channel → declared count, 0 if none is declared; full_scales: channel → full scale of either sign. Counts and
         full scales are in the channels' units. steady: True if the segment is planned at rest or turning evenly, so that the
-        stimulus causes no changes within it."""
-        self.channels, self.steady, self.angles = tuple(counts), steady, angles
+        stimulus causes no changes within it. stopping: True if the segment is planned to turn from stop to stop."""
+        self.channels, self.steady, self.stopping, self.angles = tuple(counts), steady, stopping, angles
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
         k, room = len(self.channels), min(_PIECE, max(rows, 1))
@@ -483,7 +487,9 @@ class Screening:
         if level > 0:
             usual, count = min(level, self.usual[k]), self._count(k)
             large = max(_LARGE * usual, 3 * count)
-            if changes.max() > large:
+            if changes.max() > large:  # perhaps by turns, which also enlarge the mean change
+                usual = min(usual, _UNTRIMMED * _trimmed(changes))
+                large = max(_LARGE * usual, 3 * count)
                 around = slice(max(begin - _BESIDE, 0), end + _BESIDE)
                 low = _BESIDE if begin else len(self.rows_before)
                 places = np.flatnonzero(changes > large) + low - (last is not None)
@@ -549,11 +555,23 @@ class Screening:
             )
             off, scale = _off(x, size, looked), np.full(len(looked), usual)
             if not self.steady:
-                scale = np.maximum(scale, _JERK * _mean_around(np.append(changes, changes[-1]), _FAR)[looked])
+                scale = np.maximum(scale, _JERK * self._changes_around(x, changes)[looked])
             outlying |= off > g * wider * scale
         found = looked[outlying]
         for group in np.split(found, np.flatnonzero(np.diff(found) > _TOGETHER) + 1) if len(found) else ():
             self._note(k, window, int(group[0]), int(group[-1]) + 1)
+
+    def _changes_around(self, x: Array, changes: Array) -> Array:
+        """Mean change from sample to sample around each of n samples. From stop to stop, only the time near a turn counts, without the two
+        changes to a sample and back, which are not part of a turn. x: (n,); changes: (n - 1,), their absolute differences."""
+        padded = np.append(changes, changes[-1])
+        if not self.stopping:
+            return _mean_around(padded, _FAR)
+        size = min(_FAR, max(_NEAR, 2 * round(_SETTLED / self.interval) + 1))
+        back = np.zeros(len(x))
+        to_and_fro = np.diff(x[:-1]) * np.diff(x[1:]) < 0
+        back[1:-1] = np.where(to_and_fro, 2 * np.minimum(changes[:-1], changes[1:]), 0.0)
+        return np.maximum(_mean_around(padded, size) - back / size, 0.0)
 
     def _note(self, k: int, window: _Window, low: int, high: int) -> None:
         """Stores an outlier or a burst, from one index in the window to another."""

@@ -88,7 +88,9 @@ def test_declared_flicker_enters_the_budget_and_the_prediction() -> None:
     plain, declared = (
         known(CAMPAIGNS[AT_REST], WORLDS[name]) for name in ("flicker, not declared", "flicker, declared")
     )
-    _, made = recorded(CAMPAIGNS[AT_REST], WORLDS["flicker, declared"], np.random.default_rng(1))
+    _, made = recorded(
+        CAMPAIGNS[AT_REST], WORLDS["white noise"], np.random.default_rng(1)
+    )  # with flicker: a drift, too
     without, one = (estimated(CAMPAIGNS[AT_REST], sound, made) for sound in (plain, declared))
     assert isinstance(without, Estimate) and isinstance(one, Estimate)
     lines = {each.quantity.name for each in one.influences} - {each.quantity.name for each in without.influences}

@@ -97,12 +97,13 @@ def recorded(campaign: Campaign, world: World, draw: np.random.Generator) -> tup
 def estimated(campaign: Campaign, sound: Sound, made: Recorded) -> Estimate | str:
     """What planrunner makes of it, or why nothing."""
     segments = {segment.label: segment for segment in sound.schedule.segments}
-    recording = [_segment(segments[step.label], made, number, campaign) for number, step in enumerate(campaign.steps)]
+    recording = [segment_of(segments[step.label], made, number, campaign) for number, step in enumerate(campaign.steps)]
     results = analyse(sound.plan.estimates, (), recording, sound.models.site, sound.sensor, sound.setup)
     return results.estimates.get(campaign.estimate) or results.failures[campaign.estimate]
 
 
-def _segment(segment: Segment, made: Recorded, number: int, campaign: Campaign) -> RecordedSegment:
+def segment_of(segment: Segment, made: Recorded, number: int, campaign: Campaign) -> RecordedSegment:
+    """The recording of the step with this number."""
     rows = made.step == number
     time, values = made.time[rows], made.values[rows]
     channels = {name: values[:, k] for k, name in enumerate(campaign.channels)}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
-from planrunner.estimators.drift_fit import FittedDrift, fitted_drift, joined
+from planrunner.estimators.drift_fit import FittedDrift, explained_by_noise, fitted_drift, joined
 from planrunner.estimators.least_squares import LinearFit
 from planrunner.estimators.strapdown.standing import Stops
 from planrunner.estimators.strapdown.wandering import WanderingBias
@@ -65,38 +65,53 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
     lasting = np.append(stops.seconds, np.full(len(middles), response.step))
     seen, whole = courses_by_evidence(time - lasting / 2, time + lasting / 2, seconds, kelvin, n)
     sigma = stops.white[:, None] / np.sqrt(stops.seconds)
-    whitening = None
-    if flicker:
-        kernel = mean_covariance(stops.time - stops.seconds / 2, stops.time + stops.seconds / 2, response.span)
-        instability = np.array([flicker.get(k, 0.0) for k in range(len(sigma))])
-        whitening = least_squares.whitener(
-            np.array([np.diag(one**2) for one in sigma]) + instability[:, None, None] ** 2 * kernel
-        )
-
-    def fits(columns: Array) -> Sequence[LinearFit]:
-        return least_squares.fit_each(columns, stops.means.T, sigma, whitening=whitening)
-
-    noises = [WithinSegmentNoise(one, True, Weighting.INDIVIDUAL, stops.freedom) for one in sigma]
+    kernel = mean_covariance(stops.time - stops.seconds / 2, stops.time + stops.seconds / 2, response.span)
+    instability = np.array([flicker.get(k, 0.0) for k in range(len(sigma))])
     names = [f"position {k + 1}" for k in range(len(places))]
-    found = fitted_drift(matrix, np.ones(len(places)), names, seen, noises, np.eye(len(sigma)), fits, "within_segment")
+
+    def judged(scale: Array) -> tuple[FittedDrift, Sequence[LinearFit], Sequence[LinearFit], bool]:
+        """The drift, the fits with it, the fits with all courses, and whether noise explains what all courses leave. scale: (6,), of the
+        standard deviations, over those expected."""
+        spread, whitening = scale[:, None] * sigma, None
+        if flicker:
+            noise = np.array([np.diag(one**2) for one in spread])
+            whitening = least_squares.whitener(noise + (scale * instability)[:, None, None] ** 2 * kernel)
+
+        def fits(columns: Array) -> Sequence[LinearFit]:
+            return least_squares.fit_each(columns, stops.means.T, spread, whitening=whitening)
+
+        noises = [WithinSegmentNoise(one, True, Weighting.INDIVIDUAL, stops.freedom) for one in spread]
+        level, alike = np.ones(len(places)), np.eye(len(sigma))
+        found = fitted_drift(matrix, level, names, seen, noises, alike, fits, "within_segment")
+        full = fits(joined(matrix, seen.courses))
+        return found, fits(joined(matrix, found.courses)), full, explained_by_noise(full, noises)
+
+    expected = np.ones(len(sigma))
+    found, fits, full, explained = judged(expected)
+    if not explained and not found.courses:
+        # More than noise and drift varies: a drift is sought in the scatter that the courses leave.
+        expected = np.maximum(1.0, np.sqrt([one.variance_factor for one in full]))
+        found, fits, _, _ = judged(expected)
     shown = [next(one for one in whole.courses if one.name == course.name) for course in found.courses]
-    return _with_effect(found, fits(joined(matrix, found.courses)), shown, n, response, stops.freedom)
+    return _with_effect(found, fits, expected, shown, n, response, stops.freedom)
 
 
 def _with_effect(
     found: FittedDrift,
     fits: Sequence[LinearFit],
+    expected: Array,
     courses: Sequence[DriftCourse],
     observed: int,
     response: WanderingBias,
     freedom: float,
 ) -> StopDrift:
-    """The fitted drift with its effect on the navigation. courses: the courses of the drift, each with one column of n + l rows:
-    for the n observations, then for the l intervals of the response."""
+    """The fitted drift with its effect on the navigation. expected: (6,), standard deviations of the readings in the fits, over those that
+    noise and stated flicker explain. courses: the courses of the drift, each with one column of n + l rows: for the n observations, then
+    for the l intervals of the response."""
     from scipy.special import fdtrc
 
     left = fits[0].degrees_of_freedom
-    scatter = np.sqrt([one.chi_squared / left for one in fits])
+    scatter = expected * np.sqrt([one.chi_squared / left for one in fits])
     unexplained = len(fits) * fdtrc(left, freedom, scatter**2) < SIGNIFICANCE
     columns = (
         np.hstack([one.columns for one in courses]) if courses else np.zeros((observed + len(response.middles), 0))

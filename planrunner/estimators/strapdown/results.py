@@ -170,8 +170,7 @@ def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navi
     if not wandering_sensors(request.setup.inputs, request.parameters):
         return said(
             "The uncertainties of the errors come from the white noise observed during alignment, propagated through the linear "
-            "error equations; constant sensor errors are part of the measured errors. For the largest error, the root mean "
-            "square and the rate, the uncertainties are upper bounds."
+            "error equations; constant sensor errors are part of the measured errors."
         )
     return said(
         "The uncertainties of the errors come from the white noise observed during alignment and from the declared bias "

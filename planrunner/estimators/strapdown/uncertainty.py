@@ -29,6 +29,7 @@ from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquat
 from planrunner.navigation.wgs84 import radii
 from planrunner.observation.flicker import mean_covariance, of_unit_size
 from planrunner.physics.earth import Site
+from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.derivatives import jacobian, length
 from planrunner.uncertainty.influences import Influence, InputQuantity
 from planrunner.uncertainty.monte_carlo import square_root
@@ -58,6 +59,7 @@ NAMES = {
 _DIRECT = 7  # the first so many follow the state linearly
 DEGREE = math.degrees(1.0)
 RATE = HOUR / NAUTICAL_MILE
+_DRAWS, _SEED = 1000, 20  # courses of errors; 1000 give a standard deviation to 2 %
 _MOMENTS = 96  # at which the effect of biases that wander is evaluated
 
 
@@ -72,12 +74,12 @@ class Spread:
         step = float(points[0, 1] - points[0, 0]) if points.shape[1] > 1 else found.seconds
         count = points.shape[1] - 1
         covariances = np.array([start, *equations.covariances(start, density, step, count)])
-        self.radial, speed = _lengths(points, covariances)
+        self.radial, _ = _lengths(points, covariances)
         rest = found.seconds - count * step
         end = next(equations.covariances(covariances[-1], density, max(rest, 0.0), 1))
         carried = equations.step(found.seconds)[0] @ start
         both = np.block([[start[TILT, TILT], carried[:4, TILT].T], [carried[:4, TILT], end[:4, :4]]])
-        self.covariance = joined(found, points, both, self.radial, speed)
+        self.covariance = joined(found, both, _drawn(equations, found, points, start, density))
         last = len(NAMES) - 1
         self.covariance[last, last] = (found.record.radial_rate * RATE * CEP_SHARE * CEP_SPREAD) ** 2
 
@@ -105,7 +107,7 @@ class Wander:
             own = rate_of(quantity, request.sensor) ** 2 * covariances[:, k]
             over_time = interpolated(points[0], moments, own[:, 3:, 3:])
             radial, speed = _lengths(points, over_time)
-            values, vectors = np.linalg.eigh(joined(found, points, own[-1], radial, speed))
+            values, vectors = np.linalg.eigh(joined(found, own[-1], _bounds(found, points, radial, speed)))
             kept = values > 0
             influence = Influence(quantity, vectors[:, kept] * np.sqrt(values[kept]))
             if k in stated:
@@ -150,13 +152,11 @@ def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
     return _along(points[1:3], covariances[:, :2, :2]), _along(points[3:5], covariances[:, 2:4, 2:4])
 
 
-def joined(found: Navigated, points: Array, both: Array, radial: Array, speed: Array) -> Array:
+def joined(found: Navigated, both: Array, over_time: Array) -> Array:
     """Covariance (m, m) of `NAMES` in their units, without the contribution of the CEP rate.
 
-    The angles and the errors at the end depend linearly on the state. For figures over time, the uncertainty is an upper bound,
-    which assumes that the errors at all times are fully correlated; correlations between these figures are set to zero. both: (7,
-    7), joint covariance of the tilts after alignment and of the errors at the end; radial, speed: (n,), standard uncertainties at
-    the points.
+    The angles and the errors at the end depend linearly on the state. Correlations between figures over time are set to zero. both: (7, 7),
+    of tilts after alignment and of errors at the end; over_time: (5,), standard uncertainties of the figures over time.
     """
     angles = np.eye(_DIRECT)
     angles[:3, :3] = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
@@ -166,17 +166,50 @@ def joined(found: Navigated, points: Array, both: Array, radial: Array, speed: A
     line[_DIRECT, 3:5] = found.final[:2] / size if size else 0.0
     covariance = np.zeros((len(NAMES), len(NAMES)))
     covariance[: _DIRECT + 1, : _DIRECT + 1] = line @ both @ line.T
-    time, away, fast = points[0], np.hypot(*points[1:3]), np.hypot(*points[3:5])
-    over_time = (
-        float(np.interp(found.record.largest_at, time, radial)),
-        float(away @ radial / math.sqrt(away @ away * away.size)) if away.any() else float(radial[-1]),
-        float(speed[int(np.argmax(fast))]),
-        float(fast @ speed / math.sqrt(fast @ fast * fast.size)) if fast.any() else float(speed[-1]),
-        float(time @ radial / (time @ time)) * RATE,
-    )
     places = range(_DIRECT + 1, _DIRECT + 1 + len(over_time))
     covariance[places, places] = np.square(over_time)
     return covariance
+
+
+def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Array, density: Array) -> Array:
+    """Standard uncertainties (5,) of the figures over time, from courses of the errors that noise causes and the changes of the figures
+    if each course is subtracted from that of the navigation. Noise makes a largest value and a root mean square larger on average. This
+    is not corrected: the mean change is added to the expanded uncertainty (JCGM 100:2008, F.2.4.5). start: (7, 7), covariance of the state;
+    density: (6, 6), of white noise, in navigation axes."""
+    last = points.shape[1] - 1
+    every = max(1, -(-last // _MOMENTS))
+    course = np.column_stack([points[:, every::every], [found.seconds, *found.final]])
+    draw = np.random.default_rng(_SEED)
+
+    def drawn(root: Array) -> Array:
+        return np.asarray(root @ draw.standard_normal((root.shape[1], _DRAWS)))
+
+    state, errors = drawn(square_root(start)), np.zeros((5, course.shape[1], _DRAWS))
+    steps = np.diff(course[0], prepend=0.0)
+    transition, root = equations.step(steps[0])[0], square_root(equations.noise(density, steps[0]))
+    for k, step in enumerate(steps.tolist()):
+        if k == len(steps) - 1:
+            transition, root = equations.step(step)[0], square_root(equations.noise(density, step))
+        state = transition @ state + drawn(root)
+        errors[1:, k] = state[:4]
+    changes = _figures(course[..., None] - errors) - _figures(course[..., None])
+    over_time = changes[_DIRECT + 1 - 3 : -1]
+    return np.asarray(over_time.std(axis=1) + np.abs(over_time.mean(axis=1)) / coverage_factor(math.inf))
+
+
+def _bounds(found: Navigated, points: Array, radial: Array, speed: Array) -> Array:
+    """Upper bounds (5,) of the standard uncertainties of the figures over time, for errors that are fully correlated. radial, speed:
+    (n,), standard uncertainties at the points."""
+    time, away, fast = points[0], np.hypot(*points[1:3]), np.hypot(*points[3:5])
+    return np.array(
+        [
+            float(np.interp(found.record.largest_at, time, radial)),
+            float(away @ radial / math.sqrt(away @ away * away.size)) if away.any() else float(radial[-1]),
+            float(speed[int(np.argmax(fast))]),
+            float(fast @ speed / math.sqrt(fast @ fast * fast.size)) if fast.any() else float(speed[-1]),
+            float(time @ radial / (time @ time)) * RATE,
+        ]
+    )
 
 
 def _along(errors: Array, covariances: Array) -> Array:

@@ -18,7 +18,7 @@ from planrunner.estimators.interface import Estimate, EstimationError
 from planrunner.estimators.temperature.branches import approached, branches
 from planrunner.observation.correlated_errors import mixed
 from planrunner.observation.flicker import mean_covariance
-from planrunner.observation.observations import recorded_times
+from planrunner.observation.observations import pooled_noise, recorded_times
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
 from planrunner.uncertainty.influences import Aspect, Inputs
 from planrunner.uncertainty.monte_carlo import square_root
@@ -209,8 +209,14 @@ def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width
     direction, sweep = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
     direction[order], sweep[order] = approached(found[order, 0].tolist(), width)
     labels = tuple(recorded.label for recorded in segments)
-    freedom = sum(recorded.statistics.freedom for recorded in segments)
-    return Points(channel, text, found[:, 0], found[:, 1], found[:, 2], direction, sweep, labels, freedom=freedom)
+    start, end = recorded_times(segments)
+    freedom = np.array([recorded.statistics.freedom for recorded in segments], dtype=np.float64)
+    uncertainty, noise = found[:, 2], pooled_noise(found[:, 2], end - start, freedom)
+    if noise.known and np.isfinite(uncertainty).all() and (uncertainty > 0).all():
+        uncertainty = noise.sigma
+    return Points(
+        channel, text, found[:, 0], found[:, 1], uncertainty, direction, sweep, labels, freedom=float(freedom.sum())
+    )
 
 
 def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, float]:
