@@ -1,4 +1,4 @@
-"""Tables and plots that reports show: of estimates, design studies, diagnoses and histories."""
+"""The tables and plots that reports show: of estimates, design studies, diagnoses and histories."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from planrunner.base.dataclass import dataclass
 class Role(StrEnum):
     """Kind of the cells of a column. Reports use the role, never the title, to round, align and format cells.
 
-    A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits if there is none; a `NUMBER` is set or
-    stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is text.
+    A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits if there is no such column; a
+    `NUMBER` is set or stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is
+    text.
     """
 
     LABEL = "label"
@@ -37,7 +38,8 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TableColumn:
-    """A column of a table. unit: of all cells, shown beside the title; empty if there is none, or if the unit differs between rows."""
+    """A column of a table. unit: unit of all cells, shown beside the title; empty if there is none, or if the unit differs between
+    rows."""
 
     title: str
     role: Role = Role.LABEL
@@ -53,7 +55,7 @@ Cell = str | float | None
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table for readers. rows: each has one cell per column. terminal: whether the terminal shows the table too."""
+    """A table for readers. rows: each row has one cell per column. terminal: True if the terminal shows the table too."""
 
     title: str
     columns: tuple[TableColumn, ...]
@@ -70,20 +72,21 @@ FilledColumn = tuple[TableColumn, Iterable[Cell] | Array]
 
 
 def by_columns(title: str, *columns: FilledColumn) -> Table:
-    """A table from its columns, each with its cells."""
+    """Makes a table from columns, each given with its cells."""
     cells = [values.tolist() if isinstance(values, np.ndarray) else values for _, values in columns]
     return Table(title, tuple(column for column, _ in columns), tuple(zip(*cells, strict=True)))
 
 
 def known(values: Array) -> list[float | None]:
-    """Cells of values (n,), empty where a value is not finite."""
+    """The values (n,) as cells of a table; a cell is empty if its value is not finite."""
     return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """Points for readers, one per label or over x: series name → values, with optional standard uncertainties. log: both axes are
-    logarithmic; values that are not positive are not shown. lines: values are drawn as lines over x, without points.
+    """A plot of points for readers. series: name → values, one for each label or number of `x`; uncertainties: name → standard
+    uncertainties of the values, which may be missing. log: True if both axes are logarithmic; values that are not positive are then
+    not shown. lines: True if the values are drawn as lines over x, without points.
     """
 
     title: str

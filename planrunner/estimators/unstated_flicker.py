@@ -1,14 +1,14 @@
 """Flicker for which the bench file gives no coefficient B: the largest size that the data do not exclude.
 
-Flicker increases the scatter of the segments about the model only a little, but it changes constants, which are averages over a long
-span, much more. A few segments therefore cannot reveal it by their scatter, and a significance test would not find it. The question is
-how large B can be. Its posterior follows from the residuals of a fit by restricted likelihood (Harville, J. Am. Stat. Assoc. 72,
-1977) with the noise within the segments, whose variance is integrated out with its degrees of freedom. The prior of B is half-Cauchy
-(Gelman, Bayesian Analysis 1, 2006); its scale is the B whose flicker scatters the segments as much as their noise does: a weak prior,
-whose upper tail only the data can remove.
+Flicker increases the scatter of the segments about the model only a little, but it changes constants, which are averages over a
+long span, much more. The scatter of a few segments therefore cannot reveal the flicker, and a significance test would not find it.
+The question is how large B may be. The posterior of B follows from the residuals of a fit by restricted likelihood (Harville, J.
+Am. Stat. Assoc. 72, 1977) with the noise within the segments; the variance of this noise is integrated out with its degrees of
+freedom. The prior of B is half-Cauchy (Gelman, Bayesian Analysis 1, 2006). Its scale is the B whose flicker scatters the segments
+as much as their noise does: a weak prior, whose upper tail only the data can remove.
 
-An estimator states how its results depend on the flicker (`UnstatedFlicker`), and which observations show it (`FlickerEvidence`). The
-analysis gives the warning (`open_flicker`).
+An estimator states how its results depend on the flicker (`UnstatedFlicker`), and which observations give evidence of it
+(`FlickerEvidence`). The analysis gives the warning (`open_flicker`).
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ _LEAST = 0.01  # of a variance that flicker within the segments leaves for white
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlickerEvidence:
-    """n observations of a channel, which follow a linear model, in the unit of the channel. columns: (n, p), of the model; values: (n,),
-    the observations. sigma: (n,), noise of the observations, with `freedom` degrees of freedom. flicker: (n, r), change of the
-    observations per independent input of flicker with B = 1; within: (n,), part of the variance `sigma`² that flicker with B = 1
-    contributes. roots: (n, q), of declared effects (`stacked_roots`)."""
+    """n observations of a channel, which follow a linear model, in the unit of the channel. columns: (n, p), the columns of the
+    model; values: (n,), the observations. sigma: (n,), noise of the observations, with `freedom` degrees of freedom. flicker: (n,
+    r), change of the observations per independent input of flicker with B = 1; within: (n,), part of the variance `sigma`² that
+    flicker with B = 1 contributes. roots: (n, q), roots of the declared effects (`stacked_roots`)."""
 
     columns: Array
     values: Array
@@ -46,7 +46,8 @@ class FlickerEvidence:
     roots: Array
 
     def bound(self) -> float:
-        """The B below which the coefficient lies with the probability `CREDIBLE`, in the unit of the channel."""
+        """The largest credible B: with the probability `CREDIBLE`, the coefficient B is smaller than this bound, in the unit of the
+        channel."""
         few = self._averaged()
         whitening = least_squares.whitener(mixed(few.sigma, few.roots))
         columns, flicker = whitening @ few.columns, whitening @ few.flicker
@@ -68,14 +69,16 @@ class FlickerEvidence:
         return float(sizes[min(int(np.searchsorted(weights, CREDIBLE * weights[-1])), _ANGLES - 1)])
 
     def _scale(self, whitened: Array) -> float:
-        """1/B of the prior. whitened: the flicker if it is not averaged."""
+        """The reciprocal of the scale of the prior of B. whitened: the whitened flicker, which is used if the observations are not
+        averaged."""
         if len(self.values) <= _MOST:
             return _spread(whitened)
         return _spread(self.flicker / np.sqrt(self.sigma**2 + np.sum(self.roots**2, axis=1))[:, None])
 
     def _averaged(self) -> FlickerEvidence:
-        """At most `_MOST` averages of consecutive observations. They are linear functions of the observations and follow the same model, so
-        the bound that they give holds with its probability, too. The cost of many observations then grows with n², not with n³."""
+        """At most `_MOST` averages of consecutive observations. The averages are linear functions of the observations and follow
+        the same model, so the bound that they give holds with the same probability. With this, the cost for many observations grows
+        with n², not with n³."""
         n = len(self.values)
         if n <= _MOST:
             return self
@@ -97,8 +100,8 @@ class FlickerEvidence:
 
 
 def _spread(flicker: Array) -> float:
-    """Standard deviation that flicker with B = 1 causes in observations (n, r), about their mean; for a single observation, its own
-    standard deviation."""
+    """Standard deviation that flicker with B = 1 causes in the observations, from the changes (n, r): about the mean of the
+    observations or, for a single observation, about zero."""
     n = len(flicker)
     about = flicker - flicker.mean(axis=0) if n > 1 else flicker
     return float(np.sqrt(np.sum(about**2) / max(n - 1, 1)))
@@ -106,13 +109,14 @@ def _spread(flicker: Array) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnstatedFlicker:
-    """Flicker of a channel for which the bench file states no bias instability. influence: of B = 1, in the unit of the channel, on
-    the coefficients of an estimate. evidence: None if the noise of the channel is not known."""
+    """Flicker of a channel for which the bench file states no bias instability. influence: influence of B = 1, in the unit of the
+    channel, on the coefficients of an estimate. evidence: what the observations show about B; None if the noise of the channel is
+    not known."""
 
     channel: str
     influence: Influence
     evidence: FlickerEvidence | None
 
     def through(self, gradient: Array) -> UnstatedFlicker:
-        """The influence on q quantities computed from the coefficients. gradient: (q, m), ∂quantity/∂coefficient."""
+        """The influence on q quantities that are computed from the coefficients. gradient: (q, m), ∂quantity/∂coefficient."""
         return UnstatedFlicker(self.channel, self.influence.through(gradient), self.evidence)

@@ -1,1 +1,1 @@
-"""Coefficients over temperature: polynomials and splines, and the choice of their order."""
+"""Coefficients as functions of temperature: polynomials and splines, and the choice of their order."""

@@ -1,24 +1,26 @@
-"""Curves over temperature, and the choice of their order by held-out error.
+"""Curves as functions of temperature, and the choice of their order by the error of held-out values.
 
     polynomial powers of T − T₀, with coefficients as used in compensation tables
     spline       natural cubic regression spline: straight beyond its ends, coefficients are its values at the knots (Hastie, Tibshirani
                  and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
 
-The order is chosen by leaving out whole temperatures, never single values, because values at one temperature have common errors. The
-one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same book,
-7.10.1). No more coefficients are tried than half of the temperatures: with few temperatures, one of many curves fits by chance.
+The order is chosen by leaving out whole temperatures, never single values, because values at one temperature have common errors.
+The one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest held-out
+error (Hastie et al., 7.10.1). The number of coefficients is at most half of the number of temperatures, rounded up: with few
+temperatures, one of many curves fits by chance.
 
-If the data select the order, the usual interval is too narrow, because terms of about one standard deviation that were not selected are
-missing. The uncertainty of a selected curve is therefore that of the curve of the highest order tried, which does not depend on the
-selection. The distance between both curves is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
+If the data select the order, the usual interval is too narrow, because terms of about one standard deviation that were not selected
+are missing. The uncertainty of a selected curve is therefore that of the curve of the highest order tried, which does not depend on
+the selection. The difference between the selected curve and this curve is added as an uncorrected systematic error (JCGM 100:2008,
+F.2.4.5).
 
-The noise of values may be correlated over time, by flicker that the bench declares. Values and columns are then whitened by its
-covariance, and held-out errors are those of whitened values.
+The noise of values may be correlated over time, by flicker that the bench declares. Values and columns are then whitened by the
+covariance of the noise, and held-out errors are those of the whitened values.
 
-Beside the curve, further columns may be fitted, such as those of the difference between rising and falling temperature (`branches`).
-Ramps differ from one another by more than noise: each ramp has an offset and a slope of random size. Their variances are part of all
-uncertainties. They are estimated from the decrease of the sum of squares when every ramp has its own offset and slope in the fit
-(Henderson's method 3: Searle, Casella and McCulloch, Variance Components, 5.5).
+Beside the curve, further columns may be fitted, such as those of the difference between rising and falling temperature
+(`branches`). Ramps differ from one another by more than noise: each ramp has an offset and a slope of random size. The variances of
+the offsets and slopes are part of all uncertainties. These variances are estimated from the decrease of the sum of squares when
+every ramp has its own offset and slope in the fit (Henderson's method 3: Searle, Casella and McCulloch, Variance Components, 5.5).
 """
 
 from __future__ import annotations
@@ -47,8 +49,8 @@ _EXACT, _TINY = (
 
 @dataclass(frozen=True)
 class Curve:
-    """Form of a curve. form: one of `FORMS`. order: of the polynomial, or the number of knots minus one, so that order 1 is a straight
-    line in either form. reference: T₀, degC; knots: degC, ascending, of a spline."""
+    """The form of a curve. form: one of `FORMS`. order: the order of a polynomial, or the number of knots of a spline minus one, so
+    that order 1 is a straight line in either form. reference: T₀, degC; knots: knots of a spline, degC, ascending."""
 
     form: str
     order: int
@@ -63,17 +65,18 @@ class Curve:
 
 
 def curve(form: str, order: int, reference: float, temperatures: Array) -> Curve:
-    """A curve for data at `temperatures` [degC]; the knots of a spline are quantiles of the distinct temperatures, including both ends."""
+    """The form of a curve for data at `temperatures` [degC]; the knots of a spline are quantiles of the distinct temperatures,
+    including the lowest and the highest temperature."""
     knots = np.quantile(np.unique(temperatures), np.linspace(0, 1, order + 1)) if form == "spline" else np.zeros(0)
     return Curve(form, order, reference, knots)
 
 
 def natural_spline(knots: Array, at: Array) -> Array:
-    """The matrix (n, k) that converts the values of a natural cubic spline at `knots` (k,) to its values at `at` (n,). Two knots make a
-    straight line.
+    """The matrix (n, k) that converts the values of a natural cubic spline at `knots` (k,) to the values of this spline at `at`
+    (n,). Two knots make a straight line.
 
-    With h_i the distances between neighbouring knots and M_i the second derivatives at the knots, zero at both ends, h_i·M_i + 2·(h_i +
-    h_{i+1})·M_{i+1} + h_{i+1}·M_{i+2} = 6·(difference of adjacent slopes).
+    Let h_i be the distances between neighbouring knots, and M_i the second derivatives at the knots, which are zero at both ends.
+    Then h_i·M_i + 2·(h_i + h_{i+1})·M_{i+1} + h_{i+1}·M_{i+2} = 6·(difference of adjacent slopes).
     """
     k, h = len(knots), np.diff(knots)
     slopes = np.zeros((k - 1, k))
@@ -95,8 +98,8 @@ def natural_spline(knots: Array, at: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """How well a curve of one order predicts held-out values. error: mean square over the held-out temperatures, in the value's unit
-    squared; standard_error: standard error of this mean square."""
+    """How well a curve of one order predicts held-out values. error: mean square error over the held-out temperatures, in the
+    square of the value's unit; standard_error: standard error of this mean."""
 
     order: int
     error: float
@@ -114,9 +117,9 @@ def held_out(
     beside: Array | None = None,
     whitening: Array | None = None,
 ) -> tuple[HeldOut, ...]:
-    """Held-out errors for each order. sigma: (n,), for weights; fold: (n,), the fold in which each value is held out; beside: (n, q),
-    columns that are fitted with each curve; whitening: (n, n), matrix that whitens correlated values; by default values are divided by
-    sigma."""
+    """Held-out errors for each order. sigma: (n,), standard uncertainties for the weights; fold: (n,), the fold in which each value
+    is held out; beside: (n, q), columns that are fitted together with each curve; whitening: (n, n), matrix that whitens correlated
+    values; by default values are divided by sigma."""
     whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
     weight = 1 / sigma**2
@@ -136,7 +139,7 @@ def held_out(
 
 
 def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
-    """The order that the given rule of `RULES` selects."""
+    """The held-out error of the order that a rule of `RULES` selects."""
     best = min(errors, key=lambda one: one.error)
     if rule == "smallest_error":
         return best
@@ -144,13 +147,15 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 
 def fold_of(group: Integers, folds: int) -> Integers:
-    """The fold in which each temperature group is held out. For folds = 0, each group is a fold by itself. Otherwise there are `folds`
-    adjoining ranges of temperature, so that neighbours with a common slow drift do not predict each other."""
+    """The fold in which each group of temperatures is held out. For folds = 0, each group is a separate fold. Otherwise there are
+    `folds` adjoining ranges of temperature, so that neighbouring temperatures, which have a slow drift in common, do not predict
+    each other."""
     return group if folds == 0 else group * folds // (int(group.max()) + 1)
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
-    """Factor, at least one, by which correlation between consecutive residuals increases the variance of the fit.
+    """Factor, at least one, by which the correlation between consecutive residuals increases the variance of the fitted
+    coefficients.
 
     The factor is 1 + 2·Σ r_k over the lags k up to the first at which the autocorrelation r, pooled over the series, is not positive
     (Geyer, Statistical Science 7, 1992, 473).
@@ -167,7 +172,8 @@ def correlation_time(residuals: Sequence[Array]) -> float:
 
 
 def groups_of(temperature: Array, width: float) -> Integers:
-    """Group number of each temperature, ascending: a temperature within `width` [K] of the lowest of a group belongs to that group."""
+    """The number of the group to which each temperature belongs, ascending: a group contains the temperatures within `width` [K] of
+    its lowest temperature."""
     order = np.argsort(temperature, kind="stable")
     group, number, first = np.zeros(len(temperature), dtype=np.int64), -1, -np.inf
     for index in order:
@@ -179,9 +185,9 @@ def groups_of(temperature: Array, width: float) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class RampScatter:
-    """A way in which ramps differ from one another at random. size: standard deviation of the difference, in the value's unit; zero if
-    noise explains it; degrees_of_freedom: of `size`; ratio: F, its mean square divided by the mean square from noise; probability:
-    chance of a larger ratio."""
+    """A way in which ramps differ from one another at random: in their offset or in their slope. size: standard deviation of this
+    offset or slope, in the value's unit; zero if noise explains it; degrees_of_freedom: of `size`; ratio: F, the mean square of the
+    ramps divided by the mean square from noise; probability: chance of a ratio at least this large from noise alone."""
 
     size: float
     degrees_of_freedom: int
@@ -191,8 +197,9 @@ class RampScatter:
 
 @dataclass(frozen=True, slots=True)
 class SummedCovariance:
-    """Covariance of m coefficients as a sum of independent mean squares, each with its degrees of freedom: noise, and the scatter of
-    ramps. parts: (m, m), one for each mean square; the first may have negative eigenvalues."""
+    """Covariance of m coefficients as a sum of independent mean squares, each with its degrees of freedom: noise, and the scatter
+    of ramps. parts: for each mean square, a matrix (m, m) and its degrees of freedom; the first matrix may have negative
+    eigenvalues."""
 
     parts: tuple[tuple[Array, float], ...]
 
@@ -210,17 +217,19 @@ class SummedCovariance:
         return np.sqrt(variance), np.where(known, variance**2 / np.where(known, squares, 1.0), freedom[0])
 
     def through(self, rows: Array, away: Array | None = None) -> SummedCovariance:
-        """The same covariance for linear functions (k, m) of the coefficients. away: (k,), uncorrected errors of these functions."""
+        """The covariance of linear functions (k, m) of the coefficients, as such a sum. away: (k,), uncorrected errors of these
+        functions."""
         (noise, freedom), *others = [(rows @ own @ rows.T, own_freedom) for own, own_freedom in self.parts]
         return SummedCovariance(((noise if away is None else noise + np.outer(away, away), freedom), *others))
 
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fitted curve. spread: uncertainty of its coefficients (p,). correlation: factor by which the variance of noise was increased
-    because consecutive residuals are correlated. beside, beside_spread: coefficients (q,) of the columns fitted with it. ramps: how the
-    offsets and slopes of ramps differ; empty if there are too few ramps to determine it. fullest: for a chosen curve, the curve of the
-    highest order tried, if it is a different one. gains: (p, n), derivatives of the coefficients with respect to the n values."""
+    """A fitted curve. spread: covariance of the coefficients (p,). correlation: factor by which the variance of noise was increased
+    because consecutive residuals are correlated. beside, beside_spread: coefficients (q,) of the columns that are fitted together
+    with the curve, and their covariance. ramps: how the offsets and slopes of ramps differ; empty if there are too few ramps to
+    determine this. fullest: if the order was chosen, the curve of the highest order tried; None if this is the curve itself. gains:
+    (p, n), derivatives of the coefficients with respect to the n values."""
 
     curve: Curve
     coefficients: Array
@@ -239,11 +248,11 @@ class CurveFit:
         return self.spread.covariance
 
     def uncertainties(self) -> tuple[Array, Array]:
-        """Standard uncertainties of the coefficients and their degrees of freedom, both (p,)."""
+        """The standard uncertainties of the coefficients, and their degrees of freedom, both (p,)."""
         return self.spread.of(np.eye(len(self.coefficients)))
 
     def predict(self, temperature: Array) -> tuple[Array, Array, Array]:
-        """The curve, its standard uncertainty and its degrees of freedom at temperatures [degC], all (n,)."""
+        """The values of the curve at `temperature` [degC], their standard uncertainties and their degrees of freedom, all (n,)."""
         columns = self.curve.columns(temperature)
         value = columns @ self.coefficients
         if self.fullest is None:
@@ -252,8 +261,8 @@ class CurveFit:
         return value, np.hypot(u, value - full), freedom
 
     def warmer(self, by: float) -> Array:
-        """Coefficients (p,) of the curve at T + by, where by is in K. They describe a run in which the true temperatures are higher by
-        this amount."""
+        """The coefficients (p,) of the curve at T + by, where `by` is in K. They describe a run in which the true temperatures are
+        higher by this amount."""
         if self.curve.form == "spline":
             return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
         moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef
@@ -262,10 +271,11 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class OverTemperature:
-    """n values over temperature. temperature: degC; sigma: for weights; group: index of the temperature, common to values at the same
-    temperature; series: index of the ramp along which a value follows others, −1 for a single value; ramp: index of the ramp or sweep
-    with a common offset, −1 for none; direction: of the ramp; all (n,). beside: (n, q), columns that are fitted with the curve.
-    covariance: (n, n), of the values, if they are correlated; sigma is then their uncorrelated part."""
+    """n values at different temperatures. temperature: degC; sigma: standard uncertainty, for the weights; group: number of the
+    temperature, the same for values at the same temperature; series: index of the ramp along which a value follows other values, −1
+    for a single value; ramp: index of the ramp or sweep that has a common offset, −1 for none; direction: direction of this ramp;
+    all (n,). beside: (n, q), columns that are fitted together with the curve. covariance: (n, n), covariance of the values, if they
+    are correlated; sigma is then the uncorrelated part."""
 
     temperature: Array
     value: Array
@@ -283,14 +293,14 @@ class OverTemperature:
         return None if self.covariance is None else least_squares.whitener(self.covariance)
 
     def white(self, columns: Array, transposed: bool = False) -> Array:
-        """Columns (n, …) multiplied by `whitening`, or divided by sigma if the values are not correlated. transposed: whether to multiply
-        by the transposed whitening matrix."""
+        """Columns (n, …) multiplied by `whitening`, or divided by sigma if the values are not correlated. transposed: True to
+        multiply by the transposed whitening matrix."""
         whitening = self.whitening
         return _white(columns, self.sigma, whitening.T if transposed and whitening is not None else whitening)
 
 
 def _white(columns: Array, sigma: Array, whitening: Array | None) -> Array:
-    """Columns (n, …) times the whitening (n, n), or divided by sigma (n,) without one."""
+    """Columns (n, …) multiplied by `whitening` (n, n), or divided by sigma (n,) if there is no whitening."""
     if whitening is not None:
         return np.asarray(whitening @ columns)
     return np.asarray(columns / (sigma if columns.ndim == 1 else sigma[:, None]))
@@ -306,9 +316,9 @@ def fit_curve(
     rule: str,
     scatter: bool,
 ) -> CurveFit:
-    """Fits a curve of the given order, or of the order up to `highest` that held-out errors select.
+    """Fits a curve of the given order or, if none is given, of the order up to `highest` that held-out errors select.
 
-    scatter: whether the covariance comes from the scatter of the residuals, otherwise from sigma. Raises `EstimationError`.
+    scatter: True if the covariance comes from the scatter of the residuals, False if it comes from sigma. Raises `EstimationError`.
     """
     temperature, group = values.temperature, values.group
     distinct = int(group.max()) + 1
@@ -338,7 +348,7 @@ def fit_curve(
 
 
 def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
-    """A curve through all values. Raises `EstimationError` if there is no basis for its uncertainty."""
+    """A curve of a given form, fitted to all values. Raises `EstimationError` if there are no residuals for its uncertainty."""
     columns = np.column_stack([made.columns(values.temperature), values.beside])
     fit = least_squares.fit(columns, values.value, values.sigma, covariance=values.covariance)
     gains = values.white((fit.cofactor @ values.white(columns).T).T, transposed=True).T
@@ -361,12 +371,12 @@ def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
 
 
 def _correlation(weighted: Array, series: Integers) -> float:
-    """The factor `correlation_time` of weighted residuals (n,)."""
+    """The factor `correlation_time` for the weighted residuals (n,) within each series."""
     return correlation_time([weighted[series == one] for one in np.unique(series[series >= 0])])
 
 
 def _parted(whole: CurveFit, p: int) -> CurveFit:
-    """Splits the coefficients into the p of the curve and those of the columns beside it."""
+    """Splits the coefficients into the p coefficients of the curve and those of the columns beside the curve."""
     if len(whole.coefficients) == p:
         return whole
     pick = np.eye(len(whole.coefficients))
@@ -382,16 +392,16 @@ def _parted(whole: CurveFit, p: int) -> CurveFit:
 
 @dataclass(frozen=True)
 class _Way:
-    """One way in which ramps may differ. columns: (n, r), weighted, one for each of r ramps; by_direction: (n, d), their sums in each
-    direction."""
+    """One way in which ramps may differ: in their offset or in their slope. columns: (n, r), weighted, one column for each of r
+    ramps; by_direction: (n, d), for each direction, the sum of the columns of its ramps."""
 
     columns: Array
     by_direction: Array
 
 
 def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
-    """The ways in which ramps of one direction may differ: by an offset, and along ramps by a slope. A way is used only if the values
-    determine it in addition to the fitted columns, and if two residuals remain."""
+    """The ways in which ramps of one direction may differ: in an offset and, if values follow each other along ramps, in a slope. A
+    way is used only if the values determine it in addition to the fitted columns, and if at least two residuals remain."""
     numbers, first = np.unique(values.ramp[values.ramp >= 0], return_index=True)
     senses = values.direction[values.ramp >= 0][first]
     each = (values.ramp[:, None] == numbers).astype(float)
@@ -411,7 +421,7 @@ def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
 
 
 def _free(fitted: Array, further: Array) -> Array:
-    """Orthonormal columns (n, k): the part of `further` (n, r) that is orthogonal to the space of `fitted` (n, m)."""
+    """Orthonormal columns (n, k) that span the part of `further` (n, r) that is orthogonal to all columns of `fitted` (n, m)."""
     if not further.size:
         return np.zeros((len(fitted), 0))
     base = _space(fitted)
@@ -420,18 +430,18 @@ def _free(fitted: Array, further: Array) -> Array:
 
 
 def _space(columns: Array) -> Array:
-    """An orthonormal basis of the space of columns (n, m), which may depend on one another."""
+    """An orthonormal basis of the space that the columns (n, m), which may be linearly dependent, span."""
     size = np.linalg.norm(columns, axis=0)
     base, found, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
     return np.asarray(base[:, found > _FREE * found[0]])
 
 
 def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequence[_Way]) -> CurveFit:
-    """The fit in which the ramps differ at random. ways: `_ways`.
+    """The fit in which the ramps differ at random. ways: from `_ways`.
 
-    Let y be the weighted values, A the columns, Z a way, and M the projector off A, off the mean of Z in each direction and off the
-    other ways. The reduction of the sum of squares by Z has the expectation k·φ + τ²·tr(ZᵀMZ), where φ is the variance of noise and τ
-    the standard deviation of the way. V = φ·I + Σ τ²·Z·Zᵀ.
+    Let y be the weighted values, A the columns, Z a way, and M the projector that removes A, the mean of Z in each direction, and
+    the other ways. The reduction of the sum of squares by Z has the expectation k·φ + τ²·tr(ZᵀMZ), where φ is the variance of noise
+    and τ the standard deviation of the way. V = φ·I + Σ τ²·Z·Zᵀ.
     """
     from scipy.special import fdtrc
 
@@ -471,7 +481,8 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
 
 
 def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:
-    """The simple curve. Its uncertainty combines the uncertainty of the full curve with the distance between the two curves."""
+    """The selected simple curve. Its uncertainty combines the uncertainty of the curve of the highest order with the difference
+    between the two curves."""
     if simple.curve.form == "polynomial":
         reads = np.eye(simple.curve.order + 1, full.curve.order + 1)
     else:

@@ -1,5 +1,5 @@
-"""Keys of a plan for coefficients over temperature, and checks before a recording: the plan has enough temperatures for a curve, and the
-requested coefficients exist.
+"""Keys of a plan for coefficients as functions of temperature. Checks before a recording: whether the plan has enough temperatures
+for a curve, and whether the requested coefficients exist.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ class TemperatureModelParameters(Record):
 
 
 def remarks(request: DesignRequest[TemperatureModelParameters]) -> tuple[Remark, ...]:
-    """Errors about requests that no recording can fulfil. Cases that are unknown before the recording are not reported: ramps, and
-    estimates without a prediction."""
+    """Errors about requests that no recording can fulfil. Cases that cannot be judged before the recording are not reported: ramps,
+    and estimates without a prediction."""
     if request.uses:
         return tuple(_of_estimates(request))
     if any(segment.ramp_to is not None or segment.temperature is None for segment in request.segments):

@@ -1,4 +1,5 @@
-"""Values over temperature: coefficients that other estimates give by temperature, and channels by segment or along a ramp."""
+"""Values at different temperatures: coefficients that other estimates give for each temperature, and means of channels over
+segments or along a ramp."""
 
 from __future__ import annotations
 
@@ -32,12 +33,13 @@ _FEWEST_INTERVALS = 8  # of each segment
 
 @dataclass(frozen=True)
 class Points:
-    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN if not known. direction: (n,), +1 at
-    rising temperature or at one reached from below, −1 at falling temperature or at one reached from above, 0 if neither is known.
-    ramp: (n,), index of the ramp, or of the sweep of held temperatures; −1 without a direction. labels: source of each value. along:
-    whether the values follow each other along ramps. expected: whether the values come from a schedule, without scatter. covariance:
-    (n, n), of the values with the flicker that the bench declares; None if it declares none, or the uncertainties are not known. time:
-    (n,), s, the mean time of each value; empty if it is not known."""
+    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard uncertainty, NaN if it is not known.
+    direction: (n,), +1 if the temperature was rising or was reached from below, −1 if it was falling or was reached from above, 0
+    if this is not known. ramp: (n,), index of the ramp, or of the sweep of held temperatures; −1 without a direction. labels:
+    source of each value. along: True if the values follow each other along ramps. expected: True if the values come from a
+    schedule, without scatter. covariance: (n, n), covariance of the values, which includes the flicker that the bench declares;
+    None if no flicker is declared, or if the uncertainties are not known. time: (n,), s, the mean time of each value; empty if the
+    times are not known."""
 
     name: str
     unit: str
@@ -61,7 +63,7 @@ class Points:
 
     @property
     def sigma(self) -> Array:
-        """Positive standard uncertainties for weights: the known ones, or equal values."""
+        """Positive standard uncertainties for the weights: the known ones, or else the number one for all values."""
         known = np.isfinite(self.uncertainty).all() and bool((self.uncertainty > 0).all())
         return self.uncertainty if known else np.ones(len(self.value))
 
@@ -71,9 +73,11 @@ class Points:
 
 
 def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> list[Points]:
-    """The coefficients by temperature of the estimates used; values of the same coefficient from several estimates are joined.
+    """The coefficients that the used estimates give for each temperature; values of the same coefficient from several estimates are
+    joined.
 
-    Raises `EstimationError` for an estimate without coefficients by temperature, a pattern that matches no name, and different units.
+    Raises `EstimationError` for an estimate that gives no coefficients for a temperature, for a pattern that matches no name, and
+    for different units.
     """
     gathered: dict[str, list[tuple[str, Mapping[str, object]]]] = {}
     for used, estimate in uses.items():
@@ -94,7 +98,7 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
 
 
 def given_by_temperature(estimate: Estimate) -> Mapping[str, Mapping[str, object]]:
-    """The coefficients that an estimate gives by temperature (see `interface.Estimate`); empty if it gives none."""
+    """The coefficients that an estimate gives for each temperature (see `interface.Estimate`); empty if there are none."""
     found = estimate.extra.get("by_temperature")
     return found if isinstance(found, Mapping) else {}
 
@@ -126,9 +130,9 @@ def from_channels(
     inputs: Inputs,
     span: float,
 ) -> list[Points]:
-    """Channels over temperature. Along a ramp, a value is the mean over a bin of `width` [K] of the thermometer. At a planned
-    temperature, it is the mean of the segment. inputs, span: the declared flicker, and the time over which a constant is averaged, s.
-    Raises `EstimationError`."""
+    """Means of channels at different temperatures. Along a ramp, a value is the mean over a bin of the thermometer's temperature
+    that is `width` [K] wide. At a planned temperature, a value is the mean of the segment. inputs: give the declared flicker; span:
+    the time over which a constant is averaged, s. Raises `EstimationError`."""
     for recorded in segments:
         for channel in (*channels, *([thermometer] if thermometer else [])):
             if channel not in recorded.units:
@@ -161,7 +165,7 @@ Intervals = tuple[Array, Array]
 def _channel(
     segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float
 ) -> tuple[Points, Intervals, Array]:
-    """The n values of a channel; q intervals of time; and the fraction of each interval in each value, (n, q)."""
+    """The n values of a channel; q intervals of time; and, for each value, the fraction of its samples in each interval, (n, q)."""
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
         raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)})")
@@ -220,7 +224,7 @@ def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width
 
 
 def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, float]:
-    """The planned temperature of a segment [degC], its mean, and the standard error of the mean."""
+    """The planned temperature of a segment [degC], the mean of the channel, and the standard error of the mean."""
     segment, statistics = recorded.segment, recorded.statistics
     if segment.temperature is None or segment.ramp_to is not None:
         raise EstimationError(
@@ -234,9 +238,10 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
 
 @dataclass(frozen=True, slots=True)
 class _Ramp:
-    """A branch of a segment's temperature in bins of ascending temperature. direction: +1 or −1, 0 if the temperature hardly changes.
-    ends: first and last temperature, degC. count: samples; celsius, mean: of the bin; squares: about a straight line within the bin;
-    all (b,). shares: (b, q), of the samples of each bin in q intervals of equal length of the segment."""
+    """A branch of a segment's temperature, divided into b bins of ascending temperature. direction: +1 or −1, 0 if the temperature
+    hardly changes. ends: first and last temperature, degC. count: number of samples in each bin; celsius, mean: mean temperature
+    and mean value in each bin; squares: sum of squares about a straight line within each bin; all (b,). shares: (b, q), fraction of
+    the samples of each bin in each of the q intervals of equal length into which the segment is divided."""
 
     direction: int
     ends: tuple[float, float]
@@ -248,8 +253,8 @@ class _Ramp:
 
 
 def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float, intervals: int) -> list[_Ramp]:
-    """The branches of a segment, found in one pass over its samples. Sums are kept by bin and by piece of the segment, and the mean
-    temperatures of the pieces determine the branches."""
+    """The branches of a segment, found in one pass over its samples. Sums are kept for each bin and each short piece of the
+    segment; the mean temperatures of the pieces determine the branches."""
     try:
         scale = unit(recorded.units[thermometer])
     except UnknownUnitError as error:
@@ -311,8 +316,8 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
 
 
 def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
-    """The index of each ramp, in order of time; −1 if the temperature hardly changes. A ramp that continues a ramp of the same
-    direction in the next segment has the same index."""
+    """The index of each ramp, in order of time; −1 if the temperature hardly changes. A ramp that continues the preceding ramp in
+    the same direction has the same index as that ramp."""
     found: list[int] = []
     last: _Ramp | None = None
     for ramp in ramps:

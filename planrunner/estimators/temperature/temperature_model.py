@@ -1,7 +1,9 @@
-"""Models coefficients or outputs over temperature by a polynomial or a spline whose order is chosen by held-out error.
+"""Models coefficients or outputs as functions of temperature by a polynomial or a spline, whose order is chosen by the error of
+held-out values.
 
-The module `points` collects values, and `curve` fits curves and chooses their order. If rising and falling temperature are both
-recorded, the curve is their common part, and the difference of the two is fitted beside it (`branches`).
+The module `points` collects values, and `curve` fits curves and chooses their order. If both rising and falling temperature are
+recorded, the curve is the part common to both directions, and the difference between them is fitted together with the curve
+(`branches`).
 """
 
 from __future__ import annotations
@@ -53,8 +55,9 @@ _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 @dataclass(frozen=True)
 class Loop:
-    """Differences between rising and falling temperature. celsius: (n,), degC. width: (n,), value at rising minus value at falling
-    temperature, in the value's unit; uncertainty, freedom: (n,), standard uncertainty of `width` and its degrees of freedom."""
+    """Differences between rising and falling temperature. celsius: (n,), degC. width: (n,), value at rising temperature minus value
+    at falling temperature, in the value's unit; uncertainty, freedom: (n,), standard uncertainty of `width` and its degrees of
+    freedom."""
 
     celsius: Array
     width: Array
@@ -69,9 +72,9 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class HiddenDrift:
-    """A linear drift in time that the order of the temperatures hides. power: index of the coefficient that the drift affects most, for a
-    polynomial the power of the temperature; growth: factor by which the standard uncertainty of this coefficient grows if the drift is
-    fitted, infinite if drift and coefficient cannot be separated."""
+    """A linear drift in time that cannot be noticed because of the order of the temperatures. power: index of the coefficient that
+    the drift affects most; for a polynomial this is the power of the temperature; growth: factor by which the standard uncertainty
+    of this coefficient grows if the drift is fitted; infinite if drift and coefficient cannot be separated."""
 
     power: int
     growth: float
@@ -79,8 +82,8 @@ class HiddenDrift:
 
 @dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its curve, and with the hysteresis loop if both directions of temperature are recorded. drift: fitted together
-    with curve and loop; hidden: a drift that is not fitted."""
+    """One quantity with its curve and, if both directions of temperature are recorded, with its hysteresis loop. drift: the courses
+    of a drift that are fitted together with curve and loop; hidden: a drift that is not fitted."""
 
     points: Points
     fit: CurveFit
@@ -98,8 +101,8 @@ class Modelled:
 
     @property
     def beside(self) -> Array:
-        """Columns (n, q) of the points that are fitted together with the curve: first those of the difference, then those of the
-        drift."""
+        """The columns (n, q) that are fitted together with the curve: first the columns of the difference between the directions,
+        then those of the drift."""
         return _beside(self.points, self.difference, self.drift)
 
     @property
@@ -110,7 +113,8 @@ class Modelled:
 
     @property
     def widest(self) -> tuple[float, float, float, float] | None:
-        """The largest difference, its standard uncertainty, degrees of freedom, and temperature [degC]."""
+        """The largest difference between the directions, its standard uncertainty, its degrees of freedom, and its temperature
+        [degC]."""
         loop = None if self.difference is None else self.loop(np.linspace(*self.ends, _DRAWN))
         if loop is None:
             return None
@@ -140,8 +144,9 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         return Design((), remarks=remarks(request))
 
     def foresee(self, request: DesignRequest[TemperatureModelParameters]) -> Foresight:
-        """Predicts the curves from expected values if their order is stated; otherwise it gives the coefficients of all possible orders
-        without uncertainties. Ramps also have no uncertainties, because only a recording shows their temperatures."""
+        """Predicts the curves from expected values if the plan states their order; otherwise gives the coefficients of all possible
+        orders without uncertainties. Coefficients from ramps also have no uncertainties, because only a recording shows the
+        temperatures of a ramp."""
         parameters = request.parameters
         ramps = parameters.temperature_channel is not None
         if parameters.order is not None and not ramps:
@@ -187,7 +192,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         )
 
     def words(self, request: EstimateRequest[TemperatureModelParameters], found: Curves) -> Words:
-        """Makes tables and plots of the curves, and explains how their orders were chosen."""
+        """Makes tables and plots of the curves, and explains how the orders of the curves were chosen."""
         parameters = request.parameters
         models = found.models
         return Words(
@@ -208,7 +213,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
 
 
 def _planned_units(request: DesignRequest[TemperatureModelParameters]) -> dict[str, str]:
-    """Maps the name of each quantity to be modelled to its unit; empty if they are not known."""
+    """Maps the name of each quantity to be modelled to its unit; empty if the quantities are not known."""
     parameters = request.parameters
     if parameters.channels:
         outputs = [request.sensor.output(name) for name in parameters.channels]
@@ -294,7 +299,7 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
 
 
 def _beside(points: Points, difference: Difference | None, drift: Sequence[DriftCourse]) -> Array:
-    """Columns (n, q) that are fitted beside a curve."""
+    """The columns (n, q) that are fitted together with a curve."""
     parts = [np.zeros((len(points.value), 0)), *(one.columns for one in drift)]
     if difference is not None:
         parts.insert(0, difference.columns(points.temperature, points.direction))
@@ -302,7 +307,7 @@ def _beside(points: Points, difference: Difference | None, drift: Sequence[Drift
 
 
 def _drift(points: Points, asked: str | None) -> tuple[DriftCourse, ...]:
-    """The courses of the drift that the plan asks for. Raises `EstimationError` for values whose times are not known."""
+    """The courses of the drift that the plan asks for. Raises `EstimationError` for values without known times."""
     if asked is None or asked == NONE:
         return ()
     if not len(points.time):
@@ -314,7 +319,8 @@ def _drift(points: Points, asked: str | None) -> tuple[DriftCourse, ...]:
 
 
 def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
-    """Whether the curve and the difference, columns (n, q), cannot reproduce the courses, which are tested one after the other."""
+    """Whether the courses of a drift, tested one after the other, are independent of the columns (n, q) of the curve and of the
+    difference."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     base = columns / np.where(size > 0, size, 1.0)
     for course in courses:
@@ -344,8 +350,8 @@ def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDri
 
 
 def _difference(points: Points, parameters: TemperatureModelParameters, highest: int) -> Difference | None:
-    """The form of the hysteresis. It has at most as many coefficients as leave two residuals beside a curve of order `highest` and the
-    ramps."""
+    """The form of the hysteresis loop. The number of its coefficients is limited, so that two residuals remain beside a curve of
+    order `highest` and the ramps."""
     ramps = len(np.unique(points.ramp[points.ramp >= 0]))
     left = len(points.value) - (highest + 1) - max(0, ramps - 2) - _RESIDUALS
     width = parameters.bin.value
@@ -353,8 +359,8 @@ def _difference(points: Points, parameters: TemperatureModelParameters, highest:
 
 
 def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
-    """The coefficients of all curves, and the hysteresis from ramps, with their covariance; the curves are treated as independent of each
-    other."""
+    """The coefficients of all curves and, from ramps, the hysteresis, with their covariance; the curves are treated as independent
+    of each other."""
     rows: list[Coefficient] = []
     blocks: list[Array] = []
     for one in models:
@@ -391,8 +397,8 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
 def _influences(
     request: EstimateRequest[TemperatureModelParameters], models: Sequence[Modelled]
 ) -> tuple[Influence, ...]:
-    """Influences of the chamber's temperature error: it shifts every curve in temperature, and it does not change the difference
-    between ramps. There is no influence if the sensor's own thermometer is used."""
+    """Influences of the error of the chamber's temperature, which shifts every curve along the temperature axis and does not change
+    the difference between ramps. There is no influence if the sensor's own thermometer is used."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()
@@ -406,8 +412,8 @@ def _influences(
 
 
 def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
-    """The flicker of the channels for which the bench file gives none. It moves the curves; the difference between ramps is a largest
-    value."""
+    """The flicker of the channels for which the bench file states no flicker. This flicker shifts the curves; it is not applied to
+    the hysteresis, which is a largest value."""
     counts = [len(one.fit.coefficients) + (one.widest is not None) for one in models]
     found, first = [], 0
     for one, count in zip(models, counts, strict=True):
@@ -431,7 +437,7 @@ def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
 
 
 def _label(form: str, name: str, text: str, k: int) -> tuple[str, str]:
-    """Name and unit of the k-th coefficient of a curve. text: the unit of its values."""
+    """Name and unit of the k-th coefficient of a curve. text: the unit of the values of the curve."""
     return (f"{name}_knot_{k + 1}", text) if form == "spline" else (f"{name}_T{k}", _per_kelvin(text, k))
 
 
@@ -477,7 +483,7 @@ def _tables(one: Modelled) -> list[Table]:
 
 
 def _loop_table(one: Modelled) -> list[Table]:
-    """Both branches over temperature, and their difference."""
+    """A table of both branches of the loop at several temperatures, and of their difference."""
     loop = None if one.difference is None else one.loop(np.linspace(*one.ends, _SHOWN))
     if loop is None:
         return []
@@ -496,13 +502,13 @@ def _loop_table(one: Modelled) -> list[Table]:
 
 
 def _fitted(one: Modelled) -> Array:
-    """The fitted values (n,) at the points, on their branches."""
+    """The fitted values (n,) at the points, each on the branch of its point."""
     own = one.beside
     return np.asarray(one.fit.predict(one.points.temperature)[0] + own @ one.fit.beside[: own.shape[1]])
 
 
 def _expanded(u: Array, freedom: Array) -> Array:
-    """U at 95 % from standard uncertainties and degrees of freedom, both (n,)."""
+    """Expanded uncertainties at 95 % from standard uncertainties and degrees of freedom, both (n,)."""
     return np.array([expanded_uncertainty(float(own), float(nu)) for own, nu in zip(u, freedom, strict=True)])
 
 

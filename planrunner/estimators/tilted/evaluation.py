@@ -1,7 +1,8 @@
-"""Computes scale factors of tilted axes from means. For each repeat, F_j − F_r is divided by the input of each axis; the results are
-then combined over repeats and temperatures.
+"""Computes scale factors of tilted axes from means. For each repeat, F_j − F_r is divided by the input of each axis; the results
+are then averaged over repeats and compared between temperatures.
 
-The module contains one function of the recorded means and of the conditions of the recording. Uncertainties follow from this function.
+The core of the module is one function of the recorded means and of the conditions of the recording. Uncertainties follow from this
+function.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 @dataclass(frozen=True, slots=True)
 class TiltedConditions:
-    """Conditions of the evaluation. axes: the sensor axes with their directions. commanded: (N,), rad/s, the table's rate in each
-    segment. along: (N, 3), the rotation axis in the fixture's frame. felt: (N, 3), rad/s, mean rate including the Earth's rotation;
-    None if the Earth's rotation is not corrected for. rate_error: relative error of the table's rate, one for all segments or (N,)."""
+    """Conditions under which scale factors are computed. axes: the sensor axes with their directions. commanded: (N,), rad/s, the
+    table's rate in each segment. along: (N, 3), the rotation axis in the fixture's frame. felt: (N, 3), rad/s, mean rate that
+    includes the Earth's rotation; None if the Earth's rotation is not corrected for. rate_error: relative error of the table's
+    rate, one value for all segments or (N,)."""
 
     axes: MountedAxes
     commanded: Array
@@ -45,10 +47,10 @@ class TiltedConditions:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """q repeats of n rates at one temperature. kelvin: measured or planned temperature, NaN if neither is known. spins: (q, n), indices
-    of the segments; rest: (q, N), weights of the segments in the rest value of a repeat, half for the zeros before and half for those
-    after; between: (q, N), weights of the segments in the difference of end zero and start zero. outputs: F_j − F_r, (q, n, m). drift:
-    end zero minus start zero, (q, m)."""
+    """q repeats of n rates at one temperature. kelvin: measured or planned temperature, NaN if neither of the two is known. spins:
+    (q, n), indices of the segments; rest: (q, N), weights of the segments in the rest value of a repeat: half for the zeros before
+    the rates, and half for the zeros after them; between: (q, N), weights of the segments in the difference between end zero and
+    start zero. outputs: F_j − F_r, (q, n, m). drift: end zero minus start zero, (q, m)."""
 
     label: str
     kelvin: float
@@ -62,14 +64,14 @@ class Group:
 
     @property
     def full_scale(self) -> Array:
-        """Largest output, (m,)."""
+        """The largest absolute output of each axis, (m,)."""
         largest: Array = np.abs(self.outputs.mean(axis=0)).max(axis=0)
         return largest
 
     @property
     def averages(self) -> Array:
-        """Weights (n + 1, N) of the segments in the means over the repeats. There is one row for each rate and, last, one for the rest
-        value."""
+        """Weights (n + 1, N) of the segments in averages over the repeats. There is one row for each rate and a last row for the
+        rest value."""
         q, n = self.spins.shape
         weights = np.zeros((n + 1, self.rest.shape[1]))
         weights[np.arange(n), self.spins] = 1 / q
@@ -79,11 +81,11 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """Results of an evaluation in a form that can be compared with another evaluation under other conditions. For g temperatures and m
-    axes: means: (g, m, 5), means over repeats of the quantities `QUANTITIES`; repeats: for each temperature (q, m, 5), the quantities of
-    each repeat; residuals: for each temperature (n, m), residuals of the means over repeats. repeatability: (g, m), s(K)/K, NaN for one
-    repeat. coefficient: (m,), slope of K over temperature, divided by K at the reference temperature; sensitivity: (m,), the largest |K_T
-    − K_0|/(K_0·|T − T_0|); both are NaN for one temperature."""
+    """Results of an evaluation, in a form that can be compared with the results under other conditions. For g temperatures and m
+    axes: means: (g, m, 5), means over the repeats of the five `QUANTITIES`; repeats: for each temperature (q, m, 5), the quantities
+    of each repeat; residuals: for each temperature (n, m), residuals averaged over the repeats. repeatability: (g, m), s(K)/K, NaN
+    for a single repeat. coefficient: (m,), slope of K as a function of temperature, divided by K at the reference temperature;
+    sensitivity: (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); both are NaN for a single temperature."""
 
     means: Array
     repeats: tuple[Array, ...]
@@ -102,7 +104,8 @@ class TiltedResults:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """The rate (g, m) with the largest residual, the sign of this residual, and the temperature (m,) that determines the sensitivity."""
+    """For each axis: the rate with the largest residual at each temperature (g, m), the sign of this residual (g, m), and the
+    temperature that determines the sensitivity (m,)."""
 
     rate: NDArray[np.int64]
     sign: Array
@@ -110,7 +113,7 @@ class Worst:
 
 
 def make_group(series: Sequence[RateSeries], label: str, kelvin: float, commanded: Array, mean: Array) -> Group:
-    """The repeats of one temperature. commanded: (N,); mean: (N, m), of all segments."""
+    """Combines the repeats at one temperature. commanded: (N,), rate of each segment; mean: (N, m), means of all segments."""
     spins = np.array([one.spins for one in series])
     before, after = (
         _weights(series, [one.start for one in series], mean),
@@ -134,8 +137,8 @@ def _weights(series: Sequence[RateSeries], rows: Sequence[tuple[int, ...]], mean
 def evaluate(
     groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
 ) -> TiltedResults:
-    """Computes all results. reference: the group whose K is the reference for the others. worst: the decisive rates and temperatures,
-    which stay fixed while conditions are changed."""
+    """Computes all results. reference: index of the group whose K is the reference for the other groups. worst: the rates and
+    temperatures that determine the largest values; they stay fixed while conditions are changed."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
     held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))
@@ -156,14 +159,15 @@ def evaluate(
 
 
 def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
-    """The values `QUANTITIES` of each repeat, (q, m, 5). rate, sign: (m,), of the largest residual."""
+    """The five `QUANTITIES` of each repeat, (q, m, 5). rate, sign: (m,), index of the rate with the largest residual, and the sign
+    of this residual."""
     at = line.residuals[:, rate, np.arange(len(rate))]
     return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
 
 
 def columns_of_repeats(groups: Sequence[Group], conditions: TiltedConditions, axis: int) -> Array:
-    """The linear model of the means of one output, (N, 3·R) for R repeats. Each repeat has its own zero, offset at the rates, and
-    scale factor, as `fit_lines` determines them."""
+    """The linear model of the means of one output, (N, 3·R) for R repeats. Each repeat has a separate zero, a separate offset at
+    the rates, and a separate scale factor, as in `fit_lines`."""
     columns = []
     for group in groups:
         inputs = conditions.inputs(group)[..., axis]
@@ -187,25 +191,27 @@ def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
 
 
 def slope_weights(kelvin: Array) -> Array:
-    """Weights (g,), 1/K. The weighted sum of g values is the slope of the straight line through them."""
+    """Weights (g,), 1/K, for values at g temperatures. The weighted sum of the values is the slope of the straight line through
+    them."""
     off = kelvin - kelvin.mean()
     return np.asarray(off / np.sum(off * off))
 
 
 def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Worst) -> tuple[Array, ...]:
-    """Sensitivities of the quantities of each group to its outputs, (n, m, 5): ∂(mean over the repeats)/∂(output at a rate, in all
-    repeats)."""
+    """Sensitivities of the quantities of each group to the outputs of the group, (n, m, 5): ∂(mean over the repeats)/∂(output at a
+    rate, in all repeats)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
 
 
 def answers_to_averages(answers: Array) -> Array:
-    """Sensitivities of the quantities of each group to `Group.averages`, (n + 1, m, 5). The last row is for the output at rest,
-    which is subtracted from the output at every rate."""
+    """Sensitivities (n + 1, m, 5) of the quantities of a group to the averages of `Group.averages`. The last row is for the output
+    at rest, which is subtracted from the output at every rate."""
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 
 def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64], sign: Array) -> Array:
-    """Each axis depends only on its own output, so the outputs of all axes can be changed at the same time."""
+    """The sensitivities of one group. Each axis depends only on its own output, so the outputs of all axes are changed at the same
+    time."""
     x, full_scale = conditions.inputs(group), group.full_scale
     q, n, m = x.shape
 
@@ -220,15 +226,16 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
-    """Coefficient and sensitivity, (2, m), of scale factors (g, m). decides: the temperature that determines the sensitivity."""
+    """Temperature coefficient and sensitivity, (2, m), of scale factors (g, m). decides: index of the temperature that determines
+    the sensitivity."""
     base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
     change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))
     return np.stack([slope_weights(kelvin) @ values / base, np.where(change.real < 0, -1.0, 1.0) * change])
 
 
 def _decisive(values: Array, kelvin: Array, reference: int) -> NDArray[np.int64]:
-    """The temperatures (m,) at which the change of the scale factors (g, m) is largest relative to the distance from the reference
-    temperature."""
+    """The indices (m,) of the temperatures at which the change of the scale factors (g, m), divided by the distance from the
+    reference temperature, is largest."""
     apart = np.abs(kelvin - kelvin[reference])
     away = np.isfinite(apart) & (apart > 0)
     size = np.abs(values - values[reference]) / np.where(away, apart, 1.0)[:, None]

@@ -1,10 +1,10 @@
 """Angles of a fixture's axes from spins about one rotation axis in several orientations of the fixture.
 
-An axis with the scale factor K along the unit vector d responds to a rate ω along n with K·(d·n)·ω; n is in the fixture's frame. Each
-orientation of the fixture on the table gives one component of the gain vector K·d. Three orientations whose n are not in one plane give
-the complete vector, and with it K, the angle from the fixture's z axis and the azimuth; two give K and the angle if the azimuth is
-stated. Orientations with the same n, or with n reversed, give no information on the angle. Errors common to all rates cancel in the
-angles.
+Let an axis have the scale factor K and lie along the unit vector d. It responds to a rate ω about the unit vector n with K·(d·n)·ω.
+Both vectors are given in the fixture's frame. Each orientation of the fixture on the table gives one component of the gain vector
+K·d. Three orientations whose vectors n are not in one plane give the complete gain vector, and with it K, the angle from the
+fixture's z axis, and the azimuth. Two orientations give K and the angle if the azimuth is stated. Orientations with the same n, or
+with the opposite n, give no information on the angle. Errors that are common to all rates cancel in the angles.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class FixtureAnglesParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixtureQuantities(Quantities):
-    """Observations and fit of each axis."""
+    """Observations and fit of each axis, and the results."""
 
     axes: MountedAxes
     fits: tuple[tuple[Observations, OutputsFit], ...]
@@ -163,7 +163,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         )
 
     def words(self, request: EstimateRequest[FixtureAnglesParameters], found: FixtureQuantities) -> Words:
-        """Makes the tables of found and stated angles, and of residuals."""
+        """Makes the tables of the angles found and the angles stated, and of the residuals."""
         parameters = request.parameters
         notes: list[Said] = []
         warnings: list[Said] = []
@@ -194,7 +194,7 @@ def _derived(
     axes: MountedAxes,
     fits: Sequence[tuple[Observations, OutputsFit]],
 ) -> Derived:
-    """K, angle and, if fitted, azimuth of each axis in the units of the results, from offsets and gains of all axes."""
+    """K, angle and, if fitted, azimuth of each axis, in the units of the results, computed from the offsets and gains of all axes."""
     offsets, shapes = len(model.orientations), []
     reported: list[Reported] = []
     for k, (observations, fit) in enumerate(fits):
@@ -221,7 +221,7 @@ def _derived(
 def _acting(
     request: EstimateRequest[FixtureAnglesParameters], model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """Influences on the offsets and gains of one axis."""
+    """Influences of the stated inputs on the offsets and gains of one axis."""
 
     def answered(matrix: Array) -> Array:
         """Change of the fitted coefficients. The outputs stay the same, so a change of a stated value changes the fit with the opposite

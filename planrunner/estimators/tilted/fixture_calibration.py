@@ -1,4 +1,5 @@
-"""Angles of a fixture that come from an estimate `fixture_angles` instead of from the plan: values and influences."""
+"""Angles of a fixture that come from an estimate of `fixture_angles` instead of from the plan: their values, and influences on
+them."""
 
 from __future__ import annotations
 
@@ -22,9 +23,10 @@ _AZIMUTH = "azimuth_{}"
 
 
 def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[MountedAxes, tuple[Influence, ...]]:
-    """The axes at their calibrated angles, and influences on these angles, (m, r) in rad; unchanged without a calibration.
+    """The axes with their calibrated angles, and the influences on these angles, (m, r) in rad; the axes are unchanged if there is
+    no calibration.
 
-    Raises `EstimationError` for an estimate that is not a calibration of the fixture, or not of all axes.
+    Raises `EstimationError` for an estimate that is not a calibration of the fixture, or that does not contain all axes.
     """
     if not uses:
         return axes, ()
@@ -37,8 +39,8 @@ def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[Mo
 
 
 def require_calibration(axes: MountedAxes, uses: Mapping[str, Design]) -> None:
-    """Checks a planned calibration. Raises `EstimationError` for an estimate that will not be a calibration of the fixture, or not of
-    all axes."""
+    """Checks that a planned estimate will calibrate the fixture. Raises `EstimationError` for an estimate that will not be a
+    calibration of the fixture, or that will not contain all axes."""
     if uses:
         name, used = _only(uses)
         if used.known:
@@ -70,7 +72,8 @@ def _carried(
     freedom: Sequence[float],
     name: str,
 ) -> tuple[Influence, ...]:
-    """Influences on the angles: one per axis from the data of the calibration, and the influences on the calibration itself."""
+    """Influences on the angles: for each axis one influence from the data of the calibration, and the influences on the calibration
+    itself."""
     factors = np.array([unit(coefficients[row].unit).factor for row in rows])
     arcsec = unit("arcsec").factor
     found = []
@@ -104,8 +107,8 @@ def _at(axes: MountedAxes, coefficients: Sequence[Coefficient]) -> MountedAxes:
 
 
 def _data_freedom(used: Estimate, item: Coefficient) -> float:
-    """Degrees of freedom of the data alone. They are computed back, because the analysis has combined them with those of the
-    influences."""
+    """Degrees of freedom of an angle from the data alone. They are derived from the budget, because the analysis has combined them
+    with the degrees of freedom of the influences."""
     for budget in used.budgets:
         if budget.coefficient == item.name:
             return next((line.degrees_of_freedom for line in budget.lines if line.kind == "A"), item.degrees_of_freedom)

@@ -1,7 +1,7 @@
-"""Input axes in a tilted fixture: which output belongs to which axis of `mounting`, and where the axes point in the fixture.
+"""Input axes in a tilted fixture: which output belongs to which axis of `mounting`, and the directions of the axes in the fixture.
 
-The fixture's frame is the sensor's frame of the plan's orientations: angles count from its z axis, which lies along the rotation axis of
-the table, and azimuths right-handed about z from x.
+The fixture's frame is the sensor's frame of the plan's orientations: angles are measured from its z axis, which lies along the
+rotation axis of the table, and azimuths are measured from x, right-handed about z.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ ALONG = 1e-5  # rad by which the fixture's z axis may stand off the rotation axi
 
 @dataclass(frozen=True, slots=True)
 class MountedAxes:
-    """m input axes. names: as in `mounting`; outputs: their channels.
+    """m input axes. names: names of the axes in `mounting`; outputs: the channels of the axes.
 
-    angles, azimuths: (m,), rad, NaN for an azimuth that is not stated; tilt: (2,), rad, small rotation of all axes about the fixture's
-    x and y, for sensitivities.
+    angles, azimuths: (m,), rad, NaN for an azimuth that is not stated; tilt: (2,), rad, a small rotation of all axes about the
+    fixture's x and y, for the computation of sensitivities.
     """
 
     names: tuple[str, ...]
@@ -46,17 +46,18 @@ class MountedAxes:
         return np.column_stack([x + about_y * z, y - about_x * z, z + about_x * y - about_y * x])
 
     def require_azimuths(self, why: str) -> None:
-        """Raises `EstimationError` if an azimuth is not stated. why: text that ends the message."""
+        """Raises `EstimationError` if an azimuth is not stated. why: the end of the message, after "which"."""
         for name, azimuth in zip(self.names, self.azimuths, strict=True):
             if math.isnan(azimuth):
                 raise EstimationError(f"mounting.{name} states no azimuth, which {why}")
 
 
 def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:
-    """The axes whose outputs are `chosen` (all of `mounting` without a choice); an output belongs to the axis that its name ends with.
+    """The axes whose outputs are `chosen`, or all axes of `mounting` if no output is chosen; an output belongs to the axis with
+    which its name ends.
 
     mounting: name → `planrunner.plan.model.MountedAxis`; available: the existing channels. Raises `EstimationError` for an axis
-    without output and an output without axis.
+    without an output, and for an output without an axis.
     """
     if not mounting:
         raise EstimationError(
@@ -78,7 +79,8 @@ def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], 
 
 
 def seeing(axes: MountedAxes) -> MountedAxes:
-    """Returns the axes unchanged after a check. Raises `EstimationError` for an axis perpendicular to the rotation axis."""
+    """Returns the axes unchanged, after checking that each of them senses the rate. Raises `EstimationError` for an axis
+    perpendicular to the rotation axis."""
     for name, angle in zip(axes.names, axes.angles, strict=True):
         if abs(math.cos(angle)) < BLIND:
             raise EstimationError(
@@ -89,10 +91,10 @@ def seeing(axes: MountedAxes) -> MountedAxes:
 
 
 def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
-    """Direction about which each segment spins, in the fixture's frame, (n, 3); zero for a segment at rest.
+    """Direction about which each segment spins, in the fixture's frame, (n, 3); zero for a segment that does not spin.
 
-    In an unknown orientation, z is assumed to be along the rotation axis. along_z: whether to raise `EstimationError` if z is not along
-    it, because the angles of the mounting are measured from z.
+    In an unknown orientation, z is assumed to lie along the rotation axis. along_z: True to raise `EstimationError` if z does not
+    lie along the rotation axis, because the angles of the mounting are measured from z.
     """
     found = np.zeros((len(segments), 3))
     for row, segment in enumerate(segments):

@@ -28,7 +28,7 @@ FEEBLE = 0.1  # cosine (84.3 deg) below which an axis sees a tenth of the rate, 
 
 
 def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
-    """Makes the design. Raises `EstimationError` if the plan is not suitable for the method."""
+    """Makes the design from planned segments. Raises `EstimationError` if the plan is not suitable for the method."""
     outputs = [output.name for output in request.sensor.outputs]
     axes = seeing(mounted_axes(request.setup.mounting, outputs, request.parameters.outputs))
     require_calibration(axes, request.uses)
@@ -49,7 +49,7 @@ def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
 
 
 def _blocks(request: DesignRequest[ScaleFactorTiltedParameters], axes: MountedAxes) -> tuple[DesignBlock, ...]:
-    """Design blocks: a line through all planned rates for each output. The rate of the table is used instead of the rate along the
+    """Design blocks: for each output, a line through all planned rates. The rate of the table is used instead of the rate along the
     axis."""
     spins = tuple(segment for segment in request.segments if segment.rate)
     rates = np.array([segment.rate for segment in spins])

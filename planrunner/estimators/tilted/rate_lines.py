@@ -1,7 +1,7 @@
-"""Straight lines through series of rates, many at once: F_j = K·x_j + F_0 + ν_j by ordinary least squares.
+"""Straight lines through many series of rates at once: F_j = K·x_j + F_0 + ν_j, fitted by ordinary least squares.
 
-The module also fits the two half-lines that meet at zero rate, for the asymmetry, and computes the change of output between the lowest
-rates.
+The module also fits the two half-lines that meet at zero rate, for the asymmetry, and computes the change of the output between the
+lowest rates.
 
 It also gives the units of a scale factor, which is an output divided by a rate.
 """
@@ -22,7 +22,8 @@ TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding
 @dataclass(frozen=True, slots=True)
 class RateLines:
     """Fits of q series on m axes. slope, offset: (q, m); residuals: (q, n, m); asymmetry: (q, m), 2·(K₊ − K₋)/(K₊ + K₋), NaN if the
-    rates do not allow it; response: (q, m), change of output between the lowest rates over the change expected from the line."""
+    rates do not allow it; response: (q, m), change of the output between the two lowest rates, divided by the change that the line
+    gives."""
 
     slope: Array
     offset: Array
@@ -32,7 +33,8 @@ class RateLines:
 
 
 def line_through(rates: Array) -> tuple[Array, Array]:
-    """Design of a line through rates (n,), rad/s: its columns, offset and rate, (n, 2), and their sizes, (2,)."""
+    """The design of a line through rates (n,), rad/s: the columns for offset and rate, (n, 2), and the sizes of these columns,
+    (2,)."""
     return np.column_stack([np.ones(len(rates)), rates]), np.array([1.0, np.abs(rates).max(initial=1e-12)])
 
 
@@ -47,7 +49,8 @@ def fit_lines(x: Array, f: Array) -> RateLines:
 
 
 def lowest_pair(x: Array) -> tuple[int, int]:
-    """Indices of the lowest positive and negative rate of a series (n,); of the two lowest rates if all have the same sign."""
+    """Indices of the lowest positive and the lowest negative rate of a series (n,) by absolute value; if all rates have the same
+    sign, of the two lowest rates."""
     order = np.argsort(np.abs(x), kind="stable")
     positive, negative = [k for k in order if x[k] > 0], [k for k in order if x[k] < 0]
     first, second = (positive[0], negative[0]) if positive and negative else (order[1], order[0])
@@ -60,8 +63,9 @@ def _response(x: Array, f: Array, slope: Array) -> Array:
 
 
 def _asymmetry(x: Array, f: Array) -> Array:
-    """Asymmetry by normal equations of columns divided by the largest rate. NaN for axes whose inputs are all on one side of zero (for
-    example, because the Earth's rotation is larger than the rates), or too few to separate the half-lines."""
+    """The asymmetry of each series and axis, from normal equations of columns divided by the largest rate. NaN for axes whose
+    inputs all have the same sign (for example, because the Earth's rotation is larger than the rates), or are too few to separate
+    the half-lines."""
     told = np.full((x.shape[0], x.shape[2]), np.nan, dtype=f.dtype)
     if np.unique(x[0, :, 0]).size < ENOUGH:
         return told
@@ -96,7 +100,8 @@ def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
 
 
 def slope_unit(rate: Unit, own: Unit) -> tuple[str, float]:
-    """The unit of K, and the factor to it from (output unit)/(rad/s). For an output that is itself a rate, K is a plain ratio."""
+    """The unit of K, and the factor that converts (output unit)/(rad/s) to it. For an output that is itself a rate, K is a plain
+    ratio."""
     if own.dimension == rate.dimension:
         return "1", own.factor
     return f"({own.text})/({rate.text})", rate.factor

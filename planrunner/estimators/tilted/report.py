@@ -1,4 +1,4 @@
-"""Report of tilted scale factors: tables, plots, and notes on their reliability."""
+"""Report on tilted scale factors: tables, plots, and notes on how reliable the results are."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def report(
     acting: Sequence[Influence],
     parameters: ScaleFactorTiltedParameters,
 ) -> Words:
-    """Makes tables, plots, notes and warnings."""
+    """Makes the tables, plots, notes and warnings."""
     spread = _spread(scatter, situation)
     tables = (
         _per_axis(situation, units, spread),
@@ -122,8 +122,8 @@ def _residuals(situation: Situation, units: Units) -> Table:
 
 
 def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Table:
-    """Response at the lowest rate by IEEE Std 528, and the smallest change of rate that a recording at this rate can distinguish from
-    noise: k·√2·u of its mean."""
+    """The response at the lowest rate by IEEE Std 528, and the smallest change of rate that can be distinguished from noise in a
+    recording at this rate: k·√2·u, where u is the standard uncertainty of the mean."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)
@@ -338,8 +338,8 @@ def _relative(spread: Array, situation: Situation) -> Array:
 
 
 def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
-    """Standard uncertainty of each axis's angle [rad], computed back from its contribution to the uncertainty of K; zero if nothing is
-    stated."""
+    """Standard uncertainty of each axis's angle [rad], derived from the contribution of the angle to the uncertainty of K; zero if
+    no uncertainty is stated."""
     axes = situation.conditions.axes
     stated = {f"fixture angle {name}": k for k, name in enumerate(axes.names)}
     found = np.zeros(len(axes.names))

@@ -1,6 +1,7 @@
 """Names, units and descriptions of the results for tilted axes, and their conversion to an `Estimate` or to predictions.
 
-At the reference temperature a coefficient is called `K_x`; at others the name includes the temperature, `K_x_-40degC`.
+The name of a coefficient is `K_x` at the reference temperature; at other temperatures it includes the temperature, such as
+`K_x_-40degC`.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class Item:
 def items(
     found: TiltedResults, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
 ) -> tuple[Item, ...]:
-    """The results that exist; those at the reference temperature come first. units: of the rate and of each axis's output."""
+    """The results that exist; the results at the reference temperature come first. units: the unit of the rate, and the unit of
+    each axis's output."""
     listed = [item for k in _order(len(groups), reference) for item in _at(found, groups, axes, units, k, reference)]
     return tuple(item for item in listed if np.isfinite(found.vector[item.at]))
 
@@ -65,7 +67,7 @@ def items(
 def coefficients(
     found: TiltedResults, kept: Sequence[Item], covariance: Array, freedom: Array
 ) -> tuple[Coefficient, ...]:
-    """The coefficients of the estimate. covariance, freedom: of `TiltedResults.vector`."""
+    """The coefficients of the estimate. covariance, freedom: covariance and degrees of freedom of `TiltedResults.vector`."""
     spread = np.sqrt(np.diag(covariance))
     return tuple(
         Coefficient(
@@ -84,7 +86,8 @@ def coefficients(
 def over_temperature(
     kept: Sequence[Item], shown: Sequence[Coefficient], groups: Sequence[Group], axes: MountedAxes, reference: int
 ) -> dict[str, object]:
-    """The scale factors over temperature, in the form of `extra` that `interface.Estimate` describes; empty if no temperature is known."""
+    """The scale factors at each temperature, in the form of `extra` that `interface.Estimate` describes; empty if no temperature is
+    known."""
     known = [k for k in range(len(groups)) if np.isfinite(groups[k].kelvin)]
     of = {item.name: one for item, one in zip(kept, shown, strict=True)}
     held: dict[str, object] = {}

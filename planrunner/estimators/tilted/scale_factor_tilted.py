@@ -1,9 +1,10 @@
 """Scale factors of several axes in one tilted mounting (提高标度因数测试效率的方法, Xi'an Aerospace Precision Electromechanical, 2022).
 
-For each temperature and repeat, F_r is the mean of the zero readings before and after the rates. F_j − F_r = K·cos θ·ω_j + F_0 + ν_j is
-fitted by ordinary least squares to the outputs F_j at the rates ω_j. The metrics have the wording of IEEE 952 and 1431. The source does
-not treat the Earth's rotation. Its component along the rotation axis cancels with F_r. The other components turn with the table, so whole
-turns average them out of F_j. They remain in the zero readings at the home position, so F_0 contains them unless they are corrected for.
+For each temperature and repeat, F_r is the mean of the zero readings before and after the rates. F_j − F_r = K·cos θ·ω_j + F_0 +
+ν_j is fitted by ordinary least squares to the outputs F_j at the rates ω_j. The names of the metrics follow IEEE 952 and 1431. The
+source does not treat the Earth's rotation. The component along the rotation axis cancels with F_r. The other components turn with
+the table, so whole turns average them out of F_j. They remain in the zero readings at the home position, so F_0 contains these
+components unless they are corrected for.
 """
 
 from __future__ import annotations
@@ -75,9 +76,9 @@ from planrunner.uncertainty.influences import Influence
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TiltedQuantities(Quantities):
-    """Quantities of a scale-factor test in a tilted fixture. kept: labels of the segments of complete series; units: of the rate
-    and of each output. within: scatter from the noise within the segments alone; acting: influences on `TiltedResults.vector`;
-    doubts: warnings about omitted series and zeros that drift too much."""
+    """Quantities of a scale-factor test in a tilted fixture. kept: labels of the segments in complete series; units: the unit of
+    the rate, and the unit of each output. within: scatter from the noise within the segments alone; acting: influences on
+    `TiltedResults.vector`; doubts: warnings about series that are omitted and about zeros that drift too much."""
 
     situation: Situation
     kept: tuple[str, ...]
@@ -171,7 +172,7 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
         )
 
     def words(self, request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> Words:
-        """Makes the tables and plots over rates, repeats and temperatures."""
+        """Makes the tables and plots of the results for all rates, repeats and temperatures."""
         parameters = request.parameters
         situation = found.situation
         told = report(situation, found.units, found.scatter, found.within, found.noise, found.acting, parameters)
@@ -199,7 +200,8 @@ def _unstated(
     freedom: Array,
     shown: Sequence[Item],
 ) -> tuple[UnstatedFlicker, ...]:
-    """The flicker of the outputs for which the bench file gives none. sigma: (N, m), freedom: (m,), as in `_sigma`."""
+    """The flicker of the outputs for which the bench file states no flicker. sigma: (N, m), freedom: (m,), both as returned by
+    `_sigma`."""
     silent = unstated_flicker(observations, request.setup.inputs, SPAN.value)
     found = []
     for error, influence in unstated_influences(situation, silent, request.parameters.uncertainty):
@@ -221,8 +223,8 @@ def _unstated(
 
 
 def _against_declared(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[Said]:
-    """Warnings about outputs whose scale factor differs from the nominal one. If an output of angular rate declares none, the nominal
-    scale factor is one."""
+    """Warnings about outputs whose scale factor differs from the nominal value. If no nominal scale factor is declared for an
+    output of angular rate, the nominal value is one."""
     axes, slopes = found.situation.conditions.axes, found.situation.found.means[found.situation.reference, :, K]
     named: list[tuple[str, float, float]] = []
     plain: list[AxisResponse] = []
@@ -270,7 +272,7 @@ def _situation(
 def _complete(
     request: EstimateRequest[ScaleFactorTiltedParameters],
 ) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[Said]]:
-    """The recorded segments of complete series, these series, and warnings about the others."""
+    """The recorded segments of complete series, the complete series, and warnings about the other series."""
     recorded = request.segments
     series = split_series([one.segment for one in recorded], request.parameters.zero)
     whole_ones: list[RateSeries] = []
@@ -371,7 +373,7 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
 def _measured(
     request: EstimateRequest[ScaleFactorTiltedParameters], recorded: Sequence[RecordedSegment], planned: float | None
 ) -> float:
-    """Mean temperature of the sensor [K]; as planned if it is not recorded; NaN if neither is known."""
+    """The mean temperature of the sensor [K]: as recorded, else as planned, else NaN."""
     wanted = request.parameters.temperature
     channel = wanted or THERMOMETER
     if wanted is None and any(channel not in one.statistics.channels for one in recorded):
@@ -395,8 +397,9 @@ def _sigma(
     observations: Observations,
     flicker: Sequence[CorrelatedError],
 ) -> tuple[Array, Array]:
-    """Noise of each segment's mean (N, m), without what flicker adds to the scatter within the segments, and its degrees of freedom (m,).
-    An output whose noise is not visible is treated as noiseless, unless the uncertainties are based on this noise."""
+    """Noise of each segment's mean (N, m), without the part that flicker adds to the scatter within the segments, and the degrees
+    of freedom of this noise (m,). An output without visible noise is treated as noiseless, unless the uncertainties are based on
+    this noise."""
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
         raise EstimationError(
@@ -422,7 +425,8 @@ def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[Said]:
 def _rounding(
     request: EstimateRequest[ScaleFactorTiltedParameters], kept: Sequence[RecordedSegment], axes: MountedAxes
 ) -> dict[str, Rounding]:
-    """Influence of rounding: of the average over samples if noise dithers them, otherwise of the mean by one count."""
+    """For each output, how its rounding acts on the means: if noise dithers the samples, the rounding errors average out; otherwise
+    a mean has the rounding error of a single sample."""
     found = {}
     for output in axes.outputs:
         variances = [float(np.diag(one.statistics.covariance)[one.statistics.of(output)]) for one in kept]

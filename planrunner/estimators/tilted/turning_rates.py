@@ -1,7 +1,7 @@
-"""Mean input of the axes of a fixture over each segment, including the Earth's rotation, in the fixture's frame.
+"""Mean input of the axes of a fixture over each segment, which includes the Earth's rotation, in the fixture's frame.
 
-Recording begins at the angle through which the table turns during spin-up and settling: half of rate × spin-up time (the acceleration is
-constant), plus rate × settling time. For whole turns the initial angle makes no difference.
+When recording begins, the table has turned during spin-up and settling, by half of rate × spin-up time (the acceleration is
+constant) plus rate × settling time. For whole turns, this angle makes no difference.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ def as_recording_begins(segments: Sequence[Segment], site: Site, table: TableMod
 
 
 def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[float | None]) -> Array:
-    """Mean angular rate relative to inertial space in the fixture's frame, (n, 3), rad/s, of segments at the beginning of their
-    recording.
+    """Mean angular rate relative to inertial space in the fixture's frame, (n, 3), rad/s. The segments have their attitudes at the
+    beginning of the recording.
 
-    durations: s, as recorded. Raises `EstimationError` for an unknown orientation.
+    durations: recorded durations, s. Raises `EstimationError` for an unknown orientation.
     """
     try:
         return segment_means(segments, site, durations).omega
@@ -43,15 +43,15 @@ def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[floa
 
 
 def recorded_seconds(recorded: RecordedSegment) -> float | None:
-    """Duration [s] over which the mean is formed. Each sample represents one interval."""
+    """The duration [s] over which the mean of a segment is formed. Each sample represents one interval."""
     return recorded.statistics.duration if recorded.statistics.count > 1 else recorded.segment.dwell
 
 
 def part_turns(
     segments: Sequence[Segment], durations: Sequence[float | None], intervals: Sequence[float]
 ) -> list[tuple[str, float]]:
-    """Label and number of turns of each spin that does not cover whole turns. intervals: s between samples; a dwell may differ from whole
-    turns by one interval."""
+    """Label and number of turns of each spin that does not cover whole turns. intervals: time between samples, s; a dwell may
+    differ from whole turns by one interval."""
     found = []
     for segment, seconds, interval in zip(segments, durations, intervals, strict=True):
         if not isinstance(segment.motion, Spin) or seconds is None:
