@@ -128,9 +128,9 @@ def _part(
     power_on: float,
     size: int | None,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
-    """Reads one segment: its samples, or means over `size` samples, without rows that contain NaN; their composition; the uncertainty
-    of the temperature, NaN if it changes; and the course of a motion that attitude and angle do not give. limits: full scale of each
-    output."""
+    """Reads one segment. Returns its planned states and its samples, or means over `size` samples, without rows that contain NaN;
+    these rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and the course of a motion
+    that attitude and angle do not give. limits: full scale of each output."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
         return _moved_part(item, motion, site, limits, channels, monitors, power_on, size)

@@ -4,16 +4,16 @@ Segments are held out in groups, each with segments of every kind of motion, and
 difference d between the predictions with and without the effect is then known exactly. The unknown is the gap g itself: its size is
 |g| before and |g − d| after. Two cases are averaged, weighted by their probability in the diagnosis.
 
-- An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments. Their errors
-  have the covariance that the noise gives them.
+- An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments. The errors of
+  the amplitudes have the covariance that follows from the noise.
 - Something else acts, additionally or alone. Let r be the held-out residual of the nominal simulation, whitened with the uncertainty
   of its fitted parameters (r = g + noise). The part of g along d is then measured with unit noise. The size of the other part follows
   from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
 
-Both cases need the level of the noise. The declared slow noise may be wrong by any factor, and the evidence tries only half and twice
-its level. The level is therefore measured, from the residuals that the most probable effects leave: by triad, and separately for the
-segment means and for the changes within segments. A level from few residuals is uncertain, so errors have Student's t distribution
-with their degrees of freedom.
+Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only half and
+twice its level. The level is therefore measured, from the residuals that the most probable effects leave: by triad, and separately
+for the segment means and for the changes within segments. A level from few residuals is uncertain, so errors have Student's t
+distribution with their degrees of freedom.
 """
 
 from __future__ import annotations
@@ -60,9 +60,10 @@ class ChannelClosure:
 
 
 class NotMeasured(StrEnum):
-    """Why there is no closure. NO_EFFECT: no effect is named. RANDOM: the named effects are random processes or act only on the noise;
-    the other segments do not determine what they do in the withheld ones. FEW_SEGMENTS: there are fewer than six. NOT_REPEATED: the
-    other segments contain too little information about the effect. WIDE: the 90 % interval is too wide, or the gap may be zero."""
+    """Why there is no closure. NO_EFFECT: no effect is named. RANDOM: the named effects are random processes or act only on the
+    noise; the other segments do not determine how such effects act in the held-out segments. FEW_SEGMENTS: there are fewer than six
+    segments. NOT_REPEATED: the other segments contain too little information about the effect. WIDE: the 90 % interval is too wide,
+    or the gap may be zero."""
 
     NO_EFFECT = "no effect"
     RANDOM = "random"
@@ -73,11 +74,11 @@ class NotMeasured(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in standard
-    deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap. interval_90: 90 %
-    interval of `shrinks_by`. reason: why the data do not determine it; the numbers are then NaN. channels: one entry for each channel
-    whose data determine the reduction. unpredicted: the named effects that remain in the gap, because other segments cannot predict
-    them."""
+    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in
+    standard deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap.
+    interval_90: 90 % interval of `shrinks_by`. reason: why the data do not determine the reduction; all numbers are then NaN.
+    channels: one entry for each channel whose data determine the reduction. unpredicted: the named effects that remain in the gap,
+    because other segments cannot predict them."""
 
     before: float
     after: float
@@ -98,10 +99,10 @@ def not_measured(reason: NotMeasured) -> Closure:
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """A form of an effect or set of effects that a fold may choose. effect: name of the effect or set. raw: by channel, its columns
-    (M, p) in magnitudes, not whitened; widths: number of columns of each effect. probability: probability that it is the whole cause.
-    prior: logarithm of the prior probability among the forms of the same effect, apart from a constant. whole: whether the amplitude is
-    fixed at 1."""
+    """A form of an effect or set of effects that a fold may choose. effect: name of the effect or set. raw: for each channel, the
+    columns (M, p) of the form in magnitudes, not whitened; widths: number of columns of each effect. probability: probability that
+    this form is the whole cause. prior: logarithm of the prior probability among the forms of the same effect, apart from a
+    constant. whole: True if its amplitude is fixed at 1."""
 
     effect: str
     raw: tuple[Array, ...] = field(repr=False)
@@ -124,9 +125,9 @@ class FoldChoice:
 
 @dataclass(frozen=True)
 class MeasuredNoise:
-    """The noise of the coefficients. weights: by channel, at the most probable level of flicker. scale: by channel (M,), measured standard
-    deviation of whitened coefficients, which is 1 if `weights` are right. group: by channel (M,), the group of each coefficient; degrees:
-    (groups,), degrees of freedom of the measured level of each group."""
+    """The noise of the coefficients. weights: weights of each channel at the most probable level of flicker. scale: for each
+    channel (M,), measured standard deviation of the whitened coefficients, which is 1 if `weights` are right. group: for each
+    channel (M,), the group of each coefficient; degrees: (groups,), degrees of freedom of the measured level of each group."""
 
     weights: tuple[ChannelWeights, ...] = field(repr=False)
     scale: tuple[Array, ...] = field(repr=False)
@@ -136,8 +137,9 @@ class MeasuredNoise:
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Amplitudes that are fitted to all segments. mean: (p,); roots: (groups, p, p), roots of the covariance of their errors that
-    each group of coefficients causes; degrees: (groups,), as in `MeasuredNoise`."""
+    """Amplitudes that are fitted to all segments. mean: (p,); roots: (groups + 1, p, p), a root of the covariance of the errors
+    that each group of coefficients causes, and one for the prior; degrees: (groups + 1,), as in `MeasuredNoise`, and infinite for
+    the prior."""
 
     mean: Array
     roots: Array = field(repr=False)
@@ -248,9 +250,9 @@ def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoi
 def measured_noise(
     weighing: Weighing, choice: FoldChoice, log_bayes: Array, walking: bool, explained: bool
 ) -> MeasuredNoise:
-    """The noise that remains beside an effect. log_bayes: (G,), log BF of the effect at each setting of the noise. walking: whether a
-    random walk acts too. A walk belongs to the gap, not to the noise. explained: whether the effect leaves only noise. Otherwise the
-    residuals contain a part of the gap, so the noise is at most as large as they are."""
+    """The noise that remains beside an effect. log_bayes: (G,), log BF of the effect at each setting of the noise. walking: True if
+    a random walk acts too. A walk belongs to the gap, not to the noise. explained: True if the effect leaves only noise. If it is
+    False, the residuals contain a part of the gap, so the noise is at most as large as the residuals."""
     terms = weighing.base + weighing.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
     gyro, accel = divmod(int(np.argmax(terms)), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
@@ -279,7 +281,7 @@ def measured_noise(
 
 @dataclass(frozen=True)
 class _Fit:
-    """A choice fitted to all segments. gram: (p, p), score: (p,); rows and columns: by channel, whitened."""
+    """A choice fitted to all segments. gram: (p, p), score: (p,); rows and columns: for each channel, whitened."""
 
     gram: Array
     score: Array
@@ -315,7 +317,7 @@ def _fit(choice: FoldChoice, noise: MeasuredNoise, rows: list[_Rows]) -> _Fit:
 
 
 def _shares(choices: Sequence[FoldChoice], fits: Sequence[_Fit]) -> Array:
-    """The probabilities of the choices. Those of the forms of one effect are computed again with the measured noise."""
+    """The probabilities of the choices. The probabilities of the forms of one effect are computed again with the measured noise."""
     shares = np.array([choice.probability for choice in choices])
     for effect in {choice.effect for choice in choices if choice.probability > 0}:
         own = np.array([choice.effect == effect for choice in choices]) & (shares > 0)
@@ -343,8 +345,8 @@ def _measured_rows(
 
 
 def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure, residual: Array) -> ChannelClosure:
-    """The closure of a channel, with its sizes also in the channel's unit. Coefficients count in proportion to the mean square of
-    their noise."""
+    """The closure of a channel, with the sizes of the gap also in the channel's unit. Coefficients count in proportion to the mean
+    square of their noise."""
     channel, weight = weighing.observed.channels[index], noise.weights[index]
     every = np.ones(len(weight.scale), dtype=bool)
     sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)) * noise.scale[index] ** 2)))
@@ -397,7 +399,7 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
     """The fraction of an effect's energy in held-out segments that the other segments determine, for amplitudes of the estimated
-    size. 0 if only one segment shows the effect."""
+    size. The fraction is 0 if only one segment shows the effect."""
     size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0
     for fold in folds:
@@ -448,7 +450,7 @@ def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Gen
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """Squares of the gap before and after, (count, 2), if a known cause is the whole gap. squared: |d|²."""
+    """Random values of the squared size of the gap before and after, (count, 2), if a known cause is the whole gap. squared: |d|²."""
     amplitudes = cause.amplitudes.drawn(count, draw)
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
     return np.column_stack([before, before - 2 * amplitudes @ cause.along + squared])
@@ -461,7 +463,7 @@ def _fold(
     held: NDArray[np.bool_],
     worth: float = WORTH,
 ) -> _Fold:
-    """The held-out rows of all channels. The effect is chosen from the other rows."""
+    """The held-out rows of all channels in one fold. The effect is chosen from the other rows."""
     used = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([choice.raw[0].shape[1] for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]

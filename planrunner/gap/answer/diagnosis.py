@@ -70,7 +70,7 @@ class DiagnosisOptions:
 @dataclass(frozen=True)
 class Grounds:
     """Basis of a diagnosis, for further analysis. nominal: names of the terms that the nominal simulation fits; choices: the choices of
-    the closure; noise: that of the closure, None if no effect is named that other segments can predict."""
+    the closure; noise: the noise in the closure, None if no effect is named that other segments can predict."""
 
     weighing: Weighing
     candidates: tuple[Candidate, ...]
@@ -233,7 +233,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
 def _closure(
     weighing: Weighing, noise: MeasuredNoise | None, choices: Sequence[FoldChoice], beyond: float, said: Verdict
 ) -> Closure:
-    """The closure, or why there is none."""
+    """The closure, or the reason why there is none."""
     if noise is None:
         return not_measured(NotMeasured.RANDOM if said.effects else NotMeasured.NO_EFFECT)
     return closure(weighing, noise, choices, beyond)
@@ -322,7 +322,7 @@ def _choices(
 def _forms(
     found: Posterior, by_id: Mapping[str, Candidate], exact: Mapping[str, Forms], key: str, p: float
 ) -> list[FoldChoice]:
-    """The choices for one effect or set of effects with the probability p."""
+    """The choices for one effect or set of effects, which has the probability p."""
     if key in exact:
         return [
             FoldChoice(key, weighed.raw, (1,), p * share, whole=True)

@@ -91,9 +91,10 @@ def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array,
     """Information (P, P) per second that a segment does not give because the angle of the turning table is unknown. rows: by channel, (n,
     P); noise: (K,), white noise density; seconds: dwell.
 
-    A component in phase, with the signal c·√2·cos θ, competes with the input of amplitude A and unknown phase (`Observed.unknown_phase`).
-    With the covariance σ²·I + A²·w·wᵀ of the samples, where w = cos θ and |w|² = T/2 for a dwell T and unit density of the noise, the
-    share A²T/2 ÷ (σ² + A²T/2) of its information is lost (Sherman and Morrison). The same holds for sin θ."""
+    A component in phase, with the signal c·√2·cos θ, competes with the input of amplitude A and unknown phase
+    (`Observed.unknown_phase`). With the covariance σ²·I + A²·w·wᵀ of the samples, where w = cos θ and |w|² = T/2 for a dwell T and
+    unit density of the noise, the share A²T/2 ÷ (σ² + A²T/2) of the information about this component is lost (Sherman and
+    Morrison). The same holds for sin θ."""
     amplitude = planned.unknown_phase[number]
     size = rows[0].shape[1]
     lost = np.zeros((size, size))

@@ -154,7 +154,7 @@ class Weighing:
     removed: (N, K), SI, signal that is subtracted from the samples before they are evaluated, such as a line. held: (N, K), True
     for samples that are replaced by the fit, such as samples that repeat an earlier one. coarse: (K,), True for channels whose
     noise does not dither the rounding to counts; their samples show rounding, not noise. Settings of both triads are combined:
-    index = gyro setting × accelerometer settings + accelerometer setting. angles: by channel, (M, n), the columns of
+    index = gyro setting × accelerometer settings + accelerometer setting. angles: for each channel, the columns (M, n) of
     `angle_columns` that act on it.
     """
 
@@ -408,9 +408,9 @@ def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
 
 
 def angle_columns(observed: Observed) -> list[Column]:
-    """The change of the specific force per radian of the angle of the table at the beginning of a segment, for each accelerometer and each
-    segment in which gravity shows this angle. The angle that gravity shows contains the errors of the accelerometers. With a free
-    correction for each channel, what looks like an angle is no evidence."""
+    """The change of the specific force per radian of the angle of the table at the beginning of a segment, for each accelerometer
+    and each segment in which gravity shows this angle. The angle that gravity shows contains the errors of the accelerometers. With
+    a free correction for each channel, a wrong angle therefore does not count as evidence."""
     shown = [index for index, source in enumerate(observed.angle_from) if source is AngleFrom.GRAVITY]
     if not shown:
         return []
@@ -430,8 +430,8 @@ def angle_columns(observed: Observed) -> list[Column]:
 
 
 def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
-    """Variance (M, K) of the coefficients, SI²·samples, from the nominal input with an unknown phase (`Observed.unknown_phase`). Its cosine
-    and sine components count as normal, each with the amplitude of the input as standard deviation."""
+    """Variance (M, K) of the coefficients, SI²·samples, from the nominal input with an unknown phase (`Observed.unknown_phase`).
+    The cosine and sine components of this input count as normal, each with the amplitude of the input as standard deviation."""
     amplitude = observed.unknown_phase
     if not amplitude.any():
         return np.zeros((len(spectrum_.segment), len(observed.channels)))
