@@ -74,8 +74,8 @@ class NoiseWithin:
         out = self.level[spectrum.segment]
         first = 0
         for index, basis in enumerate(spectrum.bases):
-            rows, kind = slice(first, first := first + len(basis.frequency)), self.moving[index]
-            if not (self.coloured[kind].any() or self.differing.any()):
+            rows = slice(first, first := first + len(basis.frequency))
+            if not (self.coloured.any() or self.differing.any()):
                 continue
             factor = self._relative(index, basis.frequency)
             harmonics = np.flatnonzero(basis.harmonic > 0)
@@ -84,14 +84,31 @@ class NoiseWithin:
                 half = observed.sample_rate / int(observed.bin_size[index]) / 2
                 shares[[0, -1]] /= 2
                 shares /= shares.sum(0)
-                factor[harmonics] = shares.T @ self._relative(index, np.linspace(0.0, half, len(shares)))
+                factor[harmonics] = shares.T @ self._at_harmonics(index, np.linspace(0.0, half, len(shares)))
             out[rows] *= factor
         return out
 
+    def _at_harmonics(self, segment: int, frequency: Array) -> Array:
+        """As `_relative`, for harmonics of the motion. They take all coefficients near their frequencies, so that a segment in motion does
+        not show a line of the noise there. The spectrum at rest shows it, and counts where it is larger."""
+        found = self._relative(segment, frequency)
+        at_rest = self.coloured[0] & (self.moving == 0).any()
+        if self.moving[segment] and at_rest.any():
+            found[:, at_rest] = np.maximum(found, self._of_kind(0, segment, frequency))[:, at_rest]
+        return found
+
+    def of_segment(self, segment: int, frequency: Array) -> Array:
+        """Variance (n, K) of the noise of a segment at frequencies (n,), Hz."""
+        return np.asarray(self.level[segment] * self._relative(segment, frequency))
+
     def _relative(self, segment: int, frequency: Array) -> Array:
         """The spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz. It is constant beyond the outermost bands."""
+        return self._of_kind(int(self.moving[segment]), segment, frequency)
+
+    def _of_kind(self, kind: int, segment: int, frequency: Array) -> Array:
+        """As `_relative`, with the spectrum at rest (kind 0) or in motion (1)."""
         place = np.log(np.maximum(frequency, self.frequency[0]))
-        spectra = np.log(self.spectrum[self.moving[segment]] * self.own[segment])
+        spectra = np.log(self.spectrum[kind] * self.own[segment])
         return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in spectra.T])))
 
 

@@ -43,9 +43,9 @@ class Spectrum:
     """M coefficients of all segments, and the remainder. segment: (M,), index of the segment of each coefficient; frequency,
     harmonic: (M,), as in `SpectralBasis`. means: (S,), indices of the coefficients of order 0. values: (M, K), SI·√samples. energy:
     (S, B, K), SI², of the DCT-II of the remainder in bands between `edges` (B + 1,), Hz, with `count` (S, B) coefficients.
-    remainder: (N, K), samples minus their components in the basis. spikes: (K,), number of samples that were replaced. readings:
-    (S, K), SI, mean outputs of the segments. If samples are means over bins of k samples, all other values are multiplied by √k, so
-    that their white noise is that of a single sample."""
+    remainder: (N, K), samples minus their components in the basis. spikes: (K,), number of samples that were replaced by the fit.
+    replaced: (N, K), what was subtracted from these samples. readings: (S, K), SI, mean outputs of the segments. If samples are means
+    over bins of k samples, all other values are multiplied by √k, so that their white noise is that of a single sample."""
 
     bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
@@ -58,6 +58,7 @@ class Spectrum:
     count: Array
     remainder: Array
     spikes: NDArray[np.int64]
+    replaced: Array
     readings: Array
 
     def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
@@ -152,7 +153,7 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
     edges = band_edges(observed.sample_rate / 2)
     values, energy = [], np.zeros((len(bases), len(edges) - 1, len(observed.channels)))
     count = np.zeros((len(bases), len(edges) - 1))
-    remainder = np.empty_like(observed.values)
+    remainder, replaced = np.empty_like(observed.values), np.zeros_like(observed.values)
     spikes = np.zeros(len(observed.channels), dtype=np.int64)
     roots = _roots(observed)
     if observed.bins is not None:
@@ -162,9 +163,11 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
         left = observed.values[part] - reference[part]
         if roots is not None:
             left *= roots[index]
-        coefficients, rest, replaced = _robust(basis.vectors, left, smallest, None if held is None else held[part])
-        spikes += replaced
+        coefficients, rest, spiked = _robust(basis.vectors, left, smallest, None if held is None else held[part])
+        spikes += spiked.sum(axis=0)
         values.append(coefficients)
+        replaced[part][spiked] = rest[spiked]
+        rest[spiked if held is None else spiked | held[part]] = 0.0
         remainder[part] = rest
         squares = dct(rest, type=2, norm="ortho", axis=0) ** 2
         half = observed.sample_rate / int(observed.bin_size[index]) / 2
@@ -187,6 +190,7 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
         count,
         remainder,
         spikes,
+        replaced,
         np.add.reduceat(observed.values, observed.bounds[:-1], axis=0) / np.diff(observed.bounds)[:, None],
     )
 
@@ -207,8 +211,9 @@ def band_edges(half: float) -> Array:
 
 def _robust(
     vectors: Array, samples: Array, smallest: Array, held: NDArray[np.bool_] | None
-) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Coefficients (m, K), remainder (n, K), and the number of samples of each channel that were replaced as spikes."""
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Coefficients (m, K), samples (n, K) without the fit, and which of these samples (n, K) are spikes. Spikes and held samples do not
+    enter the fit."""
     coefficients = vectors.T @ samples
     spiked = np.zeros(samples.shape, dtype=bool)
     for _ in range(4):
@@ -224,7 +229,7 @@ def _robust(
             good = ~spiked[:, channel]
             coefficients[:, channel] = np.linalg.lstsq(vectors[good], samples[good, channel], rcond=None)[0]
     spikes = spiked if held is None else spiked & ~held
-    return coefficients, np.where(spiked, 0.0, samples - vectors @ coefficients), spikes.sum(axis=0)
+    return coefficients, samples - vectors @ coefficients, spikes
 
 
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:

@@ -24,6 +24,7 @@ from planrunner.gap.evidence.bayes_factors import (
 )
 from planrunner.gap.evidence.noise_levels import counts
 from planrunner.gap.evidence.noise_within import noise_within
+from planrunner.gap.evidence.outliers import outliers
 from planrunner.gap.evidence.rounding import is_coarse, undithered
 from planrunner.gap.evidence.slow_noise import SlowMeans
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
@@ -174,23 +175,14 @@ class Weighing:
         self.nominal_columns = nominal_columns(observed, nominal)
         self._reference = simulated(observed, nominal)
         reference = self._reference if removed is None else self._reference + removed
-        self.spectrum: Spectrum = spectrum(observed, reference, held)
-        level, self.white_degrees = white_level(observed, self.spectrum)
-        self.white: Array = np.maximum(level, self.steps / np.sqrt(12))
-        self.coarse: NDArray[np.bool_] = is_coarse(self.white, self.steps)
+        self._measure(reference, held)
+        errors = outliers(observed, self.spectrum, self.noise, self.white, self.coarse)
+        if errors is not None:
+            self._measure(reference + errors, held)
         slow = SlowMeans.of(*lasting(observed))
         self.settings: dict[str, tuple[Setting, ...]] = {
             kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
         }
-        coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
-        self.whole = [
-            part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
-            for index, part in enumerate(coefficients)
-        ]
-        angles = coefficients_of(observed, self.spectrum, angle_columns(observed))
-        self.angles = [part[:, part.any(axis=0)] for part in angles]
-        self.nominal = [independent(np.hstack(parts)) for parts in zip(self.whole, self.angles, strict=True)]
-        self.noise = noise_within(observed, self.spectrum, self.white, self._left())
         self.observed = self.seen()
         relative = self.noise.of_coefficients(observed, self.spectrum)
         relative = relative + of_unknown_phase(observed, self.spectrum) / self.white**2
@@ -218,6 +210,23 @@ class Weighing:
             chosen, likelihood = walking_alike(each, settings)
             self.weights.append(chosen)
             self.log_likelihood.append(likelihood)
+
+    def _measure(self, reference: Array, held: NDArray[np.bool_] | None) -> None:
+        """The coefficients of the samples minus `reference` (N, K), those of the nominal columns, and the noise."""
+        observed = self.observed
+        self.spectrum: Spectrum = spectrum(observed, reference, held)
+        level, self.white_degrees = white_level(observed, self.spectrum)
+        self.white: Array = np.maximum(level, self.steps / np.sqrt(12))
+        self.coarse: NDArray[np.bool_] = is_coarse(self.white, self.steps)
+        coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
+        self.whole = [
+            part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
+            for index, part in enumerate(coefficients)
+        ]
+        angles = coefficients_of(observed, self.spectrum, angle_columns(observed))
+        self.angles = [part[:, part.any(axis=0)] for part in angles]
+        self.nominal = [independent(np.hstack(parts)) for parts in zip(self.whole, self.angles, strict=True)]
+        self.noise = noise_within(observed, self.spectrum, self.white, self._left())
 
     def _left(self) -> Array:
         """The coefficients (M, K) without the nominal parameters, fitted by least squares."""

@@ -1,0 +1,153 @@
+"""Outliers in coloured noise: single samples with an error that the spectrum of the noise does not allow.
+
+In white noise, an outlier is far from all other samples. In coloured noise, an outlier can be smaller than the scatter of the samples and
+still change the low frequencies. An example is a gyro whose rounding errors cancel from sample to sample. Each sample is therefore compared
+with the value that all other samples of its segment predict.
+
+Σ is the covariance of the noise, V the basis of the segment, x the samples, and P = Σ⁻¹ − Σ⁻¹V(VᵀΣ⁻¹V)⁻¹VᵀΣ⁻¹. The estimated error
+of sample t is (Px)_t/P_tt, with the variance 1/P_tt (Chang, Tiao and Chen, "Estimation of time series parameters in the presence of
+outliers", Technometrics 30, 1988). The discrete cosine transform makes Σ diagonal, except near the ends of the segment. At an end, no
+further sample cancels the last error, which then also counts as an outlier if it is large.
+
+A step of the signal also gives large values. A sample is an outlier only if a step near it explains less (Tsay, "Outliers, level shifts,
+and variance changes in time series", Journal of Forecasting 7, 1988), and if its segment has few of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.arrays import Array
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.noise_within import NoiseWithin
+from planrunner.gap.evidence.spectrum import Spectrum
+from planrunner.observation.bins import SPIKE
+
+MOST = 3  # outliers of a channel in a segment, or this share of its samples if that is more: more belong to the noise or to an effect
+SHARE = 1e-3
+LEAST = 64  # samples of a segment that is examined
+_NEAR = np.array([*range(-4, 6), -32, -24, -16, -12, -8, -6, 7, 9, 13, 17, 25, 33])
+"""Where a step may begin, in samples after an outlier."""
+_TRIED = 16  # samples with the largest errors, for which P_tt is computed exactly
+_ROUGHLY = 0.5  # share of the exact statistic that the rough one reaches at least
+_DEVIATION = 0.6745  # median absolute value of a normal variable
+
+
+@dataclass(frozen=True)
+class Pulses:
+    """Errors of single samples. rows: (p,), samples; sizes: (p,), their errors."""
+
+    rows: NDArray[np.int64]
+    sizes: Array
+
+
+def outliers(
+    observed: Observed, spectrum: Spectrum, noise: NoiseWithin, white: Array, coarse: NDArray[np.bool_]
+) -> Array | None:
+    """The errors (N, K) of the outliers, SI; None if there are none. white: (K,), SI, standard deviation of a sample; coarse: (K,),
+    channels that are not examined, because their samples show rounding. Samples that `spectrum` replaced are estimated from the other
+    samples, too."""
+    from scipy.fft import dct
+
+    found = np.zeros_like(spectrum.remainder)
+    transformed: dict[int, Array] = {}
+    for index, (basis, part) in enumerate(zip(spectrum.bases, observed.segments(), strict=True)):
+        channels = np.flatnonzero(noise.coloured[noise.moving[index]] & ~coarse)
+        samples = spectrum.remainder[part]
+        if len(samples) < LEAST or not len(channels):
+            continue
+        if id(basis) not in transformed:
+            transformed[id(basis)] = dct(basis.vectors, norm="ortho", axis=0)
+        size = int(observed.bin_size[index])
+        frequency = np.arange(len(samples)) * observed.sample_rate / size / (2 * len(samples))
+        variance = noise.of_segment(index, frequency) * white**2
+        for channel in channels:
+            replaced = np.flatnonzero(spectrum.replaced[part, channel])
+            pulses = pulses_in(samples[:, channel], transformed[id(basis)], variance[:, channel], replaced)
+            found[part.start + pulses.rows, channel] = (
+                pulses.sizes + spectrum.replaced[part.start + pulses.rows, channel]
+            ) / np.sqrt(size)
+    return found if found.any() else None
+
+
+def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.int64]) -> Pulses:
+    """The outliers among the samples (n,) of a segment.
+
+    basis: (n, m), cosine transform of the vectors whose amplitudes in the samples are unknown. variance: (n,), of each coefficient of the
+    cosine transform of the noise. known: rows of samples that are known to be wrong. If there are too many outliers, only these are
+    returned, or none if these are too many.
+    """
+    from scipy.fft import dct, idct
+
+    most = max(MOST, int(SHARE * len(samples)))
+    if len(known) > most:
+        return Pulses(known[:0], np.zeros(0))
+    root = 1 / np.sqrt(variance)
+    transformed = root * dct(samples, norm="ortho")
+    precision = _diagonal(root**2)
+    rows = known.tolist()
+    while len(rows) <= most:
+        q, _ = _solved(basis, rows, root)
+        error = idct(root * (transformed - q @ (q.T @ transformed)), norm="ortho")  # Px
+        error[rows] = 0.0
+        rough = np.abs(error) / np.sqrt(precision)
+        scale = max(1.0, float(np.median(rough)) / _DEVIATION)
+        tried = np.argsort(-rough)[:_TRIED]
+        if rough[tried[0]] < _ROUGHLY * SPIKE * scale:
+            break
+        exact = np.abs(error[tried]) / np.sqrt(_left(_unit(len(samples), tried) * root[:, None], q))
+        top = int(np.argmax(exact))
+        if exact[top] <= SPIKE * scale or _step(error, int(tried[top]), root, q) >= exact[top]:
+            break
+        rows.append(int(tried[top]))
+    else:
+        rows = known.tolist()
+    q, turned = _solved(basis, rows, root)
+    fitted = turned.T @ (q.T @ transformed)
+    return Pulses(np.array(rows, dtype=np.int64), fitted[basis.shape[1] :])
+
+
+def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
+    """An orthonormal basis Q of the whitened vectors (n, m) and unit pulses at these rows, and T with Q = (whitened columns)·Tᵀ. root:
+    (n,), inverse standard deviations."""
+    columns = np.column_stack([basis, _unit(len(root), rows)]) * root[:, None]
+    size = np.linalg.norm(columns, axis=0)
+    turned = np.linalg.inv(np.linalg.cholesky((columns.T @ columns) / np.outer(size, size))) / size
+    return columns @ turned.T, turned
+
+
+def _unit(count: int, rows: Sequence[int] | NDArray[np.int64]) -> Array:
+    """Cosine transforms (n, p) of unit pulses at these rows."""
+    order = np.arange(count)[:, None]
+    waves = np.cos(np.pi * order * (2 * np.asarray(rows, dtype=float) + 1) / (2 * count)) * np.sqrt(2 / count)
+    waves[0] /= np.sqrt(2)
+    return np.asarray(waves)
+
+
+def _diagonal(weight: Array) -> Array:
+    """The diagonal (n,) of Σ⁻¹, from the inverse variances (n,) of the coefficients of the cosine transform."""
+    count = len(weight)
+    turned = weight * np.exp(1j * np.pi * np.arange(count) / count)
+    turned[0] = 0.0
+    return np.asarray((weight.sum() + count * np.fft.ifft(turned).real) / count)
+
+
+def _left(columns: Array, q: Array) -> Array:
+    """Energies (p,) of columns (n, p) without their part in the span of q."""
+    return np.asarray(np.maximum((columns**2).sum(0) - ((q.T @ columns) ** 2).sum(0), 1e-300))
+
+
+def _step(error: Array, row: int, root: Array, q: Array) -> float:
+    """The largest statistic of a step near a row, comparable with that of an outlier."""
+    from scipy.fft import dct
+
+    count = len(error)
+    first = row + _NEAR
+    first = first[(first > 0) & (first < count)]
+    steps = dct((np.arange(count)[:, None] >= first).astype(float), norm="ortho", axis=0) * root[:, None]
+    beyond = np.cumsum(error[::-1])[::-1]
+    return float((np.abs(beyond[first]) / np.sqrt(_left(steps, q))).max())
