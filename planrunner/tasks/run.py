@@ -57,7 +57,7 @@ from planrunner.tasks.amendment import (
     require_same_measurement,
 )
 from planrunner.tasks.approvals import still_approved
-from planrunner.tasks.bench_signature import sign_analysis, sign_seal
+from planrunner.tasks.bench_signature import key_of, sign_analysis, sign_seal
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.check_standard import Admission, Override, admit, admit_again
@@ -483,10 +483,13 @@ def evaluate_run(
 def keep(made: Evaluated, *, elsewhere: bool = False) -> Analysis:
     """Writes an evaluation to its run, as a new analysis. elsewhere: whether another computer made it, so that the bench does not
     sign it."""
-    reader = RunReader.open(made.run)
-    stored = add_analysis(reader.folder, made.files, made.basis)
-    reader = replace(reader, basis=made.basis)
-    unsigned = sign_analysis(reader, made.bench, stored, made.results, elsewhere=elsewhere)
+    # Only a signature needs the run once more. Reading its journal takes most of the time that an analysis takes here.
+    reader = None if key_of(made.bench) is None else RunReader.open(made.run)
+    stored = add_analysis(open_run(made.run) if reader is None else reader.folder, made.files, made.basis)
+    unsigned: tuple[Finding, ...] = ()
+    if reader is not None:
+        reader = replace(reader, basis=made.basis)
+        unsigned = sign_analysis(reader, made.bench, stored, made.results, elsewhere=elsewhere)
     paths = tuple(stored.path / name for name in made.reports)
     return Analysis(
         stored.path, made.results, made.headline, paths, made.withheld, made.remarks, made.before, made.same, unsigned
