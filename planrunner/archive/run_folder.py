@@ -128,9 +128,9 @@ class RunWriter:
         the folder even if this process is killed.
 
         info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench
-        requires approvals. check_standard: state of the check standard of the bench, if it has one. parameters: values that were
-        given for parameters of the plan. If `root` has a log, an entry records that the run has begun. Raises `InputError` if the
-        folder cannot be written, and `IntegrityError` for a log that was changed.
+        requires approvals. check_standard: state of the check standard of the bench, if the bench has one. parameters: values that
+        were given for parameters of the plan. If `root` has a log, an entry records that the run has begun. Raises `InputError` if
+        the folder cannot be written, and `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
@@ -280,7 +280,7 @@ class RunWriter:
 
     @property
     def resume_point(self) -> ResumePoint:
-        """Clock and states to continue from."""
+        """The clock and the states from which the run continues."""
         return self._point
 
     def acknowledged(self, index: int) -> bool:

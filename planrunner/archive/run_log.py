@@ -108,7 +108,7 @@ class TreeHead:
 
 
 def parse_head(data: bytes, path: Path) -> TreeHead:
-    """The tree head in a file. Raises `IntegrityError`."""
+    """Reads the tree head in a file. Raises `IntegrityError`."""
     value = formats.parse_json(data, path, "tree-head", "planrunner_tree_head", formats.HEAD_FORMAT)
     formats.require_own_digest(data, value, path)
     return TreeHead.from_json(value)

@@ -91,7 +91,7 @@ class FineAlignment:
         self._followed = np.zeros((_ALL, 0))
 
     def take(self, velocities: Array, rotations: Array, turns: Array) -> None:
-        """Takes measurements. velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as
+        """Processes measurements. velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as
         columns, averaged over the time before each knot; turns: (m,), mean rate about the vertical in that time, rad/s."""
         for first in range(0, len(velocities), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)

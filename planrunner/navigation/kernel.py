@@ -42,8 +42,8 @@ _SMALL = 0.01  # rad²; below, the series of the half-angle functions are exact 
 
 @compiled()
 def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
-    """Rotation vector and velocity increment in body axes. t, u: angle and velocity increments of this interval; a, b: of the
-    preceding one."""
+    """Rotation vector and velocity increment in body axes. t, u: angle and velocity increments of this interval; a, b: angle and
+    velocity increments of the preceding interval."""
     tx, ty, tz = t
     ux, uy, uz = u
     ax, ay, az = a

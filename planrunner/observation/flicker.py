@@ -78,7 +78,7 @@ def unstated_flicker(observations: Observations, inputs: Inputs, span: float) ->
 
 
 def of_unit_size(channel: str, unit: str) -> InputQuantity:
-    """The coefficient B of a channel for which none is stated: one unit, so that its influences are per unit."""
+    """The coefficient B of a channel whose bias instability is not stated: B is one unit, so that its influences are per unit."""
     return InputQuantity(Aspect.BIAS_INSTABILITY.of(channel), 0.0, unit, 1.0)
 
 

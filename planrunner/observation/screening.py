@@ -277,7 +277,7 @@ class _Runs:
 
 
 class Screening:
-    """The pass over one segment."""
+    """The screening of one segment, in one pass over its samples."""
 
     def __init__(
         self,

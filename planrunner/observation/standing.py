@@ -36,7 +36,7 @@ def with_standing(
     only reported and does not count as bad, because without its samples the channel would have no data left. A person has to
     decide.
 
-    chance: largest probability with which noise may leave a channel at one value for the channel still to be reported as stuck.
+    chance: a channel is reported as stuck if noise leaves it at one value with at most this probability.
     """
     found: dict[int, list[Find]] = {}
     for name in channels:

@@ -28,7 +28,7 @@ _ALIKE = 0.01  # probability at and above which the temperatures of segments cou
 @dataclass(frozen=True, slots=True)
 class Temperature:
     """Temperature of one segment. celsius: (n,); rate: (n,), K/s; uncertainty: standard uncertainty of a temperature that does not
-    change, from the thermometer's noise; NaN where it changes or comes from the plan."""
+    change, from the thermometer's noise; NaN if the temperature changes or comes from the plan."""
 
     celsius: Array
     rate: Array

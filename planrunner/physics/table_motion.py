@@ -30,8 +30,8 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class SpinCourse:
-    """A spin in the form in which a table executes it. joint: index of the axis that turns; rate: rad/s of that joint, with its
-    sign; ramp: s from rest to the rate, and back."""
+    """A spin in the form in which a table executes it. joint: index of the axis that turns; rate: rate of this joint, rad/s, with
+    its sign; ramp: time from rest to the rate, and back, s."""
 
     joint: int
     rate: float

@@ -256,7 +256,7 @@ def plots(found: Data) -> list[Plot]:
 
 
 def facts(found: Data) -> dict[str, str]:
-    """Numbers of the fleet."""
+    """The numbers that describe the fleet."""
     counts = {name: len({run[name] for run in found["runs"]}) for name in ("device", "bench", "occasion")}
     return {
         "Runs": str(len(found["runs"])),

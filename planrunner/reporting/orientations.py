@@ -81,7 +81,7 @@ def _beyond(tip: tuple[float, float], by: float) -> tuple[float, float]:
 
 
 def _arrow(axis: str, direction: Array) -> list[str]:
-    """One sensor axis. Axes pointing away from the viewer are drawn thinner."""
+    """Draws one sensor axis. Axes pointing away from the viewer are drawn thinner."""
     towards = float(_TOWARDS @ direction)
     width = 3.4 + 1.2 * towards
     (x0, y0), (x1, y1) = project(np.zeros(3)), project(direction)

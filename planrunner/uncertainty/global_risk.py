@@ -28,8 +28,8 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class GlobalRisk:
-    """Global risks. consumer: probability that an item does not conform and is accepted. producer: probability that an item conforms
-    and is rejected."""
+    """The global risks of a decision rule. consumer: probability that an item does not conform and is accepted. producer:
+    probability that an item conforms and is rejected."""
 
     consumer: float
     producer: float

@@ -156,8 +156,8 @@ def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated
 
 
 def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[float, float, Sequence[Column], Array]:
-    """Fits one line. Returns the frequency of the line and its standard uncertainty, Hz; the columns of the effect at this
-    frequency; and the amplitudes and their standard uncertainties (P, 2), SI.
+    """Fits one line, which is a tone of one frequency. Returns the frequency of the line and its standard uncertainty, Hz; the
+    columns of the effect at this frequency; and the amplitudes and their standard uncertainties (P, 2), SI.
 
     frequency: where the search begins, within the resolution of the recording. The fit uses Gauss–Newton steps in the frequency,
     which all channels share. The basis vectors of the segments are projected out of every column, because they have also been

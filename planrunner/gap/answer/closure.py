@@ -60,10 +60,10 @@ class ChannelClosure:
 
 
 class NotMeasured(StrEnum):
-    """Why there is no closure. NO_EFFECT: no effect is named. RANDOM: the named effects are random processes or act only on the
-    noise; the other segments do not determine how such effects act in the held-out segments. FEW_SEGMENTS: there are fewer than six
-    segments. NOT_REPEATED: the other segments contain too little information about the effect. WIDE: the 90 % interval is too wide,
-    or the gap may be zero."""
+    """Reasons why there is no closure. NO_EFFECT: no effect is named. RANDOM: the named effects are random processes or act only on
+    the noise; the other segments do not determine how such effects act in the held-out segments. FEW_SEGMENTS: there are fewer than
+    six segments. NOT_REPEATED: the other segments contain too little information about the effect. WIDE: the 90 % interval is too
+    wide, or the gap may be zero."""
 
     NO_EFFECT = "no effect"
     RANDOM = "random"
@@ -102,7 +102,7 @@ class FoldChoice:
     """A form of an effect or set of effects that a fold may choose. effect: name of the effect or set. raw: for each channel, the
     columns (M, p) of the form in magnitudes, not whitened; widths: number of columns of each effect. probability: probability that
     this form is the whole cause. prior: logarithm of the prior probability among the forms of the same effect, apart from a
-    constant. whole: True if its amplitude is fixed at 1."""
+    constant. whole: True if the amplitude is fixed at 1."""
 
     effect: str
     raw: tuple[Array, ...] = field(repr=False)

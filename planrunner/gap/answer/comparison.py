@@ -101,9 +101,9 @@ def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A recording or simulation. values: (M, K), SI, coefficients as root mean squares over their segments; counts: (M,), number of
-    samples of the segment of each coefficient. rows: maps each segment to its rows, the first of which is its mean. columns: maps
-    each channel to its column. white: (K,), standard deviation of the white noise of a sample."""
+    """A recording or simulation, reduced to coefficients. values: (M, K), SI, coefficients as root mean squares over their
+    segments; counts: (M,), number of samples of the segment of each coefficient. rows: maps each segment to its rows, the first of
+    which is its mean. columns: maps each channel to its column. white: (K,), standard deviation of the white noise of a sample."""
 
     observed: Observed
     values: Array

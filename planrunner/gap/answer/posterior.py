@@ -41,13 +41,13 @@ _Key = TypeVar("_Key", str, tuple[str, ...])
 
 @dataclass(frozen=True)
 class Posterior:
-    """The posterior. probability: probability of every cause. A set of effects has a name such as 'a+b', in alphabetical order, or
-    'a+b+unknown' if something else acts in addition. An effect on the level of the noise is a cause only if nothing else acts.
-    noise: probability of each effect on the level of the noise, whatever the cause. log_evidence: log evidence of each hypothesis
-    relative to none; for effects, from the coefficients alone. pairs: the evaluated columns of sets of two or more deterministic
-    effects. sets: the same sets with their effects. kinds: log evidence, relative to none, of the patterns that "unknown" could be.
-    by_channel: log BF (K,) of each pattern in one channel alone. levels: effects that only raise the noise level. lines: tones.
-    beside: probability of a tone or bursts in addition to an effect."""
+    """The posterior probabilities of the hypotheses. probability: probability of every cause. A set of effects has a name such as
+    'a+b', in alphabetical order, or 'a+b+unknown' if something else acts in addition. An effect on the level of the noise is a
+    cause only if nothing else acts. noise: probability of each effect on the level of the noise, whatever the cause. log_evidence:
+    log evidence of each hypothesis relative to none; for effects, from the coefficients alone. pairs: the evaluated columns of sets
+    of two or more deterministic effects. sets: the sets of `pairs`, with their effects. kinds: log evidence, relative to none, of
+    the patterns that "unknown" could be. by_channel: log BF (K,) of each pattern in one channel alone. levels: effects that only
+    raise the noise level. lines: tones. beside: probability of a tone or bursts in addition to an effect."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -79,8 +79,8 @@ def without_unknown(name: str) -> str:
 class _NoiseOnly:
     """Effects on the noise. walk: a random walk of the gyros, or ''; others: maps each state of the noise of a triad, gyro or
     accel, to its effect; levels: log density of the measured white noise for each combination of states. apart: log BF of the
-    effects that the recording shows outside the coefficients, such as a line; each of them is present or absent independently of
-    the others."""
+    effects that the recording shows outside the coefficients, such as a line; each of these effects is present or absent
+    independently of the others."""
 
     walk: str
     others: Mapping[tuple[str, Level], str]

@@ -53,11 +53,11 @@ VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of th
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
-    """The unexplained part. share: unexplained share of the gap, as a ratio of root mean squares without noise; 0 if noise alone
-    explains the residuals. times_noise: by channel, root mean square of the residual coefficients in standard deviations of the
-    noise, 1 for noise alone. sigma: by channel, size of all residuals in standard deviations, the square root of χ² − ν; 0 if they
-    are not larger than the noise. p: p-value of the test. passes: True if noise alone explains the residuals, in every channel and
-    for every pattern outside the catalogue."""
+    """The part of a gap that the named effects do not explain. share: unexplained share of the gap, as a ratio of root mean squares
+    without noise; 0 if noise alone explains the residuals. times_noise: by channel, root mean square of the residual coefficients
+    in standard deviations of the noise, 1 for noise alone. sigma: by channel, size of all residuals in standard deviations, the
+    square root of χ² − ν; 0 if they are not larger than the noise. p: p-value of the test. passes: True if noise alone explains the
+    residuals, in every channel and for every pattern outside the catalogue."""
 
     share: float
     times_noise: Mapping[str, float]

@@ -1,9 +1,9 @@
 """Sets of two or more effects. The search adds one effect at a time to the most probable smaller sets and fits all amplitudes
 again; in the most probable set it also fits the shapes again (forward selection with a beam).
 
-A quick evaluation keeps a set at its most probable amplitudes and evaluates every form of every other effect on the residuals. The
-best sets are then evaluated in full: every effect has its own strength, and every setting of the noise that matters is used, also
-with a random walk of the gyros.
+For a quick evaluation, a set keeps its most probable amplitudes, and every form of every other effect is evaluated on the
+residuals. The best sets are then evaluated in full: every effect has its own strength, and every setting of the noise that matters
+is used, also with a random walk of the gyros.
 """
 
 from __future__ import annotations

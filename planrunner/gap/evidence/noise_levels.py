@@ -89,7 +89,7 @@ def _other(kind: str) -> str:
 
 
 def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
-    """Whether neither the declared nor the measured noise of a triad dithers its count."""
+    """Whether both the declared and the measured noise are too small to dither the count of a channel of the triad."""
     for index in observed.of_kind(kind):
         declared = observed.channels[index].white ** 2 * observed.sample_rate + counts_[index] ** 2 / 12
         if is_coarse(max(float(white[index]), np.sqrt(declared)), counts_[index]):

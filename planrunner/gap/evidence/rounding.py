@@ -44,7 +44,7 @@ def dithering(sigma: Array | float) -> Array:
 
 def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
     """Variance (K,) of the rounding error of the mean of many samples, SI². white: (K,), SI, standard deviation of a rounded
-    sample; coarse: (K,), whether the noise of a channel is too small to be visible in its rounded samples. For coarse channels the
+    sample; coarse: (K,), True if the noise of a channel is too small to be visible in its rounded samples. For coarse channels the
     variance is an expectation over the noise levels that the counts at rest and the declared noise allow. The counts are unknown,
     and are not used, if samples were averaged."""
     found = np.zeros(len(observed.channels))

@@ -41,9 +41,9 @@ DEPENDENT = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Noise of one triad. flicker: level of the flicker, in units of the declared level. walk: SI/√s; if `alike`, the density of
-    the random walk in all axes, otherwise the scale of separate densities. prior: prior probability among the settings with a
-    random walk, or among those without."""
+    """One setting of the noise of a triad. flicker: level of the flicker, in units of the declared level. walk: SI/√s; if `alike`,
+    the density of the random walk in all axes, otherwise the scale of separate densities. prior: prior probability among the
+    settings with a random walk, or among the settings without."""
 
     flicker: float
     walk: float

@@ -65,10 +65,10 @@ _NUMBERS = 2_000_000  # of the matrices M that are in memory at once
 
 @dataclass(frozen=True)
 class Estimates:
-    """One amplitude in n runs. values, standard_uncertainties: (n,), in one unit, all finite and the latter positive. groups: the label
-    of every run (n) for each source except `COMMON`. since: for each source with steps, one text for every run (n): the moment of the
-    last step of the run's group that is not later than the run, or an empty text before the first step. After each step, a group counts
-    as a new group."""
+    """Estimates of one amplitude in n runs. values, standard_uncertainties: (n,), in one unit; all are finite, and the
+    uncertainties are positive. groups: the label of every run (n) for each source except `COMMON`. since: for each source with
+    steps, one text for every run (n): the moment of the last step of the run's group that is not later than the run, or an empty
+    text before the first step. After each step, a group counts as a new group."""
 
     values: Array
     standard_uncertainties: Array
@@ -345,8 +345,8 @@ def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tup
 def _parts(
     component: Component, having: Sequence[tuple[float, _Model]], common: Component | None
 ) -> tuple[SourcePart, ...]:
-    """The parts of a component, averaged over the models that contain it. common: the component of `Source.COMMON`, if it is a
-    different one."""
+    """The parts of a component, averaged over the models that contain it. common: the component of `Source.COMMON`, if this is
+    another component."""
     m = len(component.labels)
     parts = _averaged([(p, *model.parts(component)) for p, model in having])
     levels: list[Uncertain | None] = [None] * m

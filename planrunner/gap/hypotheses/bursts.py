@@ -31,8 +31,8 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows of one size. starts: (W,), first sample of each window. lasting: (W,), number of samples of its segment. kept: (W,),
-    fraction of a bias in the window that the coefficients leave."""
+    """Windows of one size. starts: (W,), first sample of each window. lasting: (W,), number of samples of the segment of each
+    window. kept: (W,), fraction of a bias in the window that the coefficients leave."""
 
     starts: NDArray[np.int64]
     lasting: NDArray[np.int64]

@@ -75,9 +75,9 @@ class _Reading:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Free fit of the triads. readings: reading of each channel, None if the plan does not determine it. sound: True if every
-    determined channel follows the plan apart from its reading (axis, sign and factor). misfit: sum over channels of squared
-    residuals relative to the variance of the means."""
+    """Result of the free fit of the triads. readings: reading of each channel, None if the plan does not determine it. sound: True
+    if every determined channel follows the plan apart from its reading (axis, sign and factor). misfit: sum over channels of
+    squared residuals relative to the variance of the means."""
 
     readings: tuple[_Reading | None, ...]
     sound: bool

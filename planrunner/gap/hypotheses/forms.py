@@ -4,8 +4,8 @@ forms are nonlinear if the effect is strong.
 An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) has no amplitude. A weak effect of this kind
 is evaluated like the others, with an amplitude in addition to the shape, because amplitude and shape are then redundant. A strong
 effect is evaluated with the amplitude 1, and its shape is found exactly. If the effect acts on the output of the sensor, the
-nominal parameters are fitted together with it. Fitted without the effect, they would absorb a part of it and give a wrong output
-(Gauss–Newton in those parameters, a search in the shape).
+nominal parameters are fitted together with it (Gauss–Newton in these parameters, a search in the shape). If they were fitted
+without the effect, they would absorb a part of it and give a wrong output.
 """
 
 from __future__ import annotations

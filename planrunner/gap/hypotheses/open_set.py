@@ -247,7 +247,8 @@ class _Scan:
 
 @dataclass(frozen=True)
 class _Periodogram:
-    """A periodogram. frequency: (F,), Hz; power: (F,), in units of the noise; amplitude: (F,), SI, of a sine with that power."""
+    """The periodogram of a scan. frequency: (F,), Hz; power: (F,), in units of the noise; amplitude: (F,), SI, of a sine with that
+    power."""
 
     frequency: Array
     power: Array

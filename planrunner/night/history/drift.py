@@ -62,8 +62,8 @@ class DriftLine:
 
 
 def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLine | None:
-    """The weighted straight line. days, values, u: (n,); between: τ. None if there are too few values, or if
-    they cover too short a time."""
+    """Fits the weighted straight line. days, values, u: (n,); between: τ. None if there are too few values, or if they cover too
+    short a time."""
     if len(values) < LEAST or float(np.ptp(days)) < LEAST_SPAN:
         return None
     variance = u**2 + between**2

@@ -99,9 +99,9 @@ class GaugeStudy:
 def gauge_study(
     factors: Mapping[str, Sequence[str]], values: Sequence[float], item: str = "device", *, pooled: bool = False
 ) -> GaugeStudy:
-    """The study of n values. factors: name → label of each value (n); a factor with one level is left out. item: the factor of the
-    measured items. If a cell has more values than the others, only its first values count. pooled: True if interactions count as
-    repeatability, which is usual if they are not significant. Raises `UnbalancedError`."""
+    """Makes the study of n values. factors: name → label of each value (n); a factor with one level is left out. item: the factor
+    of the measured items. If a cell has more values than the others, only its first values count. pooled: True if interactions
+    count as repeatability, which is usual if they are not significant. Raises `UnbalancedError`."""
     used = {name: list(labels) for name, labels in factors.items() if len(set(labels)) > 1}
     levels = {name: sorted(set(labels)) for name, labels in used.items()}
     cells: dict[tuple[int, ...], list[float]] = {}

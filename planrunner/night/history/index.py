@@ -399,7 +399,7 @@ def literal(text: str) -> str:
 
 def _moment(text: str) -> datetime:
     """The moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`, so earlier and later moments are moved to just
-    outside this range. Sums with days then stay within the calendar."""
+    outside this range. Adding days to the moment then stays within the calendar."""
     try:
         moment = datetime.fromisoformat(text)
         if not FIRST_YEAR <= moment.year <= LAST_YEAR:
@@ -417,7 +417,7 @@ _RUN_COLUMNS = len(_RUN.split(","))
 
 
 def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
-    """Values for the database. nan becomes NULL, as SQLite would convert it anyway."""
+    """Values in the form in which the database stores them. nan becomes NULL, as SQLite would convert it anyway."""
     found = []
     for item in fields(row):
         value = getattr(row, item.name)
