@@ -149,7 +149,8 @@ def _optional(
 
 
 def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> float:
-    """A number in the parameter's unit, from a text with this unit, another unit of the same dimension, or no unit."""
+    """Converts a text to a number in the parameter's unit. The text may have this unit, another unit of the same dimension, or no
+    unit."""
     number, _, given = text.strip().partition(" ")
     wanted = "" if parameter.unit == "1" else parameter.unit
     hint = f"write a number, or a number with a unit such as '{parameter.natural:g} {wanted}'"

@@ -158,8 +158,8 @@ class Observed:
     the recording shows it, None if attitude and angle determine it. The tuple is empty if all entries would be None.
     excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`; None means zero everywhere. past: if the samples are
     one block of a simulation, the temperatures before the first sample, for each value of an effect's shape. reach: largest
-    distance of a sensor from the axis of a table, m. encoder: whether the angle of a turning table is known, from an encoder or from
-    a simulation.
+    distance of a sensor from the axis of a table, m. encoder: True if the angle of a turning table is known, from an encoder or
+    from a simulation.
     """
 
     site: Site
@@ -225,8 +225,8 @@ class Observed:
 
     @cached_property
     def unknown_phase(self) -> Array:
-        """Amplitude of the nominal input that each channel sees once per turn with an unknown phase, (S, K), SI. It is zero in segments in
-        which the angle of the table is known or shown by gravity."""
+        """Amplitude (S, K), SI, of the part of each channel's nominal input that repeats once per turn with an unknown phase. It is
+        zero in segments in which the angle of the table is known or shown by gravity."""
         out = np.zeros((len(self), len(self.channels)))
         for index, (motion, source) in enumerate(zip(self.motions, self.angle_from, strict=True)):
             if source is AngleFrom.NOTHING and isinstance(motion, Spin):

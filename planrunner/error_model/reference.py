@@ -1,6 +1,6 @@
 """Generates the list of effects, `docs/effects.md`, from the catalogue.
 
-`python -m planrunner.error_model.reference docs` writes it. A test checks that the file is up to date.
+The command `python -m planrunner.error_model.reference docs` writes this file. A test checks that the file is up to date.
 """
 
 from __future__ import annotations

@@ -4,10 +4,10 @@ within segments.
     output = F(own input + Σ amplitude · column)
 
 An effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes the stimulus of all other columns.
-The sensor's scale factor and misalignments therefore act on this change too, and the model is not linear in its amplitude. An
-effect that changes the rate (a lag, a delay) acts next. All columns are then evaluated at the changed rate. An effect on the output
-(a dead zone, a limit) acts last, as the function F. Effects on the rate and effects on the output have no amplitudes. The columns
-come from the catalogue. A simulation adds the same columns, and a diagnosis searches for them.
+The sensor's scale factor and misalignments therefore act on this change too, and the model is not linear in the amplitude of such
+an effect. An effect that changes the rate (a lag, a delay) acts next. All columns are then evaluated at the changed rate. An effect
+on the output (a dead zone, a limit) acts last, as the function F. Effects on the rate and effects on the output have no amplitudes.
+The columns come from the catalogue. A simulation adds the same columns, and a diagnosis searches for them.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ class SegmentStates:
 
 def states_of(segments: Sequence[Segment], start: Array, seconds: Array, nominal_supply: float) -> SegmentStates:
     """The planned states of segments; a temperature, voltage or pressure that is not planned has its reference value. start,
-    seconds: (n,), s, planned or recorded; nominal_supply: of the sensor, V."""
+    seconds: (n,), s, planned or recorded; nominal_supply: nominal supply voltage of the sensor, V."""
     kelvin = [one.begins_at for one in segments]
     begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
     ends = [one.ramp_to for one in segments]

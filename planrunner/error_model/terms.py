@@ -30,7 +30,7 @@ class Term:
     """One term, linear in its coefficient.
 
     of: computes the column for a stimulus of n rows, shape (n,), SI. magnitude: the declared size of the column. Columns are
-    divided by it before rank and condition are judged. unit: of the column. degree: polynomial degree in the components of the
+    divided by it before rank and condition are judged. unit: unit of the column. degree: polynomial degree in the components of the
     stimulus. A term of degree two or more cannot be computed from means over a moving attitude. of_motion: True if the column
     depends on angular rate and specific force alone; plans with the same orientations then share the column at all temperatures and
     times.

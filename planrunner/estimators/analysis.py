@@ -194,8 +194,8 @@ def coarse_counts(
     """A warning for each channel whose noise is too small, in some segment, to average out the rounding to counts. channels: the
     channels to check; all outputs of the sensor if empty.
 
-    Equal inputs then have equal rounding errors, so neither the noise within the segments nor the scatter of repetitions shows
-    these errors.
+    Equal inputs of such a channel have equal rounding errors, so neither the noise within the segments nor the scatter of
+    repetitions shows these errors.
     """
     found = []
     for output in sensor.outputs:

@@ -135,7 +135,7 @@ def fitted_drift(
     fits: Fits,
     basis: str,
 ) -> FittedDrift:
-    """Chooses the courses of drift to fit and returns them with the results of their tests. names: (p,), names of the terms.
+    """Chooses the courses of a drift to fit, and returns them with the results of their tests. names: (p,), names of the terms.
     correlation: (m, m), correlation between the noise of the outputs. fits: a function that fits all outputs by the columns of a
     matrix (as returned by `joined`), with weights from the noise and the declared effects. basis: basis of the uncertainties."""
     if not drift.courses:

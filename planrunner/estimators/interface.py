@@ -190,9 +190,9 @@ class DesignBlock:
 class Remark:
     """An error or warning of an estimator about planned segments. `check` prints it as a finding at `key` of the estimate.
 
-    code: such as `physics-release`, listed in docs/findings.md. error: True if the plan must not run. note: True if the remark only
-    informs, so that nothing has to be changed. conditions: True if the remark explains why the fit is ill-conditioned, so that the
-    general message is not repeated.
+    code: code of the finding, such as `physics-release`, listed in docs/findings.md. error: True if the plan must not run. note:
+    True if the remark only informs, so that nothing has to be changed. conditions: True if the remark explains why the fit is
+    ill-conditioned, so that the general message is not repeated.
     """
 
     code: str

@@ -323,8 +323,8 @@ class _Weighting:
         return self._fits(self.sigma, self.whitening)
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
-        """Fit weighted by noise and effects. residual: True if a standard deviation between segments may be added to the noise, if
-        the residuals require this."""
+        """Fit weighted by noise and effects. residual: True allows a standard deviation between segments to be added to the noise
+        if the residuals require it."""
         spreads, between, whitening = self.sigma.copy(), np.zeros(len(noises)), self.whitening
         found = self.plain()
         ratios = _factors(found)

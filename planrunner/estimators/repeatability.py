@@ -311,9 +311,9 @@ def together(repeats: Sequence[Coefficient]) -> Array:
 def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float = math.nan) -> Variance:
     """One-way analysis of variance; for a single group, only the mean and the scatter.
 
-    The mean is the mean of the group means. The component between groups is (M_b − M_w)/n₀, where M_b and M_w are the mean squares
-    between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. expected: a variance that is used
-    instead of the scatter of the values about their mean.
+    The mean of the values is the mean of the group means. The component between groups is (M_b − M_w)/n₀, where M_b and M_w are the
+    mean squares between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. expected: a variance that
+    is used instead of the scatter of the values about their mean.
     """
     numbers = np.unique(group)
     n, k = len(value), len(numbers)
@@ -497,7 +497,7 @@ def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
     groups; NaN for fewer than eight values within groups.
 
     The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1)
-    (von Neumann); η/4 is close to a symmetric beta variable with these moments. Each group is compared with its own mean.
+    (von Neumann); η/4 is close to a symmetric beta variable with these moments. In each group, x̄ is the mean of the group.
     """
     from scipy.special import betainc
 

@@ -258,5 +258,6 @@ def _tilts(table: TableModel | None, attitudes: Array, site: Site) -> Array:
 
 
 def _error(quantity: InputQuantity, changes: Array, parts: tuple[str, ...] = ()) -> CorrelatedError:
-    """A correlated error of the outputs. changes: (m, n, r)."""
+    """A correlated error of the outputs. changes: (m, n, r), change of the n observations of each of m outputs per unit of each of
+    r inputs."""
     return CorrelatedError(quantity, dict(enumerate(changes)), parts)

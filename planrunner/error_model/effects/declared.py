@@ -26,7 +26,7 @@ CYCLES = ("xy", "yz", "zx", "xyz", "xzy")
 
 
 def _channels(observed: Observed) -> Iterator[tuple[str, int, int]]:
-    """Name such as gyro_x, index and axis of every channel; empty for a sensor in unknown orientations."""
+    """The name (such as gyro_x), the index and the axis of every channel; empty for a sensor in unknown orientations."""
     if observed.along is None:
         for index, channel in enumerate(observed.channels):
             yield f"{channel.kind}_{'xyz'[channel.axis]}", index, channel.axis

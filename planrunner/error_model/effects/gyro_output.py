@@ -130,7 +130,7 @@ class GyroSaturation(Shaped):
 
 class _OneSided(Shaped):
     """Output clipped at one of its two limits. sign: 1 for the upper limit, −1 for the lower one. The shape is the magnitude of the
-    limit. The grid contains only limits that the output exceeds in both directions. With another limit, the effect cannot be
+    limit. The grid contains only limits that the output exceeds in both directions. For any other limit, the effect cannot be
     distinguished from `gyro_saturation`."""
 
     stage, shape_unit, acts_on = "output", "deg/s", "output"

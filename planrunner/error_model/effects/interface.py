@@ -13,7 +13,7 @@ shape that last longer than a segment.
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect
-that acts on the noise states the kind of change in `noise`, such as 'random walk', 'white' or 'resolution'. If its stage is
+that acts on the noise states the kind of change in `outside`, such as 'random walk', 'white' or 'resolution'. If its stage is
 covariance, it has no columns. With `each = "orientation"`, an effect has independent amplitudes for every orientation. Its columns
 are then listed orientation by orientation, in the order of first use.
 
@@ -181,13 +181,13 @@ class OutsideCoefficients(Effect, Protocol):
 
 @runtime_checkable
 class OfAccelerometers(OutsideCoefficients, Protocol):
-    """Such an effect of the accelerometers instead of the gyros."""
+    """An effect of the kind `OutsideCoefficients` that acts on the accelerometers instead of the gyros."""
 
     of_accelerometers: Literal[True]
 
 
 def triad_of(effect: OutsideCoefficients) -> Literal["gyro", "accel"]:
-    """The triad on which such an effect acts."""
+    """The triad on which an effect of the kind `OutsideCoefficients` acts."""
     return "accel" if isinstance(effect, OfAccelerometers) else "gyro"
 
 

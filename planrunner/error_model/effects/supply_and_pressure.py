@@ -63,8 +63,8 @@ def _about(kind: str, error: str, follows: Follows, because: str = "") -> About:
 
 
 class _OfSurroundings:
-    """An error of each axis of a triad that is proportional to such a quantity. kind: of the triad; natural: usual change per V or
-    hPa: of a bias in the unit of `_BIAS`, or of a scale factor as a fraction."""
+    """An error of each axis of a triad that is proportional to such a quantity. kind: kind of the triad; natural: usual change per
+    V or hPa: of a bias in the unit of `_BIAS`, or of a scale factor as a fraction."""
 
     stage, hypothesis = "sensor", False
     kind: str

@@ -68,8 +68,8 @@ class AccelBiasTemperatureLagged(_BiasTemperatureLagged):
 
 def lag(observed: Observed, tau: float) -> Array:
     """Tₑ − T (N,), K, where Tₑ is the temperature T after a first-order lag of `tau` [s]. Between two segments the temperature
-    approaches its next value exponentially. It begins with the slope at the end of the earlier segment. If this slope is zero or
-    points away from the next value, the temperature changes at once."""
+    approaches its next value exponentially. This approach begins with the slope at the end of the earlier segment. If this slope is
+    zero or points away from the next value, the temperature changes at once."""
     found = np.empty(len(observed.time))
     behind, before = 0.0, None
     for course in observed.past.get(tau, ()):

@@ -16,8 +16,9 @@ _SHOWN_BY = "segments at rest, and rocking segments of two intensities"
 
 
 class GyroVibrationRectification:
-    """Bias + k·⟨|ω'|²⟩ per axis, ω' the oscillating part of the angular rate of the table, ⟨ ⟩ the mean over time (IEEE Std 528,
-    vibration rectification error, here of angular vibration). A term in ω² also acts at steady rates; this effect does not."""
+    """Bias + k·⟨|ω'|²⟩ per axis, where ω' is the oscillating part of the angular rate of the table, and ⟨ ⟩ is the mean over time
+    (IEEE Std 528, vibration rectification error, here due to angular vibration). A term in ω² also acts at steady rates; this
+    effect does not."""
 
     id, stage = "gyro_vibration_rectification", "sensor"
     about = About(

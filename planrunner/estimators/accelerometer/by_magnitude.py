@@ -214,7 +214,7 @@ def _weighted(
 
 def _along_poses(drift: DriftCourses, poses: Observations, directions: Array) -> DriftCourses:
     """How a drift of the three channels appears in |f| − g: the drift adds to the readings, so its effect on |f| − g is subtracted.
-    directions: (n, 3)."""
+    directions: (n, 3), derivatives of |f| with respect to the readings."""
     courses = (replace(one, columns=-directions * one.columns, parts=poses.channels) for one in drift.courses)
     return replace(drift, courses=tuple(courses))
 

@@ -30,7 +30,8 @@ _WORST_CONDITION = 1e4
 class GravityFit:
     """A fit of the magnitude of gravity. values: (9,), in the order of `NAMES`; m/s² for biases, ratios for scale factors, rad for
     angles. residuals: (n,), m/s², of |f| − g. jacobian: (n, 9), derivatives of the residuals with respect to the parameters.
-    directions: (n, 3), d(residual)/d(reading). condition: condition number of the Jacobian with the biases divided by g."""
+    directions: (n, 3), derivatives of the residuals with respect to the readings. condition: condition number of the Jacobian with
+    the biases divided by g."""
 
     values: Array
     residuals: Array

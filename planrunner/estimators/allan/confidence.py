@@ -107,7 +107,8 @@ def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modifie
 
 
 def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modified: bool = False) -> float:
-    """EDF of a variance over runs of `lengths` phase points. Runs are independent of each other: their degrees of freedom add."""
+    """EDF of a variance over runs of `lengths` phase points. Runs are independent of each other, so their degrees of freedom are
+    added."""
     sizes, counts = np.unique(lengths, return_counts=True)
     pairs = zip(sizes.tolist(), counts.tolist(), strict=True)
     return float(sum(count * degrees_of_freedom(alpha, order, factor, size, modified) for size, count in pairs))

@@ -1,4 +1,5 @@
-"""The averaging times of a recorded or planned record: the number of averages at each, and whether they are enough for a fit.
+"""The averaging times of a recorded or planned record: the number of averages at each averaging time, and whether these are enough
+for a fit.
 
 The same rules check a planned record and refuse a recorded one.
 """

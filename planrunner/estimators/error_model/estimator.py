@@ -440,7 +440,7 @@ def _padded(rows: Array, contrasts: Contrasts | None) -> Array:
 
 def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = False) -> CorrelatedError:
     """Extends an error of the means to the contrasts within segments, where it is zero. own: True for flicker, which affects the
-    contrasts too. own: flicker, which affects the contrasts too."""
+    contrasts too."""
     if contrasts is None or not len(contrasts.sigma):
         return error
     changes = {}

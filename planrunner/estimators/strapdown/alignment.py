@@ -260,7 +260,7 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
 
 def _rate_error(mean: Array, site: Site) -> float:
     """The length of the difference between the mean rate at rest and the Earth's rate, each given by its horizontal and upward
-    component, rad/s. mean: (6,), rad/s and m/s²."""
+    component, rad/s. mean: (6,), mean readings at rest, rad/s and m/s²."""
     found, earth = _rates(mean, site)
     return float(np.linalg.norm(found - earth))
 

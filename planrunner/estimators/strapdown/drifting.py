@@ -70,8 +70,8 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
     names = [f"position {k + 1}" for k in range(len(places))]
 
     def judged(scale: Array) -> tuple[FittedDrift, Sequence[LinearFit], Sequence[LinearFit], bool]:
-        """The drift, the fits with it, the fits with all courses, and whether noise explains what all courses leave. scale: (6,), of the
-        standard deviations, over those expected."""
+        """Returns the fitted drift, the fits with this drift, the fits with all courses, and True if noise explains the residuals
+        of the fits with all courses. scale: (6,), assumed standard deviations of the readings, divided by the expected ones."""
         spread, whitening = scale[:, None] * sigma, None
         if flicker:
             noise = np.array([np.diag(one**2) for one in spread])
@@ -105,9 +105,9 @@ def _with_effect(
     response: WanderingBias,
     freedom: float,
 ) -> StopDrift:
-    """The fitted drift with its effect on the navigation. expected: (6,), standard deviations of the readings in the fits, over those that
-    noise and stated flicker explain. courses: the courses of the drift, each with one column of n + l rows: for the n observations, then
-    for the l intervals of the response."""
+    """The fitted drift with its effect on the navigation. expected: (6,), standard deviations of the readings in the fits, divided
+    by those that noise and stated flicker explain. courses: the courses of the drift, each with one column of n + l rows: for the n
+    observations, then for the l intervals of the response."""
     from scipy.special import fdtrc
 
     left = fits[0].degrees_of_freedom

@@ -155,8 +155,9 @@ def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
 def joined(found: Navigated, both: Array, over_time: Array) -> Array:
     """Covariance (m, m) of `NAMES` in their units, without the contribution of the CEP rate.
 
-    The angles and the errors at the end depend linearly on the state. Correlations between figures over time are set to zero. both: (7, 7),
-    of tilts after alignment and of errors at the end; over_time: (5,), standard uncertainties of the figures over time.
+    The angles and the errors at the end depend linearly on the state. Correlations between figures over time are set to zero. both:
+    (7, 7), joint covariance of the tilts after alignment and of the errors at the end; over_time: (5,), standard uncertainties of
+    the figures over time.
     """
     angles = np.eye(_DIRECT)
     angles[:3, :3] = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
@@ -172,10 +173,10 @@ def joined(found: Navigated, both: Array, over_time: Array) -> Array:
 
 
 def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Array, density: Array) -> Array:
-    """Standard uncertainties (5,) of the figures over time, from courses of the errors that noise causes and the changes of the figures
-    if each course is subtracted from that of the navigation. Noise makes a largest value and a root mean square larger on average. This
-    is not corrected: the mean change is added to the expanded uncertainty (JCGM 100:2008, F.2.4.5). start: (7, 7), covariance of the state;
-    density: (6, 6), of white noise, in navigation axes."""
+    """Standard uncertainties (5,) of the figures over time: errors that the noise may cause are drawn at random and subtracted from
+    the errors of the navigation, and the figures are computed again. On average, noise makes a largest value and a root mean square
+    larger. This is not corrected: the mean change is added to the expanded uncertainty (JCGM 100:2008, F.2.4.5). start: (7, 7),
+    covariance of the state at the beginning of the navigation; density: (6, 6), density of the white noise in navigation axes."""
     last = points.shape[1] - 1
     every = max(1, -(-last // _MOMENTS))
     course = np.column_stack([points[:, every::every], [found.seconds, *found.final]])

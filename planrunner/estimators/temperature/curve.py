@@ -217,8 +217,8 @@ class SummedCovariance:
         return np.sqrt(variance), np.where(known, variance**2 / np.where(known, squares, 1.0), freedom[0])
 
     def through(self, rows: Array, away: Array | None = None) -> SummedCovariance:
-        """The covariance of linear functions (k, m) of the coefficients, as such a sum. away: (k,), uncorrected errors of these
-        functions."""
+        """The covariance of linear functions (k, m) of the coefficients, again as a sum of mean squares. away: (k,), uncorrected
+        errors of these functions."""
         (noise, freedom), *others = [(rows @ own @ rows.T, own_freedom) for own, own_freedom in self.parts]
         return SummedCovariance(((noise if away is None else noise + np.outer(away, away), freedom), *others))
 
@@ -441,7 +441,7 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
 
     Let y be the weighted values, A the columns, Z a way, and M the projector that removes A, the mean of Z in each direction, and
     the other ways. The reduction of the sum of squares by Z has the expectation k·φ + τ²·tr(ZᵀMZ), where φ is the variance of noise
-    and τ the standard deviation of the way. V = φ·I + Σ τ²·Z·Zᵀ.
+    and τ the standard deviation of the way. The weighted values then have the covariance V = φ·I + Σ τ²·Z·Zᵀ.
     """
     from scipy.special import fdtrc
 

@@ -63,7 +63,8 @@ class Points:
 
     @property
     def sigma(self) -> Array:
-        """Positive standard uncertainties for the weights: the known ones, or else the number one for all values."""
+        """Positive standard uncertainties for the weights: the known uncertainties or, if they are not known, the number one for
+        all values."""
         known = np.isfinite(self.uncertainty).all() and bool((self.uncertainty > 0).all())
         return self.uncertainty if known else np.ones(len(self.value))
 

@@ -236,7 +236,8 @@ def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradi
 
 
 def with_expected_repeatability(found: TiltedResults, groups: Sequence[Group], scatter: Scatter) -> TiltedResults:
-    """The results with the repeatability that the scatter of the means lets expect, for a schedule that has not been recorded."""
+    """The results with the expected repeatability, computed from the scatter of the means, for a schedule that has not been
+    recorded."""
     g, m, p = found.means.shape
     spread = np.sqrt(np.diagonal(scatter.covariance, axis1=1, axis2=2)).reshape(g, m, p)[..., K]
     repeats = np.array([len(group.names) for group in groups])
