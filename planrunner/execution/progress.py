@@ -51,11 +51,6 @@ ProgressEvent = Underway | SegmentBegun | Advanced | SegmentFinished
 ProgressCallback = Callable[[ProgressEvent], None]
 
 
-def planned_seconds(segment: Segment) -> float:
-    """Planned time of one segment, s: transition, soak, settling and dwell."""
-    return segment.transition + segment.soak + segment.settle + (segment.dwell or 0.0)
-
-
 def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
     """The schedule with dwells for the segments that last as long as their recording, if the sensor knows their length."""
     if not isinstance(sensor, KnowsLength):
@@ -77,7 +72,7 @@ class Meter:
     ):
         self._segments = len(schedule.segments)
         self._planned = {segment.index: segment for segment in schedule.segments}
-        self._total = sum(planned_seconds(segment) for segment in schedule.segments)
+        self._total = sum(segment.seconds for segment in schedule.segments)
         self._by_count = self._total <= 0
         self._callback, self._live = callback, live
         self._first = self._behind = behind
@@ -97,7 +92,7 @@ class Meter:
         if segment is None or now - self._shown < EVERY:
             return
         self._shown = now
-        within = 0.0 if self._by_count else min(max(clock - self._segment_clock, 0.0), planned_seconds(segment))
+        within = 0.0 if self._by_count else min(max(clock - self._segment_clock, 0.0), segment.seconds)
         event = Advanced(segment.index, segment.label, self._segments, *self._pace(self._behind + within), activity)
         self._live(event)
         self._tell(event)
@@ -105,7 +100,7 @@ class Meter:
     def finish(self) -> None:
         segment, self._segment = self._segment, None
         assert segment is not None
-        self._behind += 1.0 if self._by_count else planned_seconds(segment)
+        self._behind += 1.0 if self._by_count else segment.seconds
         if self._callback is not None:
             self._tell(SegmentFinished(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
@@ -128,5 +123,5 @@ class Meter:
 
 def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
     """Planned time of the completed segments (or their number if no segment has a planned time)."""
-    times = [planned_seconds(segment) for segment in schedule.segments if done(segment.index)]
-    return sum(times) if any(planned_seconds(segment) for segment in schedule.segments) else float(len(times))
+    times = [segment.seconds for segment in schedule.segments if done(segment.index)]
+    return sum(times) if any(segment.seconds for segment in schedule.segments) else float(len(times))

@@ -174,6 +174,16 @@ class Segment:
     marks: Mapping[str, Mark] = field(default_factory=dict, compare=False, repr=False)
 
     @property
+    def waiting(self) -> float:
+        """Planned time between the state being reached and the dwell, s."""
+        return self.soak + self.settle
+
+    @property
+    def seconds(self) -> float:
+        """Planned time of the segment, s. A dwell of unknown length counts as zero."""
+        return self.transition + self.waiting + (self.dwell or 0.0)
+
+    @property
     def begins_at(self) -> float | None:
         """Temperature [K] at the beginning of the dwell: the stated one, otherwise the one that the chamber keeps; None if it is
         not known."""

@@ -140,7 +140,7 @@ def totals(schedule: Schedule) -> dict[str, str]:
     """The total times and counts of a schedule."""
     segments = schedule.segments
     recorded = sum(item.dwell or 0.0 for item in segments)
-    settling = sum(item.settle + item.soak for item in segments)
+    settling = sum(item.waiting for item in segments)
     unknown = any(item.dwell is None for item in segments)
     facts = {
         "total time": words.duration(schedule.total) + (" plus the length of the recordings" if unknown else ""),
@@ -208,7 +208,7 @@ def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
 
 
 _WAIT: tuple[Shown[Segment], ...] = (
-    Shown(TableColumn("Wait", Role.NUMBER, "s"), lambda item: words.number(item.soak + item.settle), _IDLE),
+    Shown(TableColumn("Wait", Role.NUMBER, "s"), lambda item: words.number(item.waiting), _IDLE),
 )
 _SOAK_AND_SETTLE: tuple[Shown[Segment], ...] = (
     Shown(TableColumn("Soak", Role.NUMBER, "s"), lambda item: words.number(item.soak), _IDLE),

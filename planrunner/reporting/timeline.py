@@ -32,7 +32,7 @@ def spans(schedule: Schedule) -> list[SegmentTimes]:
     """The planned times of every segment. A dwell of unknown length counts as zero."""
     result = []
     for segment in schedule.segments:
-        arrive = segment.start - segment.settle - segment.soak
+        arrive = segment.start - segment.waiting
         end = segment.start + (segment.dwell or 0.0)
         result.append(SegmentTimes(segment, arrive - segment.transition, arrive, segment.start, end))
     return result

@@ -175,8 +175,7 @@ class _Options:
             return (segment.dwell or 0.0) + self._move + (self._change if warmer else 0.0)
         stated = [] if before is None else [self._of[before.label][0]]
         both = build_schedule([*stated, self._of[segment.label][0]], self.models, Findings()).segments
-        last = both[-1]
-        return last.transition + last.soak + last.settle + (last.dwell or 0.0)
+        return both[-1].seconds
 
     def ordered(self, segments: Sequence[Segment]) -> list[Segment]:
         """The options that the bench can execute one after the other."""

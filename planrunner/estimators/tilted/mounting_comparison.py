@@ -27,7 +27,7 @@ def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | Non
     returned.
     """
     lasting = [segment.dwell or own or 0.0 for segment, own in zip(segments, seconds, strict=True)]
-    waiting = [segment.transition + segment.soak + segment.settle for segment in segments]
+    waiting = [segment.transition + segment.waiting for segment in segments]
     planned = segments[-1].start + lasting[-1] - (segments[0].start - waiting[0])
     return max(planned, sum(lasting) + sum(waiting))
 
