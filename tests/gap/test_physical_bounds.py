@@ -59,6 +59,31 @@ def test_a_fold_over_is_only_given_with_its_limit() -> None:
     assert "limit" in raised.value.hint
 
 
+def opposite(
+    seen: Observed, omega: np.ndarray, force: np.ndarray, draw: np.random.Generator
+) -> tuple[np.ndarray, float]:
+    """The opposite of a dead zone of 3 deg/s: small rates appear too large."""
+    return np.copysign(np.sqrt(omega**2 + np.deg2rad(3.0) ** 2), omega) - omega, 0.0
+
+
+def early(seen: Observed, omega: np.ndarray, force: np.ndarray, draw: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Outputs that lead the rate by 5 ms, the opposite of a lag and of a delay."""
+    axis = np.einsum("nij,j->ni", seen.attitude[seen.owner], AXIS)
+    return 5e-3 * seen.acceleration[:, None] * axis, 0.0
+
+
+@pytest.mark.parametrize(("fault", "effect"), [(opposite, "gyro_dead_zone"), (early, "gyro_bandwidth")])
+def test_the_opposite_of_an_effect_that_has_none_is_not_named(fault: Fault, effect: str) -> None:
+    found = diagnose(record(seed=5, fault=fault), DiagnosisOptions(effects=(effect,)))
+    assert effect not in found.verdict.effects and found.verdict.kind == "unknown"
+    assert sum(p for name, p in found.posterior.probability.items() if effect in name) < 0.01
+
+
+def test_a_delay_may_have_either_sign() -> None:
+    found = diagnose(record(seed=5, fault=early), DiagnosisOptions(effects=("gyro_bandwidth", "time_latency")))
+    assert found.verdict.effects == ("time_latency",)
+
+
 def elsewhere(latitude: float) -> Fault:
     """The rate of the Earth at another latitude, in degrees; beyond 90, no place on the Earth."""
 

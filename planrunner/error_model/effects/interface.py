@@ -333,9 +333,13 @@ def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
     return {index: shown[:, place] for place, index in enumerate(gyros)}
 
 
-def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None) -> Column:
-    """The column of an effect that is fully determined by its shape, such as a lag, a limit or a delay."""
-    return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None)
+def whole(
+    parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None, *, either_sign: bool = False
+) -> Column:
+    """The column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. either_sign: whether the
+    opposite of the effect exists too, as of a delay. A negative lag or dead zone does not exist."""
+    smallest = -np.inf if either_sign else 0.0
+    return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None, smallest=smallest)
 
 
 def single(columns: Sequence[Column]) -> list[Variant]:

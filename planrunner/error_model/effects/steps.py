@@ -106,7 +106,17 @@ class MountShift(Shaped):
                     place = 3 - about - seen + 3 * (channel.kind == "accel") + 6 * (sign < 0)
                     parts[about][index] = after[:, place]
         columns = (
-            Column(f"about_{'xyz'[about]}", "arcsec", _ARCSEC, 100 * _ARCSEC, own, acting, axis=None)
+            Column(
+                f"about_{'xyz'[about]}",
+                "arcsec",
+                _ARCSEC,
+                100 * _ARCSEC,
+                own,
+                acting,
+                axis=None,
+                smallest=-np.pi,
+                largest=np.pi,
+            )
             for about, own in enumerate(parts)
         )
         return Variant(tuple(columns), value)
@@ -152,7 +162,9 @@ class SamplesDropped(Shaped):
     def _from(observed: Observed, value: float, shown: Array) -> Variant:
         after, acting = _after(observed, value, shown)
         parts = {index: after[:, place] for place, index in enumerate(observed.of_kind("gyro"))}
-        return Variant((Column("lost", "ms", 1e-3, 1e-2, parts, acting & observed.unsteady, axis=None),), value)
+        return Variant(
+            (Column("lost", "ms", 1e-3, 1e-2, parts, acting & observed.unsteady, axis=None, smallest=0.0),), value
+        )
 
     @staticmethod
     def _last(observed: Observed) -> float:

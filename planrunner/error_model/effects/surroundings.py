@@ -142,7 +142,9 @@ class ReferenceLatency(Shaped):
         return np.geomspace(5e-4, 0.1, 10) if observed.moved.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        return Variant((whole(on_rate(observed, observed.turn_before(-value)), observed.moved),), value)
+        return Variant(
+            (whole(on_rate(observed, observed.turn_before(-value)), observed.moved, either_sign=True),), value
+        )
 
 
 class TimeLatency(Shaped):
@@ -161,4 +163,6 @@ class TimeLatency(Shaped):
         return np.geomspace(5e-4, 0.1, 10) if observed.unsteady.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        return Variant((whole(on_rate(observed, observed.turn_before(value)), observed.unsteady),), value)
+        return Variant(
+            (whole(on_rate(observed, observed.turn_before(value)), observed.unsteady, either_sign=True),), value
+        )

@@ -25,7 +25,8 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
     omega = observed.in_sensor_axes(secant(axis, earth, turned))
     felt = observed.in_sensor_axes(secant(axis, force, turned))
-    return Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, felt), axis=None)
+    parts = on_stimulus(observed, omega, felt)
+    return Column(name, "arcsec", ARCSEC, 60 * ARCSEC, parts, axis=None, smallest=-np.pi, largest=np.pi)
 
 
 def secant(axis: Array, vector: Array, turned: Array) -> Array:
@@ -126,7 +127,16 @@ class TableRateRipple:
         for n in (1, 2):
             waves = {"cos": np.cos(n * observed.angle), "sin": np.sin(n * observed.angle)}
             columns = tuple(
-                Column(name, "ppm", 1e-6, 1e-3, on_stimulus(observed, wave[:, None] * turn, None), axis=None)
+                Column(
+                    name,
+                    "ppm",
+                    1e-6,
+                    1e-3,
+                    on_stimulus(observed, wave[:, None] * turn, None),
+                    axis=None,
+                    smallest=-1.0,
+                    largest=1.0,
+                )
                 for name, wave in waves.items()
             )
             found.append(Variant(columns, float(n)))
@@ -180,4 +190,5 @@ class TableRateError:
         if not observed.rate.any():
             return []
         turn = observed.rate[:, None] * observed.table_axis
-        return single([Column("epsilon", "ppm", 1e-6, 1e-3, on_stimulus(observed, turn, None), axis=None)])
+        parts = on_stimulus(observed, turn, None)
+        return single([Column("epsilon", "ppm", 1e-6, 1e-3, parts, axis=None, smallest=-1.0, largest=1.0)])
