@@ -81,6 +81,11 @@ def analyse(
                 unfit.append(name)
         except InputError as error:
             failures[name] = "; ".join(finding.message for finding in error.findings)
+        except MemoryError:
+            failures[name] = (
+                f"the memory is too small for an estimate of the recorded segments ({len(recording)}): an estimate of n segments needs "
+                "about 50·n² bytes; use fewer segments for each estimate (key `segments`)"
+            )
         except Exception as error:  # an estimator may come from anywhere
             failures[name] = (
                 f"the estimator '{spec.estimator}' failed unexpectedly ({type(error).__name__}: {error}); report "

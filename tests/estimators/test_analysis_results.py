@@ -167,6 +167,15 @@ def test_one_failure_leaves_the_others() -> None:
     assert "write it in (deg/h)/(pulse/s)" in found.failures["limit on drift.SF_X"]
 
 
+def test_too_little_memory_is_said_with_what_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def large(self: FlexureGyroStatic, request: EstimateRequest) -> Estimate:
+        raise MemoryError
+
+    monkeypatch.setattr(FlexureGyroStatic, "estimate", large)
+    found = analyse(ESTIMATES, [], recording(), SITE, sensor(*CHANNELS))
+    assert "the memory is too small" in found.failures["drift"] and "use fewer segments" in found.failures["drift"]
+
+
 def test_data_that_do_not_give_an_estimate_are_no_wrong_input(monkeypatch: pytest.MonkeyPatch) -> None:
     """With what waits for it; beside an error of the plan the input is wrong all the same."""
 
