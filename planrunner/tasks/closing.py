@@ -119,8 +119,9 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 
 
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
-    """The samples of the nominal simulation at the recorded motion, without and with effects. Each has its own white noise. The
-    noise level is that of the recording. It is the declared level in the simulation without an effect that changes the noise."""
+    """The samples of the nominal simulation at the recorded motion, without and with effects. Each has its own white noise, and is
+    rounded to the counts of the recording. The noise level is that of the recording. Noise and counts are the declared ones in the
+    simulation without an effect that changes them."""
     from planrunner.error_model.added import stuck
     from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
@@ -128,22 +129,48 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     seen, fitted = weighing.declared, weighing.fitted()
     additions = _additions(made, stated)
     declared = np.array([channel.white for channel in seen.channels]) * math.sqrt(seen.sample_rate)
-    noisier = {
-        triad_of(e)
-        for e in (one.effect for one in additions)
-        if isinstance(e, OutsideCoefficients) and e.outside == "white"
+    changed = {
+        (triad_of(e), e.outside) for e in (one.effect for one in additions) if isinstance(e, OutsideCoefficients)
     }
-    excess = np.array([channel.kind in noisier for channel in seen.channels])
-    level = np.where(excess & (declared > 0), declared, weighing.white)
+    excess, coarser = (
+        np.array([(channel.kind, outside) in changed for channel in seen.channels])
+        for outside in ("white", "resolution")
+    )
+    level = np.where((excess | coarser) & (declared > 0), declared, weighing.white)
+    counts = np.zeros_like(weighing.steps) if seen.bins is not None else weighing.steps
+    finer = np.where(coarser, [channel.resolution for channel in seen.channels], counts)
     draw = np.random.default_rng(_OTHER_SEED)
-    before = fitted + level * draw.standard_normal(fitted.shape)
-    after = _plus(made, fitted, additions) + weighing.white * draw.standard_normal(fitted.shape)
+    before = fitted + _before_rounding(level, finer, declared) * draw.standard_normal(fitted.shape)
+    sigma = _before_rounding(weighing.white, counts, declared)
+    after = _plus(made, fitted, additions) + sigma * draw.standard_normal(fitted.shape)
     for one in additions:
         if isinstance(one.effect, OutsideCoefficients) and one.effect.outside == "random walk":
             after += _walk(seen, triad_of(one.effect), one.in_si("density"), draw)
+    before, after = _rounded(before, finer), _rounded(after, counts)
     for index, channel in enumerate(seen.channels):
         after[:, index] = stuck(channel.name, seen.time, after[:, index], additions)
-    return replace(seen, values=before), replace(seen, values=after)
+    return _of_counts(seen, before, finer), _of_counts(seen, after, counts)
+
+
+def _of_counts(seen: Observed, values: Array, counts: Array) -> Observed:
+    """A recording with other samples (N, K), whose channels have other counts (K,)."""
+    channels = zip(seen.channels, counts.tolist(), strict=True)
+    return replace(seen, values=values, channels=tuple(replace(one, resolution=count) for one, count in channels))
+
+
+def _before_rounding(level: Array, counts: Array, declared: Array) -> Array:
+    """Standard deviation (K,) of the noise before the samples are rounded to counts. level: (K,), of the rounded samples. If a count is
+    so coarse that the samples do not show the noise, the declared level is used."""
+    from planrunner.gap.evidence.rounding import is_coarse
+
+    left = np.sqrt(np.maximum(level**2 - counts**2 / 12, 0.0))
+    return np.where(is_coarse(level, counts), np.minimum(declared, counts), left)
+
+
+def _rounded(values: Array, counts: Array) -> Array:
+    """Samples (N, K), rounded to counts (K,). A channel with the count 0 remains unchanged."""
+    whole = np.where(counts > 0, counts, 1.0)
+    return np.where(counts > 0, np.round(values / whole) * whole, values)
 
 
 def _walk(observed: Observed, triad: str, density: float, draw: np.random.Generator) -> Array:

@@ -53,6 +53,25 @@ def test_what_is_entered_wrongly_does_not_close_the_gap(tilted: Path) -> None:
     assert found.channels["accel_x"].after == pytest.approx(2 * found.channels["accel_x"].before, rel=0.2)
 
 
+@pytest.mark.parametrize("count", [0.005, 0.02])
+def test_a_computed_simulation_is_rounded_to_the_counts_of_the_recording(tmp_path: Path, count: float) -> None:
+    """The virtual sensor has a noise of 2.45 mm/s²: half a count, and an eighth of a count."""
+    run = _recorded(tmp_path, f"accel_quantization=count:{count} m/s^2")
+    made = diagnose_recorded(recorded_run(run), DiagnosisOptions(effects=(*FEW, "accel_quantization")))
+    sound = made.recorded.sound
+    played_back = replace(sound, models=replace(sound.models, replays=True))
+    made = replace(made, recorded=replace(made.recorded, sound=played_back))
+    found = comparison(made, StopRequest(), stated=[("accel_quantization", {"count": f"{count} m/s^2"})])
+    for name in ("accel_x", "accel_y", "accel_z"):
+        recorded, before, after = found.channels[name].sample_noise
+        assert after == pytest.approx(recorded, rel=0.15)
+        assert before == pytest.approx(2.45e-3, rel=0.05)
+    if count == 0.005:  # the noise dithers the count
+        recorded = found.channels["accel_x"].sample_noise[0]
+        assert recorded == pytest.approx(np.hypot(2.45e-3, count / np.sqrt(12)), rel=0.05)
+        assert found.after_sigma == pytest.approx(1.0, abs=0.3)
+
+
 def test_joined_runs_are_refused(tilted: Path) -> None:
     made = diagnose_recorded(recorded_run(tilted), DiagnosisOptions(effects=FEW))
     with pytest.raises(InputError) as caught:

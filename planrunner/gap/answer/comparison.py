@@ -124,7 +124,8 @@ class _Reduced:
     @classmethod
     def simulated(cls, observed: Observed, nominal: Sequence[str]) -> _Reduced:
         found = spectrum(observed, simulated(observed, nominal))
-        return cls.of(observed, found, white_level(observed, found)[0])
+        counts = np.array([channel.resolution for channel in observed.channels])
+        return cls.of(observed, found, np.maximum(white_level(observed, found)[0], counts / np.sqrt(12)))
 
 
 @dataclass(frozen=True)
