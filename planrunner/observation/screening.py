@@ -562,8 +562,9 @@ class Screening:
             self._note(k, window, int(group[0]), int(group[-1]) + 1)
 
     def _changes_around(self, x: Array, changes: Array) -> Array:
-        """Mean change from sample to sample around each of n samples. From stop to stop, only the time near a turn counts, without the two
-        changes to a sample and back, which are not part of a turn. x: (n,); changes: (n - 1,), their absolute differences."""
+        """Mean change from sample to sample around each of n samples. In a segment of stops and turns, the mean is taken over a
+        short time, and a change to a sample and back is subtracted, because it is not part of a turn. x: (n,); changes: (n - 1,),
+        absolute differences of x."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
             return _mean_around(padded, _FAR)

@@ -74,7 +74,7 @@ def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 
 def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequence[int]) -> AngleFrom:
-    """What shows the angle of a table without encoder. accelerometers: the axes (0, 1, 2) of the sensor with an accelerometer."""
+    """What shows the angle of a table without encoder. accelerometers: the axes (0, 1, 2) of the sensor that have an accelerometer."""
     if not isinstance(motion, Spin):
         return AngleFrom.PLAN
     seen = once_per_turn(motion, attitude, site.specific_force_enu)[list(accelerometers)]
@@ -84,10 +84,10 @@ def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequ
 def start_angle(motion: Spin, since: Array, values: Array, expected: Array) -> float:
     """The angle [rad] of a turning table at its first sample for which the outputs agree best with the expected input.
 
-    values: (n, K), SI; expected: (K,), complex, of `once_per_turn`. The least-squares estimate of a common phase is arg Σ p*·q/σ², with
-    the expected and the measured complex amplitudes p and q of a channel and its noise σ (a matched filter). The noise is that of the
-    differences of consecutive samples. If the input is `FOREIGN` times as large as expected, it has another cause, and its phase does
-    not show the angle. The angle is then 0.
+    values: (n, K), SI; expected: (K,), complex, result of `once_per_turn`. The least-squares estimate of a common phase is arg Σ
+    p*·q/σ², with the expected and the measured complex amplitudes p and q of a channel and its noise σ (a matched filter). The
+    noise is that of the differences of consecutive samples. If the input is `FOREIGN` times as large as expected, it has another
+    cause, and its phase does not show the angle. The angle is then 0.
     """
     phase = motion.rate * since
     terms = np.column_stack([np.ones(len(since)), np.cos(phase), np.sin(phase)])

@@ -37,8 +37,8 @@ def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> 
 
 
 def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
-    """Averages Bayes factors over the prior of λ. terms: (…, E), their logarithms on the grid of s². Returns the logarithm of the mean,
-    (…)."""
+    """Averages Bayes factors over the prior of λ. terms: (…, E), logarithms of the Bayes factors on the grid of s². Returns the
+    logarithm of the mean, (…)."""
     step = float(np.log(energies[1] / energies[0]))
     return np.asarray(log_mean_exp(terms, -1) + np.log(len(energies) * step / RANGE))
 

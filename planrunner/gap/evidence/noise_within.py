@@ -89,8 +89,9 @@ class NoiseWithin:
         return out
 
     def _at_harmonics(self, segment: int, frequency: Array) -> Array:
-        """As `_relative`, for harmonics of the motion. They take all coefficients near their frequencies, so that a segment in motion does
-        not show a line of the noise there. The spectrum at rest shows it, and counts where it is larger."""
+        """The spectrum as in `_relative`, for harmonics of the motion. The harmonics take up all coefficients near their
+        frequencies, so that a segment in motion does not show a line of the noise there. The spectrum at rest shows such a line,
+        and is used where it is larger."""
         found = self._relative(segment, frequency)
         at_rest = self.coloured[0] & (self.moving == 0).any()
         if self.moving[segment] and at_rest.any():
@@ -106,7 +107,7 @@ class NoiseWithin:
         return self._of_kind(int(self.moving[segment]), segment, frequency)
 
     def _of_kind(self, kind: int, segment: int, frequency: Array) -> Array:
-        """As `_relative`, with the spectrum at rest (kind 0) or in motion (1)."""
+        """The spectrum as in `_relative`, but measured at rest (kind 0) or in motion (kind 1)."""
         place = np.log(np.maximum(frequency, self.frequency[0]))
         spectra = np.log(self.spectrum[kind] * self.own[segment])
         return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in spectra.T])))

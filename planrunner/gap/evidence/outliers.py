@@ -6,11 +6,11 @@ with the value that all other samples of its segment predict.
 
 Σ is the covariance of the noise, V the basis of the segment, x the samples, and P = Σ⁻¹ − Σ⁻¹V(VᵀΣ⁻¹V)⁻¹VᵀΣ⁻¹. The estimated error
 of sample t is (Px)_t/P_tt, with the variance 1/P_tt (Chang, Tiao and Chen, "Estimation of time series parameters in the presence of
-outliers", Technometrics 30, 1988). The discrete cosine transform makes Σ diagonal, except near the ends of the segment. At an end, no
-further sample cancels the last error, which then also counts as an outlier if it is large.
+outliers", Technometrics 30, 1988). The discrete cosine transform makes Σ diagonal, except near the ends of the segment. At an end
+of the segment, no further sample cancels the last error. If this error is large, it therefore also counts as an outlier.
 
-A step of the signal also gives large values. A sample is an outlier only if a step near it explains less (Tsay, "Outliers, level shifts,
-and variance changes in time series", Journal of Forecasting 7, 1988), and if its segment has few of them.
+A step of the signal also gives large values. A sample is an outlier only if a step near it explains less (Tsay, "Outliers, level
+shifts, and variance changes in time series", Journal of Forecasting 7, 1988), and if its segment has few outliers.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _DEVIATION = 0.6745  # median absolute value of a normal variable
 
 @dataclass(frozen=True)
 class Pulses:
-    """Errors of single samples. rows: (p,), samples; sizes: (p,), their errors."""
+    """Errors of single samples. rows: (p,), rows of the samples; sizes: (p,), errors of these samples."""
 
     rows: NDArray[np.int64]
     sizes: Array
@@ -49,8 +49,8 @@ def outliers(
     observed: Observed, spectrum: Spectrum, noise: NoiseWithin, white: Array, coarse: NDArray[np.bool_]
 ) -> Array | None:
     """The errors (N, K) of the outliers, SI; None if there are none. white: (K,), SI, standard deviation of a sample; coarse: (K,),
-    channels that are not examined, because their samples show rounding. Samples that `spectrum` replaced are estimated from the other
-    samples, too."""
+    True for channels that are not examined, because their samples show rounding. Samples that `spectrum` replaced are estimated
+    from the other samples, too."""
     from scipy.fft import dct
 
     found = np.zeros_like(spectrum.remainder)
@@ -77,9 +77,9 @@ def outliers(
 def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.int64]) -> Pulses:
     """The outliers among the samples (n,) of a segment.
 
-    basis: (n, m), cosine transform of the vectors whose amplitudes in the samples are unknown. variance: (n,), of each coefficient of the
-    cosine transform of the noise. known: rows of samples that are known to be wrong. If there are too many outliers, only these are
-    returned, or none if these are too many.
+    basis: (n, m), cosine transform of the vectors whose amplitudes in the samples are unknown. variance: (n,), variance of each
+    coefficient of the cosine transform of the noise. known: rows of samples that are known to be wrong. If there are too many
+    outliers, only the known rows are returned, or no rows if the known rows are too many.
     """
     from scipy.fft import dct, idct
 
@@ -112,8 +112,8 @@ def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.i
 
 
 def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
-    """An orthonormal basis Q of the whitened vectors (n, m) and unit pulses at these rows, and T with Q = (whitened columns)·Tᵀ. root:
-    (n,), inverse standard deviations."""
+    """An orthonormal basis Q of the whitened vectors (n, m) and unit pulses at these rows, and the matrix T for which Q = (whitened
+    columns)·Tᵀ. root: (n,), inverse standard deviations."""
     columns = np.column_stack([basis, _unit(len(root), rows)]) * root[:, None]
     size = np.linalg.norm(columns, axis=0)
     turned = np.linalg.inv(np.linalg.cholesky((columns.T @ columns) / np.outer(size, size))) / size
@@ -142,7 +142,7 @@ def _left(columns: Array, q: Array) -> Array:
 
 
 def _step(error: Array, row: int, root: Array, q: Array) -> float:
-    """The largest statistic of a step near a row, comparable with that of an outlier."""
+    """The largest statistic of a step near a row; it can be compared with the statistic of an outlier."""
     from scipy.fft import dct
 
     count = len(error)

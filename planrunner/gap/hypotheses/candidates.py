@@ -212,7 +212,8 @@ class Weighing:
             self.log_likelihood.append(likelihood)
 
     def _measure(self, reference: Array, held: NDArray[np.bool_] | None) -> None:
-        """The coefficients of the samples minus `reference` (N, K), those of the nominal columns, and the noise."""
+        """The coefficients of the samples after `reference` (N, K) has been subtracted, the coefficients of the nominal columns,
+        and the noise."""
         observed = self.observed
         self.spectrum: Spectrum = spectrum(observed, reference, held)
         level, self.white_degrees = white_level(observed, self.spectrum)

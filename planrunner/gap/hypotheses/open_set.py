@@ -308,8 +308,8 @@ def _scan(weighing: Weighing, index: int) -> _Scan:
 
 
 def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
-    """Fits a sine near this frequency [Hz] to the samples of a scan (Gauss–Newton in the frequency) and subtracts the part of it
-    that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. spacing: distance between the
+    """Fits a sine near this frequency [Hz] to the samples of a scan (Gauss–Newton in the frequency) and subtracts the part of the
+    sine that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. spacing: distance between the
     frequencies of the periodogram, Hz. The search begins at the highest of finer values about the frequency, because gaps between
     segments raise the neighbouring values almost as high."""
     observed, spectrum = weighing.observed, weighing.spectrum
