@@ -114,8 +114,8 @@ def room_condition(information: str) -> str | None:
 
 
 def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
-    """The required information that the bench file lacks. known: names of the run information that is given; holds_temperature:
-    whether the plan holds a temperature."""
+    """The required information that the bench file lacks. known: names of the run information that is given, or that the plan asks
+    for; holds_temperature: whether the plan holds a temperature."""
     found = []
     if bench.laboratory is None:
         remedy = "add laboratory: {name: …, address: …} to the bench file"
