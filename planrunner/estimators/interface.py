@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import field
+from dataclasses import KW_ONLY, field
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -102,6 +102,7 @@ class Estimate:
     estimator: str
     coefficients: tuple[Coefficient, ...]
     covariance: Array
+    _: KW_ONLY
     headline: tuple[str, ...] = ()
     settings: Mapping[str, Json] = field(default_factory=dict)
     tables: tuple[Table, ...] = ()

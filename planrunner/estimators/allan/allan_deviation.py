@@ -164,20 +164,22 @@ class AllanDeviation:
             "allan_deviation",
             coefficients,
             covariance,
-            tuple(item.name for item in coefficients),
-            {
+            headline=tuple(item.name for item in coefficients),
+            settings={
                 "deviations": list(parameters.deviations),
                 "terms": list(parameters.terms),
                 "confidence": parameters.confidence,
                 "bridge": f"{parameters.bridge.value:g} s",
             },
-            tuple(table for result in results for table in result.tables),
-            tuple(result.plot for result in results),
-            tuple(dict.fromkeys(note for result in results for note in result.notes)),
-            tuple(warning for result in results for warning in result.warnings),
-            tuple(recorded.label for recorded in request.segments),
-            {"taus": {name: [row.tau for row in result.rows] for name, result in zip(names, results, strict=True)}},
-            tuple(_influences(results)),
+            tables=tuple(table for result in results for table in result.tables),
+            plots=tuple(result.plot for result in results),
+            notes=tuple(dict.fromkeys(note for result in results for note in result.notes)),
+            warnings=tuple(warning for result in results for warning in result.warnings),
+            segments=tuple(recorded.label for recorded in request.segments),
+            extra={
+                "taus": {name: [row.tau for row in result.rows] for name, result in zip(names, results, strict=True)}
+            },
+            influences=tuple(_influences(results)),
         )
 
 

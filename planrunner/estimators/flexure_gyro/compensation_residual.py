@@ -246,18 +246,18 @@ def _assemble(
         "compensation_residual",
         tuple(coefficients),
         np.diag(covariance),
-        tuple(item.name for item in coefficients),
-        {
+        headline=tuple(item.name for item in coefficients),
+        settings={
             "reference": first,
             "trials": request.parameters.trials,
             "seed": request.parameters.seed,
         },
-        (
+        tables=(
             Table(_SUMS, ratio_columns, tuple(rows), terminal=True),
             _residual_table(labels, residuals),
         ),
-        (_residual_plot(labels, residuals),),
-        (
+        plots=(_residual_plot(labels, residuals),),
+        notes=(
             said(
                 "The standard uncertainties combine two parts. For the first, the experiment is simulated many times with noise and the "
                 "declared bias instability, and half the width of the central 68 % interval of the results is taken. The second part "
@@ -267,8 +267,8 @@ def _assemble(
             _CLAIM,
             *notes,
         ),
-        (),
-        tuple(labels),
+        warnings=(),
+        segments=tuple(labels),
     )
 
 

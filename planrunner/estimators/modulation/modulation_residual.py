@@ -125,11 +125,11 @@ class ModulationResidual:
             "modulation_residual",
             everything,
             whole,
-            tuple(item.name for item in coefficients),
-            {"compared over": f"{still.course[0, -1]:.6g} s", "without rotation": still.name},
-            tuple(tables),
-            _plots(navigations),
-            notes,
+            headline=tuple(item.name for item in coefficients),
+            settings={"compared over": f"{still.course[0, -1]:.6g} s", "without rotation": still.name},
+            tables=tuple(tables),
+            plots=_plots(navigations),
+            notes=notes,
             segments=tuple(recorded.label for recorded in request.segments),
         )
 

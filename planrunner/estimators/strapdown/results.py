@@ -48,14 +48,21 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
         "strapdown_navigation",
         coefficients,
         spread.covariance,
-        ("heading", "radial_error", "largest_radial_error", "rms_radial_error", "radial_error_rate", "cep_rate"),
-        _settings(request, found),
-        (_table(points, np.hypot(spread.radial, wander.radial)), *_constants(request, found)),
-        _plots(points),
-        _notes(request, found, values),
-        _warnings(request, found),
-        tuple(recorded.label for recorded in request.segments),
-        {
+        headline=(
+            "heading",
+            "radial_error",
+            "largest_radial_error",
+            "rms_radial_error",
+            "radial_error_rate",
+            "cep_rate",
+        ),
+        settings=_settings(request, found),
+        tables=(_table(points, np.hypot(spread.radial, wander.radial)), *_constants(request, found)),
+        plots=_plots(points),
+        notes=_notes(request, found, values),
+        warnings=_warnings(request, found),
+        segments=tuple(recorded.label for recorded in request.segments),
+        extra={
             "time_s": points[0].tolist(),
             "east_m": points[1].tolist(),
             "north_m": points[2].tolist(),
@@ -64,7 +71,11 @@ def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Nav
             "cep_rate_nmi_h": values["cep_rate"],
             "duration_s": found.seconds,
         },
-        (*influences(request, equations, found, points), *wander.influences, *(() if drift is None else (drift,))),
+        influences=(
+            *influences(request, equations, found, points),
+            *wander.influences,
+            *(() if drift is None else (drift,)),
+        ),
         unstated=wander.unstated,
     )
 
