@@ -198,7 +198,7 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
     grade that the noise indicates. The values come from the simulation's fit or from the diagnosis. If the uncertainty of a value
     is larger than the usual limit, the plan does not determine the value, and it gives no information about the sensor."""
     from planrunner.bench.grades import SENSES, grade_of
-    from planrunner.gap.answer.nominal_values import nominal_values
+    from planrunner.gap.answer.parameters import nominal_values
     from planrunner.reporting.rounding import rounded
 
     specification = recorded.sound.bench.specification

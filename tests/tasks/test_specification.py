@@ -12,7 +12,7 @@ from planrunner.base.shipped import shipped
 from planrunner.bench.grades import GRADES, SENSES, Sense, grade_of
 from planrunner.bench.model import parse_bench
 from planrunner.cli import main
-from planrunner.gap.answer import nominal_values
+from planrunner.gap.answer import parameters
 from planrunner.gap.answer.diagnosis import DiagnosisOptions
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.plan import source
@@ -69,7 +69,7 @@ def test_a_value_that_the_plan_does_not_determine_is_not_compared_with_what_is_u
         ParameterEstimate("gyro_misalignment", "towards_z_x", -1.48e7, "arcsec", 0.28e7),
         ParameterEstimate("gyro_misalignment", "towards_y_z", -4926.0, "arcsec", 8.0),
     ]
-    monkeypatch.setattr(nominal_values, "nominal_values", lambda *_: found)
+    monkeypatch.setattr(parameters, "nominal_values", lambda *_: found)
     assert [one.message.split(" is ")[0] for one in _warned(tmp_path, NOMINAL)] == ["gyro_misalignment towards_y_z"]
 
 

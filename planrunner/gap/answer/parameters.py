@@ -1,4 +1,6 @@
-"""Estimates of the amplitudes and shapes of the effects that a diagnosis names."""
+"""Estimates of parameters: the amplitudes and shapes of the effects that a diagnosis names, and the terms that the nominal simulation fits.
+The specification of the sensor is compared with these terms.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planrunner.error_model.effects.interface import HasShape, OutsideCoefficients, Shaped, triad_of
+from planrunner.error_model.effects.nominal import PARTS
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 _ALONE = (
@@ -127,4 +130,44 @@ def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterE
         spread = float(np.sqrt(weight @ (walks - mean) ** 2))
         factor, text = observed.channels[gyros[0]].factor, observed.channels[gyros[0]].unit
         found.append(ParameterEstimate(name, "density", mean / factor, f"{text}/sqrt(s)", spread / factor))
+    return found
+
+
+_UNDETERMINED = 1e-6
+"""Share of a parameter that may lie in directions that the plan does not determine."""
+
+
+def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:
+    """Bias, scale factor and misalignment of every channel by weighted least squares. Terms that the plan does not determine are
+    omitted. The field `effect` of each estimate is the term, such as `accel_bias`. The values contain the influence of effects that
+    are not in the simulation."""
+    terms = [
+        f"{kind}_{part}"
+        for kind in ("gyro", "accel")
+        for part, make in PARTS.items()
+        if f"{kind}_{part}" in nominal
+        for _ in make(weighing.observed, kind)
+    ]
+    found = []
+    for index, design in enumerate(weighing.whole):
+        own = [place for place, column in enumerate(weighing.nominal_columns) if index in column.parts]
+        if not own:
+            continue
+        weight = weighing.weights[index][0]
+        columns = weight.whiten(np.hstack([design, weighing.angles[index]]))
+        size = np.linalg.norm(columns, axis=0) + 1e-300
+        left, values, right = np.linalg.svd(columns / size, full_matrices=False)
+        told = values > 1e-8 * values.max(initial=0.0)
+        inverse = right[told].T / values[told]
+        fit = inverse @ (left[:, told].T @ weight.whiten(weighing.spectrum.values[:, [index]])[:, 0])
+        spread, known = np.sqrt((inverse**2).sum(1)), (right[told] ** 2).sum(0)
+        for k, place in enumerate(own):
+            column = weighing.nominal_columns[place]
+            if known[k] > 1 - _UNDETERMINED:
+                scale = column.magnitude / column.factor / size[k]
+                found.append(
+                    ParameterEstimate(
+                        terms[place], column.name, float(fit[k] * scale), column.unit, float(spread[k] * scale)
+                    )
+                )
     return found
