@@ -72,8 +72,16 @@ def early(seen: Observed, omega: np.ndarray, force: np.ndarray, draw: np.random.
     return 5e-3 * seen.acceleration[:, None] * axis, 0.0
 
 
-@pytest.mark.parametrize(("fault", "effect"), [(opposite, "gyro_dead_zone"), (early, "gyro_bandwidth")])
-def test_the_opposite_of_an_effect_that_has_none_is_not_named(fault: Fault, effect: str) -> None:
+def uneven(seen: Observed, omega: np.ndarray, force: np.ndarray, draw: np.random.Generator) -> tuple[np.ndarray, float]:
+    """A rate that rises from a tenth of its mean to almost twice its mean in each turn, as of a hand that starts and stops."""
+    axis = np.einsum("nij,j->ni", seen.attitude[seen.owner], AXIS)
+    return -0.9 * (np.cos(seen.angle) * seen.rate)[:, None] * axis, 0.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "effect"), [(opposite, "gyro_dead_zone"), (early, "gyro_bandwidth"), (uneven, "table_rate_ripple")]
+)
+def test_what_an_effect_cannot_be_is_not_named(fault: Fault, effect: str) -> None:
     found = diagnose(record(seed=5, fault=fault), DiagnosisOptions(effects=(effect,)))
     assert effect not in found.verdict.effects and found.verdict.kind == "unknown"
     assert sum(p for name, p in found.posterior.probability.items() if effect in name) < 0.01

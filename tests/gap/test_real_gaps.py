@@ -107,6 +107,8 @@ def test_scale_of_a_tumbled_accelerometer(data_root: Path) -> None:
     assert (found.verdict.kind, found.verdict.effects) == ("effect", ("accel_scale_factor",))
     scale = values(found, "accel_scale_factor")
     assert [1 + scale[f"k_{axis}"][0] * 1e-6 for axis in "xz"] == pytest.approx([0.954, 0.953], abs=0.002)
+    # The errors of the jig's angles limit the test, not the noise: a fit of the means leaves u = 700 and 500 ppm.
+    assert [scale[f"k_{axis}"][1] for axis in "xz"] == pytest.approx([700, 500], rel=0.6)
     assert found.closure.resolvable and found.closure.shrinks_by > 0.9
 
 

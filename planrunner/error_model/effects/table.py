@@ -12,6 +12,8 @@ from planrunner.plan.schedule import Rest
 
 ARCSEC = np.pi / 180 / 3600
 EAST, NORTH, UP = np.eye(3)
+_RIPPLE = 0.1
+"""Largest relative ripple of a rate. A larger variation is another motion, such as a hand that speeds up and slows down within a turn."""
 
 
 def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
@@ -134,8 +136,8 @@ class TableRateRipple:
                     1e-3,
                     on_stimulus(observed, wave[:, None] * turn, None),
                     axis=None,
-                    smallest=-1.0,
-                    largest=1.0,
+                    smallest=-_RIPPLE,
+                    largest=_RIPPLE,
                 )
                 for name, wave in waves.items()
             )

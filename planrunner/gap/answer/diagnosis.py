@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from planrunner.base import plugins
+from planrunner.base.arrays import Array
 from planrunner.base.documents import Json, JsonObject
 from planrunner.error_model.effects.interface import (
     Effect,
@@ -40,7 +41,7 @@ from planrunner.gap.answer.noise_found import NoiseFound, noise_found
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.pictures import gap_by_channel, pictures
 from planrunner.gap.answer.posterior import PRIORS, UNKNOWN, Posterior, posterior
-from planrunner.gap.answer.remainder import Remainder, remainder
+from planrunner.gap.answer.remainder import Remainder, dispersions, remainder
 from planrunner.gap.answer.sets import EffectSet, Member, key_of, together
 from planrunner.gap.answer.unknown_form import UnknownForm, unknown_form
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
@@ -203,6 +204,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     if after is not None and all(choice.effect != key for choice in choices):
         choices.append(FoldChoice(key, after.raw, after.variant.widths or (len(after.variant.columns),), 0.0))
     rest = None if after is None or walks & set(said.effects) else remainder(weighing, after, said.something_else)
+    ratios = None if after is None or rest is None or rest.passes else dispersions(weighing, after)
     unpredicted = tuple(name for name in said.effects if name not in by_id)
     noise = None
     if after is not None:
@@ -220,7 +222,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         said,
         tuple(ambiguity_set(found.probability, said)),
         absorbed,
-        tuple(_parameters(weighing, said, found, by_id, effects, exact, apart)),
+        tuple(_parameters(weighing, said, found, by_id, effects, exact, apart, ratios)),
         replace(_closure(weighing, noise, choices, max(beyond, 0.0), said), unpredicted=unpredicted),
         unknown_form(weighing, found) if "unknown" in (said.kind, said.residue, *said.members) else None,
         rest,
@@ -344,8 +346,9 @@ def _parameters(
     effects: list[Effect],
     exact: Mapping[str, Forms],
     apart: Apart,
+    ratios: Array | None,
 ) -> list[ParameterEstimate]:
-    """Estimates for the most probable effects. The effects of a set are fitted together."""
+    """Estimates for the most probable effects. The effects of a set are fitted together. ratios: as in `estimates.amplitudes`."""
     listed: list[ParameterEstimate] = []
     walking = any(
         isinstance(e, OutsideCoefficients) and e.outside == "random walk" and e.id in said.effects for e in effects
@@ -358,18 +361,20 @@ def _parameters(
             continue
         shaped = shape_alone(by_id[name])
         if shaped is not None and name in exact:
-            listed += estimates.exact_shape(shaped, exact[name])
+            listed += estimates.wider(estimates.exact_shape(shaped, exact[name]), by_id[name].best, ratios)
             continue
         if shaped is not None and len(said.effects) == 1 and by_id[name].best.amplitudes[0][0] < 0:
-            listed += estimates.opposite(shaped, by_id[name].best)
+            listed += estimates.wider(estimates.opposite(shaped, by_id[name].best), by_id[name].best, ratios)
             continue
         if together is None:
-            listed += estimates.amplitudes(weighing, name, by_id[name].best, walking=walking)
-            listed += estimates.shape(by_id[name])
+            best = by_id[name].best
+            listed += estimates.amplitudes(weighing, name, best, walking=walking, ratios=ratios)
+            listed += estimates.wider(estimates.shape(by_id[name]), best, ratios)
         else:
             (member,) = (one for one in together.members if one.id == name)
-            listed += estimates.amplitudes(weighing, name, together.weighed, together.columns(name), walking)
-            listed += estimates.shape(member.candidate)
+            own = together.columns(name)
+            listed += estimates.amplitudes(weighing, name, together.weighed, own, walking, ratios)
+            listed += estimates.wider(estimates.shape(member.candidate), member.form, ratios)
     return listed
 
 

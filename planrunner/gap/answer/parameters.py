@@ -5,10 +5,11 @@ The specification of the sensor is compared with these terms.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import HasShape, OutsideCoefficients, Shaped, triad_of
 from planrunner.error_model.effects.nominal import PARTS
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
@@ -28,13 +29,22 @@ class ParameterEstimate:
 
 
 def amplitudes(
-    weighing: Weighing, effect: str, weighed: Weighed, columns: slice = slice(None), walking: bool = False
+    weighing: Weighing,
+    effect: str,
+    weighed: Weighed,
+    columns: slice = slice(None),
+    walking: bool = False,
+    ratios: Array | None = None,
 ) -> list[ParameterEstimate]:
     """Means and standard deviations of the amplitudes at the most probable prior size. columns: the columns of a pair that belong
-    to the effect. walking: whether a random walk of the gyros acts in addition. An amplitude that is fixed at 1 is not a parameter."""
+    to the effect. walking: whether a random walk of the gyros acts in addition. ratios: (K,), variance of the residuals of each channel
+    relative to that of the noise; None if the residuals are noise. An amplitude that is fixed at 1 is not a parameter."""
     if weighed.held:
         return []
     mean, covariance = weighing.amplitudes(weighed, walking)
+    if ratios is not None:
+        excess = sum((r - 1) * own.T @ own for r, own in zip(ratios, weighed.by_channel, strict=True))
+        covariance = covariance + covariance @ excess @ covariance  # White, Econometrica 48, 1980
     spread = np.sqrt(np.diag(covariance))
     listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)
     return [
@@ -47,6 +57,16 @@ def amplitudes(
         )
         for column, value, sigma in listed
     ]
+
+
+def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array | None) -> list[ParameterEstimate]:
+    """Estimates of a shape with uncertainties for residuals that are more than noise. ratios: as in `amplitudes`; their mean, weighted by
+    the energy of the effect in each channel, multiplies the variance."""
+    if ratios is None:
+        return list(listed)
+    energy = np.array([float((own**2).sum()) for own in weighed.by_channel])
+    factor = float(np.sqrt(ratios @ energy / energy.sum()))
+    return [replace(one, standard_uncertainty=one.standard_uncertainty * factor) for one in listed]
 
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:

@@ -22,7 +22,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Effect, OutsideCoefficients, triad_of
 from planrunner.gap.answer.apart import Apart
-from planrunner.gap.answer.remainder import dispersion
+from planrunner.gap.answer.remainder import dispersions
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.noise_levels import Level, log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
@@ -145,7 +145,7 @@ def posterior(
         if chain:
             named = _shared(logs)
             walks = walk in best.split("+")
-            ratios = np.ones(len(weighing.weights)) if walks else _dispersions(weighing, chain[-1][1])
+            ratios = np.ones(len(weighing.weights)) if walks else dispersions(weighing, chain[-1][1])
             if (ratios > 1).any():
                 wide = weighing.inflated(ratios.tolist())
                 again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, refit=False)
@@ -282,17 +282,6 @@ def _with_something_else(
         if besides < WORTH:
             break
     return made
-
-
-def _dispersions(weighing: Weighing, known: Weighed) -> Array:
-    """Dispersion (K,) of the residuals that remain after the fit of known effects."""
-    amplitudes = known.amplitudes[0]
-    found, count = [], len(weighing.weights)
-    for (weight, *_), columns in zip(weighing.weights, known.by_channel, strict=True):
-        rest = weight.residual - columns @ amplitudes
-        degrees = max(len(rest) - weight.basis.shape[1], 1)
-        found.append(dispersion(rest, degrees, weighing.spectrum.means, 2 * count))
-    return np.array(found)
 
 
 def _as_named(

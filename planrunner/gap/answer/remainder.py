@@ -48,6 +48,17 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
     return found
 
 
+def dispersions(weighing: Weighing, known: Weighed) -> Array:
+    """Dispersion (K,) of the residuals that remain after the fit of known effects."""
+    amplitudes = known.amplitudes[0]
+    found, count = [], len(weighing.weights)
+    for (weight, *_), columns in zip(weighing.weights, known.by_channel, strict=True):
+        rest = weight.residual - columns @ amplitudes
+        degrees = max(len(rest) - weight.basis.shape[1], 1)
+        found.append(dispersion(rest, degrees, weighing.spectrum.means, 2 * count))
+    return np.array(found)
+
+
 VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of the noise model
 
 
