@@ -82,3 +82,16 @@ def test_the_example_of_the_page_is_predicted() -> None:
     world = World(ROCKED, {}, listed["outputs"], listed["expected"])
     predicted = {one.name for one in designed(ErrorModelEstimator(), world.design()).predicted}
     assert predicted >= {"gyro_bandwidth_tau_x", "gyro_warm_up_tau_x", "lever_arm_r_y_accel_x"}
+
+
+def test_vibration_rectification_needs_no_lever_arm_on_the_axis() -> None:
+    """Whole periods of two intensities. An accelerometer away from the axis does not fit this model, which a warning states."""
+    segments = timed([*statics(), *rocks((8, 0.5), (2, 4), seconds=8.0)])
+    outputs = {"accel_x": ("accel_bias", "accel_scale_factor", "accel_misalignment", "accel_vibration_rectification")}
+    shift = single("accel_vibration_rectification", 1e-4, 0.0, 0.0)
+    one = World(segments, shift, outputs).estimate(2)
+    found = one["accel_vibration_rectification_x"]
+    assert found.value == pytest.approx(1e-4 / 9.80665 * 1e6, abs=4 * found.standard_uncertainty)
+    assert found.standard_uncertainty < 0.01 * found.value and not one.warnings
+    away = World(segments, shift | single("lever_arm", 0.03, -0.02, 0.04), outputs).estimate(2)
+    assert [text for text in away.warnings if "the model is incomplete" in text]

@@ -109,8 +109,8 @@ def shown_by(effect: Effect) -> str:
 
 @runtime_checkable
 class ExplainsTurning(Effect, Protocol):
-    """An effect that describes what accelerometers away from the axis of rotation measure while the table turns. Without such an
-    effect, an estimate uses accelerometers only at rest."""
+    """An effect that describes what accelerometers measure while the table turns or rocks. Without such an effect, an estimate uses
+    accelerometers only at rest."""
 
     explains_turning: Literal[True]
 

@@ -51,7 +51,7 @@ class AccelVibrationRectification:
         Actor.SENSOR,
         "Isolate the accelerometers from the vibration, or compensate with its mean square: {found}.",
     )
-    shown_by = _SHOWN_BY
+    shown_by, explains_turning = _SHOWN_BY, True
 
     def variants(self, observed: Observed) -> list[Variant]:
         if not observed.pulsation.any():
