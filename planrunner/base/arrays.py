@@ -1,4 +1,4 @@
-"""Types of arrays: real numbers, integers. The functions that take or return an array give its shape and units."""
+"""Type aliases for arrays of real numbers and of integers. The functions that take or return an array give its shape and units."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Converts columns of numbers between numpy and pyarrow without pandas.
 
-If pandas is installed, pyarrow's own conversions to and from numpy import it to look for its types. This costs half a second in
-every command that reads or writes samples. Conversions by buffers and DLPack do not import it.
+If pandas is installed, pyarrow's own conversions to and from numpy import pandas to recognize its types. This import costs half a
+second in every command that reads or writes samples. Conversions through buffers and DLPack do not import pandas.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def column(values: NDArray[np.float64]) -> pa.Array:
-    """Makes a `pyarrow.Array` of numbers (n,). It shares the memory of contiguous numbers."""
+    """Makes a `pyarrow.Array` of numbers (n,). Contiguous numbers are not copied; the array shares their memory."""
     import pyarrow as pa
 
     whole = np.ascontiguousarray(values, dtype=np.float64)

@@ -1,10 +1,10 @@
 """Work on many items on a Dask cluster (https://distributed.dask.org).
 
-A task consists of one item, or of several if each takes very little time. A worker computes one item at a time, with one thread of
-linear algebra, in the working directory of this process. If a worker is lost, Dask computes its items again on another one. Only a
-limited number of items is on the cluster at a time, so that neither the scheduler nor this process keeps all of them.
+A task consists of one item, or of several if each takes very little time. A worker computes one item at a time, with a single
+thread for linear algebra, in the working directory of this process. If a worker is lost, Dask computes its items again on another
+one. Only a limited number of items is on the cluster at a time, so that neither the scheduler nor this process keeps all of them.
 
-Before it computes, a worker checks that its program and libraries are the same as here, because otherwise the last digits may
+Before computing, a worker checks that it has the same program and libraries as this process, because otherwise the last digits may
 differ. The check is part of each item, because workers may join at any time.
 """
 
@@ -57,7 +57,8 @@ _SCHEDULER = "--scheduler"
 
 @dataclass(frozen=True, slots=True)
 class _Terms:
-    """Conditions that apply to each item. versions: of the program and the libraries. directory: the working directory."""
+    """Conditions that apply to each item. versions: the versions of the program and of the libraries. directory: the working
+    directory."""
 
     versions: Mapping[str, str]
     directory: str
@@ -66,7 +67,8 @@ class _Terms:
 @dataclass(frozen=True, slots=True)
 class _Answer:
     """The answer to a task: the results of its items up to the first one that failed, and the exception of that item; or the reason
-    why the worker cannot compute. seconds: computing time. unfit: name → (here, there)."""
+    why the worker cannot compute. seconds: computing time. unfit: versions that differ, by name, as (version here, version on the
+    worker)."""
 
     results: tuple[object, ...] = ()
     error: Exception | None = None
@@ -98,9 +100,9 @@ def computed_on_cluster(
     address: str,
     tell: Callable[[float], None] | None = None,
 ) -> Iterator[R]:
-    """The results of `work` for all items, in their order; see `workers.results_in_order`. address: of the scheduler. Raises
-    `ClusterError` if the cluster cannot be used, for example because a worker does not see a path among the items, and `ProcessEndedError`
-    if it ends."""
+    """The results of `work` for all items, in their order; see `workers.results_in_order`. address: address of the scheduler.
+    Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a path among the items, and
+    `ProcessEndedError` if it ends."""
     if not items:
         return
     terms = _Terms(versions(), os.getcwd())
@@ -129,7 +131,8 @@ def computed_on_cluster(
 
 
 def _shared(size: int, left: int, threads: int) -> int:
-    """Items of the next task: at most `size`, and so few that the items that are left make several tasks for each thread."""
+    """Number of items in the next task: at most `size`, and few enough that the remaining items still make several tasks for each
+    thread."""
     return min(size, math.ceil(left / (_SHARES_LEFT * max(1, threads))))
 
 
@@ -140,7 +143,8 @@ def _size(answer: _Answer) -> int:
 
 
 def _packed(work: Callable[[T], R]) -> bytes:
-    """Packs the work so that only the workers unpack it. The scheduler would otherwise import its modules and keep its data."""
+    """Packs the work so that only the workers unpack it. Otherwise the scheduler would import the modules of the work and keep its
+    data."""
     import cloudpickle
 
     return bytes(cloudpickle.dumps(work))
@@ -224,7 +228,8 @@ def _connected(address: str) -> Iterator[Client]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its reports of lost connections are messages below
 
     class Closed(Client):  # type: ignore[misc,unused-ignore]
-        """A client whose closing is handled below. A client that was never connected would otherwise try to close itself for 20 s."""
+        """A client that does not close itself when it is deleted; `_connected` closes it. Otherwise a client that was never
+        connected would try to close itself for 20 s."""
 
         def __del__(self) -> None:
             pass
@@ -251,7 +256,8 @@ def _connected(address: str) -> Iterator[Client]:
 
 
 def _knock(address: str) -> None:
-    """Connects to an address once, because Dask repeats a refused connection until its time-out. Raises `OSError` or ValueError."""
+    """Tries to connect to the address once, because Dask repeats a refused connection until its time-out. Raises `OSError` or
+    ValueError."""
     parts = urlsplit(address)
     if parts.scheme in ("tcp", "tls"):
         socket.create_connection((parts.hostname or "", parts.port or 0), timeout=ANSWER_WITHIN).close()

@@ -1,7 +1,7 @@
 """Findings: faults of a file, their places and their remedies.
 
-Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all of them in one run. The codes are documented
-in `docs/findings.md`; a test checks that none is missing there.
+Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all findings in one run. The codes are
+documented in `docs/findings.md`; a test checks that none is missing there.
 
 A check that depends on other parts of the file names them with `Findings.resting_on`. If one of these parts already has an error, the
 findings of the check are consequences: the list keeps them with their cause and shows only the cause.
@@ -54,7 +54,7 @@ COMMAND_LINE = Mark("<command line>")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One finding. `str()` gives its line on the terminal, without the hint.
+    """One finding. `str()` gives the finding as a line for the terminal, without the hint.
 
     cause: the error from which this finding follows; such a finding is kept but not shown.
     """
@@ -174,7 +174,7 @@ class InputError(Exception):
 
 
 def count_of(number: int, one: str, several: str = "") -> str:
-    """A number with its noun, such as `1 run` and `2 runs`. several: the plural, if it is not the singular with an s."""
+    """A number with its noun, such as `1 run` and `2 runs`. several: the plural of the noun; by default the noun with an s."""
     return f"{number} {one if number == 1 else several or f'{one}s'}"
 
 

@@ -64,8 +64,8 @@ class Entry:
 
 
 class GuardedFolder:
-    """An open folder. path: its name, for messages. All methods take one name, not a path, and raise `OSError`: `NotOrdinaryError`
-    for an entry that is not a plain file or folder. They raise ValueError for a name that is a path.
+    """An open folder. path: its name, for messages. All methods take one name, not a path, and raise `OSError`; for an entry that
+    is not a regular file or folder, `NotOrdinaryError`. They raise ValueError for a name that is a path.
 
     The folder is closed by `close` or when the object is deleted.
     """
@@ -159,7 +159,7 @@ class GuardedFolder:
         return data
 
     def open_existing(self, name: str) -> FileIO:
-        """Opens a file for reading and writing, unbuffered, at its beginning."""
+        """Opens a file for reading and writing, unbuffered, positioned at its start."""
         return FileIO(self._open(name, _WRITE, None), "r+")
 
     def open_new(self, name: str) -> FileIO:
@@ -175,8 +175,8 @@ class GuardedFolder:
         return FileIO(descriptor, "w")
 
     def open_or_make(self, name: str, mode: int = 0o644) -> int:
-        """A descriptor of a file that is opened for reading and writing, or only for reading if it may not be written. The file is
-        created if it does not exist."""
+        """A descriptor of a file that is opened for reading and writing, or only for reading if writing is not permitted. The file
+        is created if it does not exist."""
         where = self._at(_plain(name))
         with contextlib.suppress(FileNotFoundError):
             try:
@@ -200,7 +200,7 @@ class GuardedFolder:
         )
 
     def rename(self, source: str, target: str) -> None:
-        """Renames a file or folder. It is refused if `target` is a file or a folder that is not empty."""
+        """Renames a file or folder. The system refuses this if `target` is a file or a non-empty folder."""
         self._check_place()
         os.rename(
             self._at(_plain(source)),
@@ -210,7 +210,7 @@ class GuardedFolder:
         )
 
     def remove(self, name: str) -> None:
-        """Removes a file. A link is removed, not its target. If there is none, nothing happens."""
+        """Removes a file. A link is removed, not its target. A missing file is not an error."""
         self._check_place()
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self._at(_plain(name)), dir_fd=self._descriptor)
@@ -231,7 +231,7 @@ class GuardedFolder:
         return os.stat(self._at(name), dir_fd=self._descriptor, follow_symlinks=False)
 
     def _check_place(self) -> None:
-        """Checks that the folder at the path is still the same, if no folder is open."""
+        """If the folder itself cannot be kept open, checks that its path still leads to the same folder."""
         if self._descriptor is None and _identity(os.stat(self.path)) != self._identity:
             raise NotOrdinaryError(self.path, "the folder was replaced by another while it was in use")
 

@@ -90,7 +90,8 @@ class Interruption:
             self._within_hook = False
 
     def _interrupt(self, raised: int) -> None:
-        """Raises the interruption again until the exception was raised once more than before."""
+        """Repeats the interruption until it has been raised in the main thread, that is, until the count of raised interruptions
+        exceeds `raised`."""
         while True:
             time.sleep(AGAIN_AFTER)
             if self._raised > raised or not self._listening:

@@ -1,7 +1,7 @@
 """Caches results of pure functions for later calls with the same content.
 
 Plans of a laboratory share bench, site and positions, and a plan uses the same positions in several estimates. A result that
-depends on these alone is computed once in a process. Arrays are compared by their bytes, so only an equal input gives a cached
+depends on these alone is computed once per process. Arrays are compared by their bytes, so only an equal input gives a cached
 result.
 """
 
@@ -23,8 +23,8 @@ _LARGEST = 50_000  # bytes of the arrays in one call and its result; larger ones
 
 
 def kept(most: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Caches the last `most` results of a function. Its arguments are arrays, hashable values and tuples of these, and it depends
-    on nothing else.
+    """Caches the last `most` results of a function. The arguments of the function are arrays, hashable values and tuples of these,
+    and the result depends on nothing else.
 
     Arrays in a result (an array, a record of arrays, or a tuple of these) are made read-only, because callers share them.
     """

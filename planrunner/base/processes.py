@@ -4,8 +4,8 @@ The items are distributed before the processes start, and each process sends all
 Therefore no process waits for another. If the first process is killed, the others end after their share. If another one is killed,
 its pipe closes. This is an error in the first process, never an endless wait.
 
-A process is a fork where that is safe: on Linux, while this process has a single thread. It then has everything that this process has
-imported and computed. Elsewhere it is a new interpreter, which takes as long to start as many items.
+A process is a fork where that is safe: on Linux, while this process has a single thread. A fork has everything that this process
+has imported and computed. Elsewhere the process is a new interpreter, whose start takes as long as the work on many items.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class _Started(Generic[T, R]):
 
 
 def _do(end: Connection, work: Callable[[T], R], share: Sequence[T]) -> None:
-    """Does the work of a further process."""
+    """Runs in a further process: computes the results of its share and sends them to the first process."""
     _leave_ctrl_c_to_the_first_process()
     results = _up_to_a_failure(work, share)
     with contextlib.suppress(BrokenPipeError):  # the first process was killed

@@ -19,8 +19,8 @@ now = monotonic
 
 @dataclass(frozen=True, slots=True)
 class Underway:
-    """A report of progress. what: the work, such as "checking long.csv". fraction: completed part, 0 to 1. time_left: s of real
-    time."""
+    """A report of progress. what: the work, such as "checking long.csv". fraction: completed part, 0 to 1. time_left: expected
+    remaining real time [s]."""
 
     what: str
     fraction: float
@@ -31,15 +31,15 @@ Announce = Callable[[Underway], None]
 
 
 class Pace:
-    """Reports progress of work on a known amount of data, such as rows. A callback that raises is not called again, because a
-    display must not end the work."""
+    """Reports progress of work on a known amount of data, such as rows. A callback that raises an exception is not called again,
+    because a display must not end the work."""
 
     def __init__(self, what: str, amount: float, notice: Announce | None):
         self._what, self._amount, self._notice = what, amount, notice
         self._began = self._shown = now()
 
     def reached(self, amount: float) -> None:
-        """Sets the amount that is done; it may be called often. Reports it if a report is due."""
+        """Sets the amount that is done, and reports the progress if a report is due. It may be called often."""
         if self._notice is None or amount <= 0 or self._amount <= 0:
             return
         time = now()

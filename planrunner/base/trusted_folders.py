@@ -30,7 +30,7 @@ class UntrustedFolderError(Exception):
 
 
 def this_user() -> int:
-    """The user number; 0 on Windows, which has none."""
+    """The number of the current user; 0 on Windows, which has no user numbers."""
     return 0 if sys.platform == "win32" else os.geteuid()
 
 
@@ -48,8 +48,8 @@ def trusted(folder: Path, user: int | None = None) -> Path:
 
 
 def trusted_within(folder: Path, user: int | None = None) -> None:
-    """Applies the same rule to everything in a trusted folder: only folders and files of the user, no links. Raises
-    `UntrustedFolderError` and `OSError`."""
+    """Checks every entry in a trusted folder by the same rule as the folder: only folders and files of the user or the
+    administrator, no links. Raises `UntrustedFolderError` and `OSError`."""
     user = this_user() if user is None else user
     reachable = bool(folder.lstat().st_mode & OTHERS_ENTER)
     for place, folders, files in os.walk(folder, onerror=_raise):
@@ -66,7 +66,7 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
 
 def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
     """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. reachable:
-    whether others can reach it."""
+    whether other users can reach the entry."""
     if sys.platform == "win32":
         return
     if known.st_uid not in (user, ADMINISTRATOR):

@@ -20,8 +20,8 @@ R = TypeVar("R")
 @dataclass(frozen=True, slots=True)
 class Workers:
     """Where to compute. jobs: number of processes of this machine, including this one; None: as many as the work justifies.
-    scheduler: address of a Dask scheduler, which is used instead, such as `tcp://10.0.0.5:8786`. Every worker of the cluster must
-    see the paths among the items under the same names."""
+    scheduler: address of a Dask scheduler to use instead of processes, such as `tcp://10.0.0.5:8786`. Every worker of the cluster
+    must see the paths among the items under the same names."""
 
     jobs: int | None = None
     scheduler: str | None = None

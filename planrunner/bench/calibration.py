@@ -1,5 +1,5 @@
-"""Calibrations of the parts of a bench: the record, checks of its dates, and its validity on the day of a run. Also the laboratory
-of the bench, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
+"""Calibrations of the parts of a bench: the record, checks of its dates, and its validity on the day of a run. Also the record of
+the laboratory of the bench, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SOON = timedelta(days=30)  # time before the due date from which `check` gives a
 
 
 class Calibration(Record):
-    """Source of uncertainties and their period of validity."""
+    """The calibration or survey from which uncertainties come, and the last day on which it is valid."""
 
     certificate: str = key(
         Text(LINE, "a certificate"), "Certificate or report that gives the values.", "RT-0042 / 2026-117"

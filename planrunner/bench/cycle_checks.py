@@ -29,8 +29,9 @@ _DESIGN = "`planrunner design` finds cycles without a residual"
 def check_cycle(
     axis: TableAxis, starts: Sequence[float], motion: Cycle, dwell: float | None, site: Site, at: MarkOf, log: Findings
 ) -> tuple[float, float]:
-    """Adds findings about a cycle that begins with the joint at the first of `starts` [rad], or perhaps at another of them. Returns
-    the angle [rad] of the joint at rest after the dwell if the cycle begins at the first, and the time [s] to come to rest."""
+    """Adds findings about a cycle that begins while the joint is at the first of `starts` [rad], or possibly at another of them.
+    Returns, for a beginning at the first of `starts`, the angle [rad] of the joint at rest after the dwell and the time [s] to come
+    to rest."""
     start = starts[0]
     excess = next(filter(None, (cycle_excess(axis, begin, motion) for begin in starts)), [])
     for one in excess:
@@ -83,7 +84,7 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
 
 
 def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
-    """Reports stops that last longer than the opposite ones."""
+    """Reports stops that last longer than the stops on the opposite side."""
     angles = {name: round(math.degrees(angle) % 360, 6) % 360 for name, angle in motion.positions.items()}
     names: dict[float, str] = {}
     held: dict[float, float] = {}
@@ -126,7 +127,8 @@ def _check_whole(cycle: RotationCycle, dwell: float, mark: Mark, log: Findings) 
 
 
 def seconds_of_error(left: complex) -> str:
-    """A residual in words: along the error and, if not zero, across it (positive to its left, seen from above)."""
+    """States a residual in words: the component in the direction of the sensor error and, if not zero, the component perpendicular
+    to it (positive to the left, seen from above)."""
     across = f"{left.imag:+.2f} s across" if abs(left.imag) > 5e-3 else ""
     if abs(left.real) <= 5e-3:
         return across or "0 s"

@@ -1,13 +1,14 @@
 """Usual limits of the constant errors of inertial sensors, by the grade of the sensor.
 
 If the bench file declares no limits, a diagnosis compares its results with these. This is necessary because the simulation fits
-biases and scale factors, so that even a very large value leaves no gap.
+biases and scale factors: even a very large value leaves no gap between simulation and measurement.
 
-Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed., 2013,
-table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to 1000 ppm,
-laser gyros below 100 ppm). consumer: data sheet PS-MPU-6000A-00, rev. 3.4, 2013, sections 6.1 and 6.2 (tolerances of zero-rate and zero-g
-output, sensitivity and cross-axis sensitivity). industrial: a judgement between the two, for factory-calibrated MEMS units.
-Noise: Groves, table 4.2, and data sheets of quiet units (ADIS16475: 0.15 deg/√h; MPU-6000: 0.005 deg/s/√Hz, 400 µg/√Hz).
+Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed.,
+2013, table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to
+1000 ppm, laser gyros below 100 ppm). consumer: data sheet PS-MPU-6000A-00, rev. 3.4, 2013, sections 6.1 and 6.2 (tolerances of
+zero-rate and zero-g output, sensitivity and cross-axis sensitivity). industrial: our judgement, between tactical and consumer, for
+factory-calibrated MEMS units. Noise: Groves, table 4.2, and data sheets of quiet units (ADIS16475: 0.15 deg/√h; MPU-6000: 0.005
+deg/s/√Hz, 400 µg/√Hz).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 
 
 class Sense(Enum):
-    """The quantity that a sensor measures, for a term."""
+    """The quantity measured by the sensor to which a term belongs."""
 
     RATE = "angular rate"
     FORCE = "specific force"
@@ -43,7 +44,7 @@ SENSES: Mapping[str, Sense] = MappingProxyType(
 @dataclass(frozen=True)
 class Grade:
     """Usual limits of one grade. quietest: smallest usual white noise: of a gyro, angle random walk in deg/√h; of an accelerometer,
-    one-sided density in µg/√Hz. usual: limits of the terms of `SENSES`, in their order."""
+    one-sided density in µg/√Hz. usual: usual limits of the terms of `SENSES`, in the order of `SENSES`."""
 
     name: str
     quietest: Mapping[Sense, float]

@@ -44,8 +44,8 @@ RESCUE_PATIENCE = 30.0
 def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[None]:
     """Locks the bench's real instruments. A bench without real instruments needs no lock.
 
-    shown: the bench's file, for messages; purpose: why it is locked, shown to others who want it. Raises `InputError` if another process
-    holds one of the instruments. Waits for the watchdog of a run that has ended.
+    shown: name of the bench file, for messages; purpose: why the bench is locked, shown to others who want to use it. Raises
+    `InputError` if another process holds one of the instruments. Waits for the watchdog of a run that has ended.
     """
     instruments = _names(bench)
     with ExitStack() as stack:
@@ -95,8 +95,8 @@ def lock_folder() -> Path:
 
 
 def _named(folder: Path) -> Path:
-    """The folder that the environment names. It is created if it does not exist: by an administrator for all users, otherwise for
-    the user alone."""
+    """The lock folder that an environment variable names. It is created if it does not exist: by an administrator for all users,
+    otherwise for the user alone."""
     if not folder.is_absolute():
         raise UntrustedFolderError(f"{folder} is a different folder for each process: give its absolute path")
     try:
@@ -115,8 +115,8 @@ def _named(folder: Path) -> Path:
 
 
 def _names(bench: Bench) -> Mapping[str, str]:
-    """Every name of every real instrument → its spelling in the bench file. The order is the same for all runs, so that two runs never
-    wait for each other."""
+    """Maps every name of every real instrument to the spelling in the bench file. The order is the same for all runs, so that two
+    runs never wait for each other."""
     if runs_on_virtual_clock(bench):
         return {}
     found: dict[str, str] = {}
@@ -132,7 +132,7 @@ def _names(bench: Bench) -> Mapping[str, str]:
 
 
 def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown: str, purpose: str) -> None:
-    """Holds all locks of a kind until the stack is closed, or none of them."""
+    """Takes all locks of one kind, or none of them; closing the stack releases them."""
     if not instruments:
         return
     folder = _usable_folder(shown)

@@ -48,7 +48,8 @@ SINGLE_ROLES = ("table", "chamber", "sensor")  # roles that drivers have a model
 
 
 class MagneticFieldSpec(Record):
-    """The Earth's magnetic field at the site, by its true components. Only ratios matter unless sensitivities are to have a unit."""
+    """The Earth's magnetic field at the site, by its true components. Only the ratios of the components matter unless sensitivities
+    are to have a unit."""
 
     east: float = key(Number(-1e6, 1e6), "Component towards east.", 0.0, default=0.0)
     north: float = key(Number(-1e6, 1e6), "Component towards north.", 22.0)
@@ -276,8 +277,8 @@ class BenchModels:
     """Properties of a bench that are known without connecting to it.
 
     replays: the sensor plays back a recording, so orientations, rates and temperatures come from the recording and need no table or
-    chamber. measures: whether some instrument has live readings; counts: whether the sensor counts its lost and corrupt frames. With
-    simulated time both are True. origin: source of the samples.
+    chamber. measures: whether some instrument has live readings. counts: whether the sensor counts its lost and corrupt frames.
+    With simulated time, `measures` and `counts` are True. origin: source of the samples.
     """
 
     site: Site
@@ -333,8 +334,8 @@ def models(bench: Bench) -> BenchModels:
 
 
 def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool) -> DataOrigin:
-    """The origin of the samples. It is simulated if at least one instrument is simulated: in this program (its state is restored
-    after a crash), or in the process behind its address."""
+    """The origin of the samples. It is simulated if at least one instrument is simulated, in this program (which restores the state
+    of the instrument after a crash) or in a process behind the address of the instrument."""
     inside = any(issubclass(driver, Resumable) and not issubclass(driver, PlaysBack) for driver in drivers)
     if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
         return "simulated"
@@ -367,7 +368,7 @@ def safe_order(bench: Bench) -> tuple[str, ...]:
 
 
 def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, bytes, str]:
-    """Reads a bench; returns it with the exact bytes of its file, and its name in findings.
+    """Reads a bench; returns it with the exact bytes of its file and the name of the file in findings.
 
     A bare word names a shipped bench. Anything else is a file, relative to the folder `beside`. Raises `InputError` with every finding in
     the file.
@@ -424,7 +425,7 @@ def benches_for(kind: str) -> tuple[str, ...]:
 
 
 def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
-    """The file of a bench and its name in messages. Raises `InputError` for an unknown shipped name."""
+    """The file of a bench and the name of the file in messages. Raises `InputError` for an unknown shipped name."""
     if re.fullmatch(NAME, name_or_path):
         known = shipped_benches()
         if name_or_path not in known:
@@ -442,7 +443,7 @@ def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
 
 
 def _check(bench: Bench, log: Findings) -> None:
-    """Checks that concern several keys."""
+    """Checks requirements that concern several keys."""
     if abs(bench.site.latitude.value) > math.pi / 2 + 1e-12:
         log.error(
             "meaning-range",

@@ -30,8 +30,8 @@ WHOLE_TURN_TOLERANCE = 100e-6
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """How long a motion is held. settle, dwell: s; dwell is None for the length of a recording. sampled: sample rate, Hz; None if the
-    sensor is not known. sooner: s by which settling may end earlier, if it depends on measurements."""
+    """How long a motion is held. settle, dwell: s; dwell is None for the length of a recording. sampled: sample rate, Hz; None if
+    the sensor is not known. sooner: time [s] by which settling may end before `settle`, if it depends on measurements."""
 
     settle: float
     dwell: float | None
@@ -48,8 +48,8 @@ def start_motion(
     at: MarkOf,
     log: Findings,
 ) -> tuple[float, TableState]:
-    """Time [s] until the table is in motion, and its state after the dwell. A motion that it cannot execute becomes a finding at
-    its place in the plan.
+    """Time [s] until the table is in motion, and its state after the dwell. A motion that the table cannot execute becomes a
+    finding at the place of the motion in the plan.
 
     input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: the mark
     of one of the motion's keys, or, for an empty key, of the motion.
@@ -191,7 +191,7 @@ def _spin(
 def _elsewhere(
     table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
 ) -> list[Excess]:
-    """Additional requirements if the spin begins at another angle at which the table may be."""
+    """Limits of the axes that the spin exceeds only if it begins at another angle at which the table may be."""
     # The angle of a continuous innermost axis makes no difference to a spin.
     matter = len(table.axes) - 1 if table.axes[-1].continuous else len(table.axes)
     starts = {start[:matter].tobytes(): start for start in state.starts()[1:]}
@@ -217,7 +217,8 @@ def _perhaps(excess: Sequence[Excess]) -> list[Excess]:
 def _whole_turns(
     motion: Spin, dwell: float, input_axes: Array | None, models: BenchModels, mark: Mark, log: Findings
 ) -> None:
-    """Warns if a fraction of a turn biases the mean. The Earth rate causes this for an axis that is tilted from the rotation axis."""
+    """Warns if an incomplete turn biases the mean of the samples. The Earth rate causes this bias for an input axis that is not
+    parallel to the rotation axis."""
     turns = abs(motion.rate) * dwell / (2 * math.pi)
     if abs(turns - round(turns)) < 1e-3 or input_axes is None:
         return

@@ -53,7 +53,7 @@ class SafetyFailure:
 class OpenBench:
     """A bench whose instruments are connected. A context manager: on exit, the controlled instruments are made safe, then all are closed.
 
-    table, chamber, sensor: the instrument of that role, or None. instruments: all of them by name. limits: descriptions of the
+    table, chamber, sensor: the instrument of that role, or None. instruments: all instruments by name. limits: descriptions of the
     limits that the instruments enforce themselves. watchdog: the watchdog of a guarded bench. safe: whether the last attempt
     brought all controlled instruments to their safe state.
     """
@@ -99,8 +99,8 @@ class OpenBench:
 
     def take_control(self, *names: str) -> None:
         """Declares that from now on this process commands these instruments (by default all). The process then makes them safe at
-        the end. If it no longer can, its watchdog does. Call this before the first command. Raises `InstrumentError` if the
-        watchdog has ended."""
+        the end; if it cannot, its watchdog does. Call this before the first command. Raises `InstrumentError` if the watchdog has
+        ended."""
         added = set(names or self.instruments) - self._controlled
         if added and self.watchdog is not None:
             self.watchdog.answer_for(added)
@@ -173,8 +173,8 @@ def open_bench(
 ) -> OpenBench:
     """Connects the instruments of a bench in the order of its file.
 
-    data_root: folder that must contain the recordings. seed: seed of all random numbers of a simulated bench, by default the one in the
-    bench. clock: replaces the clock that the bench names. notice: receives the progress of work before the run. Raises
+    data_root: folder that must contain the recordings. seed: seed of all random numbers of a simulated bench; by default the seed
+    in the bench file. clock: replaces the clock that the bench names. notice: receives the progress of work before the run. Raises
     `InstrumentError` with the name of the instrument that could not be connected; those connected before are closed without being
     commanded.
     """
@@ -213,8 +213,9 @@ def guarded_bench(
 ) -> Iterator[OpenBench]:
     """The connected bench for the duration of a `with` block. At the end it is made safe and closed.
 
-    bench_file: the exact bytes of its file, which the watchdog uses to connect; shown: its name in messages. notice: as in
-    `open_bench`. Raises `InputError` if another run holds the bench, and `InstrumentError` if the watchdog or an instrument fails.
+    bench_file: the exact bytes of the bench file, which the watchdog uses to connect; shown: name of the bench file in messages.
+    notice: as in `open_bench`. Raises `InputError` if another run holds the bench, and `InstrumentError` if the watchdog or an
+    instrument fails.
     """
     with bench_lock(bench, shown):
         watchdog = None

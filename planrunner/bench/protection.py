@@ -1,6 +1,6 @@
 """Protection of a bench: limits that its instruments enforce themselves and that plans must not exceed.
 
-Instruments that support limits receive them before the first move. planrunner also checks its readings against them.
+Instruments that support limits receive them before the first move. planrunner also compares its own readings with these limits.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Names of an address on this computer: two addresses of the same instrument have a name in common.
+"""Names for the address of an instrument on this computer: two addresses of the same instrument have a name in common.
 
 A serial port has several names (`/dev/ttyUSB0`, a link in `/dev/serial/by-id`, `ASRL/dev/ttyUSB0::INSTR`; `COM3` and `ASRL3::INSTR`), and
 so has a network host. If an instrument has two connections, such as GPIB and network or two ports of a host, their addresses have no name
@@ -67,7 +67,7 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """All names of a serial port. numbered: whether a plain number is a Windows port."""
+    """All names of a serial port. numbered: whether a plain number is the number of a Windows port."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":

@@ -102,8 +102,8 @@ MOST_SAMPLES = 10_000_000_000
 
 
 def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:
-    """Checks that the size of the schedule allows planning to continue. Adds findings if the schedule takes more than a year or
-    gives more samples than can be stored."""
+    """Checks that planning can continue with a schedule of this size. Adds findings if the schedule takes more than a year or gives
+    more samples than can be stored."""
     if not schedule.segments:
         return True
     before = log.raised
@@ -134,7 +134,8 @@ def _days(seconds: float) -> str:
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
-    """The place of the first of some segments, and the key that all of them lack. segments: place → label."""
+    """The place of the first of the segments that all lack a key, and a message about the key. segments: label of each segment, by
+    its place."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 

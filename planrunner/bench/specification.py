@@ -11,7 +11,7 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 
 
 class Specification(Record):
-    """Limits of the constant errors of every axis, as the data sheet gives them."""
+    """Limits of the constant errors of every axis, as the data sheet states them."""
 
     grade: str | None = optional(
         Choice(GRADE_NAMES),
@@ -36,7 +36,7 @@ class Specification(Record):
     )
 
     def limits(self) -> Mapping[str, Quantity]:
-        """Maps each term of the nominal model to its upper limit, by its own key or by the grade."""
+        """Maps each term of the nominal model to its upper limit, from the key of the term or else from the grade."""
         usual = {name: limit for grade in GRADES if grade.name == self.grade for name, limit in grade.limits().items()}
         stated = {
             "gyro_bias": self.gyro_bias,

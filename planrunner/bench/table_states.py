@@ -1,9 +1,9 @@
 """Where a table may be: its planned joint angles, the possible deviations after a motion, and the consequences for the next
 orientation.
 
-The angle at which a motion ends is known only approximately: the computer ends it with some delay, and the rate has an error. If
-two ways to the next orientation take almost equally long, this deviation decides which one the table takes. Both ways are then
-possible.
+The angle at which a motion ends is known only approximately: the computer ends the motion with some delay, and the rate has an
+error. If two ways to the next orientation take almost equally long, this deviation decides which one the table takes. Both ways are
+then possible.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this
 class TableState:
     """State of the table: joint angles [rad], outermost first, and the time [s] to come to rest.
 
-    roughly: index of a joint that stopped after a motion and is only approximately at its angle, until the next orientation; None
+    roughly: index of a joint that stopped after a motion and stays only approximately at its angle until the next orientation; None
     if every joint is at its commanded angle. below, above: largest deviations [rad] of each joint from `joints`, negative and
     positive; empty if the angles are exact. others: further joint angles at which the table may be instead.
     """
@@ -56,10 +56,11 @@ class TableState:
         return centres + [start for grid in grids.values() for start in grid]
 
     def _around(self, centre: Array) -> Array:
-        """Joint angles (n, joints) [rad] at which the table may be instead of `centre`, close enough to meet every choice between two ways.
+        """Joint angles (n, joints) [rad] at which the table may be instead of `centre`, spaced closely enough to include each
+        possible choice between two ways.
 
-        A continuous joint that may be at any angle is tried at the same angles, whatever its planned angle is, so that their moves
-        are computed once.
+        For a continuous joint that may be at any angle, the same angles are tried whatever its planned angle is, so that the moves
+        from them are computed once.
         """
         if not self._inexact:
             return np.empty((0, len(centre)))
@@ -148,12 +149,12 @@ def _tried(centre: float, low: float, high: float) -> list[float]:
 
 
 def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
-    """Differences of joint angles [rad], (n, joints). For a continuous axis, whole turns do not count."""
+    """Differences between pairs of joint angles [rad], (n, joints). For a continuous axis, whole turns are removed."""
     off = first - second
     turns = np.array([TURN if axis.continuous else 0.0 for axis in axes])
     return np.asarray(off - turns * np.round(off / TURN))
 
 
 def _furthest(off: Array) -> Array:
-    """The largest absolute difference among the joints, shape (n,)."""
+    """The largest absolute difference among the joints of each row, shape (n,)."""
     return np.asarray(np.abs(off).max(axis=1))

@@ -1,5 +1,5 @@
-"""Checks of temperatures: range of the chamber, ramps that end before the target, and soaks that are too short for a sensor that
-lags behind the air."""
+"""Checks of temperatures: the range of the chamber, ramps that end before the target, and soaks that are too short for a sensor
+whose temperature lags behind the air."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _FORGOTTEN = 40.0  # time constants after which the rest of a change is negligib
 
 
 class Temperatures:
-    """Follows the commands of the chamber, and the temperature of the sensor that lags behind it."""
+    """Follows the commands of the chamber, and the temperature of the sensor, which lags behind the chamber."""
 
     def __init__(self, models: BenchModels, log: Findings):
         self._chamber, self._replays, self._log = models.chamber, models.replays, log
@@ -99,7 +99,8 @@ class Temperatures:
         return seconds > abs(kelvin) / self._chamber.ramp + _FORGOTTEN * (self._lag + self._chamber.lag)
 
     def _behind(self, now: float) -> float:
-        """Distance [K] of the sensor from the setpoint. It is the sum of the remainders of all changes."""
+        """Distance [K] of the sensor from the setpoint. It is the sum of the parts of all changes of the setpoint that the sensor
+        has not yet followed."""
         assert self._chamber is not None
         return sum(self._chamber.behind(kelvin, self._lag, now - begun) for begun, kelvin in self._changes)
 

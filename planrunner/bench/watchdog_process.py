@@ -45,8 +45,8 @@ ENDED_WITHIN = 5.0
 
 @dataclass(slots=True)
 class Charge:
-    """The run that the watchdog guards. parent: process of planrunner; report: the run folder, when it exists; controlled: the
-    instruments that planrunner commands."""
+    """The run that the watchdog guards. parent: process number of planrunner; report: the run folder, once it exists; controlled:
+    the instruments that planrunner commands."""
 
     bench: Bench
     shown: str
@@ -116,7 +116,7 @@ def _hear(charge: Charge, told: JsonObject) -> None:
 
 
 def _ended(parent: int) -> str:
-    """Ends planrunner; returns the outcome in words. Its pipe is still open, so the process number is still valid."""
+    """Ends planrunner; returns the outcome in words. The pipe from planrunner is still open, so its process number is still valid."""
     number = getattr(signal, "SIGKILL", signal.SIGTERM)  # on Windows both signals end a process
     try:
         os.kill(parent, number)

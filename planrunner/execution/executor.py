@@ -233,7 +233,7 @@ class _Execution:
             return
 
     def _in_mode(self, segment: Segment) -> dict[str, float]:
-        """A reading: time that the sensor has been in the segment's mode when its record begins."""
+        """A reading: how long the sensor has been in the segment's mode, at the beginning of the record."""
         since = self.reaching.mode_since
         return {} if segment.mode is None or since is None else {IN_MODE: self.clock.now() - since}
 
@@ -310,7 +310,7 @@ class _Execution:
         self.live.notice(f"{instrument}: {text}")
 
     def _wait_safely(self) -> None:
-        """Brings the bench to its safe state before a person approaches it. Earlier commands no longer apply."""
+        """Brings the bench to its safe state before a person approaches it. Earlier commands count as no longer in effect."""
         self.reaching.forget()
         failures = [str(failure) for failure in self.bench.make_safe()]
         if failures:

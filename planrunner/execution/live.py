@@ -1,5 +1,5 @@
-"""Publishes the live state of a run in its folder: position, time left, statistics and strips (recent course over short intervals) of the
-channels, prompts and notices.
+"""Publishes the live state of a run in its folder: position, time left, statistics and strips (recent statistics over short
+intervals) of the channels, prompts and notices.
 
 Publishing must never disturb a run. A failure to write is ignored, blocks of samples are only copied until the state is written, and the
 state is written at most once in `EVERY` seconds of real time.
@@ -79,7 +79,7 @@ class _Moments:
 
 @dataclass(slots=True)
 class _Samples:
-    """Samples of the segment: those not yet summarised, and the moments of all others."""
+    """Samples of the current segment: the samples not yet summarised, and the moments of the summarised ones."""
 
     units: Mapping[str, str]
     waiting: list[NDArray[np.float64]] = field(default_factory=list)
@@ -107,7 +107,7 @@ class _Samples:
         self.strip.append((self.last, new))
 
     def begin(self) -> None:
-        """Forgets the samples of the segment. The strips continue."""
+        """Forgets the samples of the previous segment. The strips continue."""
         self.waiting, self.rows, self.moments = [], 0, None
 
 
@@ -132,7 +132,7 @@ class LiveReport:
         self._samples, self._hidden = _Samples(shown), len(channels) - len(shown)
 
     def begin(self, segment: Segment) -> None:
-        """Begins a segment: the statistics begin again, the strips continue."""
+        """Begins a segment: the statistics start from zero, the strips continue."""
         self._index, self._label = segment.index, segment.label
         self._samples.begin()
 
@@ -175,7 +175,7 @@ class LiveReport:
         self._publish()
 
     def beat(self) -> None:
-        """Publishes the state if that is due. It is called often."""
+        """Publishes the state if it is due to be published. It is called often."""
         if time.monotonic() - self._published >= EVERY:
             self._publish()
 

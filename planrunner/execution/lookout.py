@@ -69,7 +69,7 @@ class Lookout:
         self.look()
 
     def look(self, fresh: bool = False) -> None:
-        """Queries the instruments if a check is due, or now on request. Raises `StoppedAtOnceError` and `InstrumentError`."""
+        """Queries the instruments if a check is due, or immediately on request. Raises `StoppedAtOnceError` and `InstrumentError`."""
         if self._stop.at_once:
             raise StoppedAtOnceError
         if self._lost is not None:
@@ -121,7 +121,7 @@ class Lookout:
         return self._stop.at_once or self._lost is not None
 
     def begin_segment(self) -> None:
-        """Resets the supervision for a segment, so that doubts are reported again."""
+        """Resets the supervision for a segment, so that doubtful states are reported again."""
         self._doubts.clear()
         self._last = -math.inf
 

@@ -51,7 +51,7 @@ class Boundary:
         self._make_safe, self._go_on = make_safe, go_on
 
     def wait(self, segment: Segment, now: Callable[[], float]) -> None:
-        """Handles the prompts and a pause, if any, before `segment`. Returns early if the run must stop."""
+        """Handles the prompts and a requested pause before `segment`. Returns early if the run must stop."""
         if asked_to_pause(self._writer.folder):
             self._pause(now)
         if not segment.prompts or self._stop.after_segment:

@@ -34,10 +34,11 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The outcome. completed: number of segments acknowledged in this execution; segments: number in the schedule. stopped: how the
-    run was stopped on request. unsafe: failures to make instruments safe. untouched: instruments that were never commanded and are
-    therefore left as they were. finished: whether every segment is acknowledged and the folder is sealed. remarks: information that
-    the user needs although the run is complete; unsigned: the reason why the bench did not sign the seal, if it should have."""
+    """The outcome. completed: number of segments acknowledged in this execution; segments: number of segments in the schedule.
+    stopped: how the run was stopped on request. unsafe: failures to make instruments safe. untouched: instruments that were never
+    commanded and are therefore left as they were. finished: whether every segment is acknowledged and the folder is sealed.
+    remarks: information that the user needs even if the run is complete; unsigned: why the bench did not sign the seal, if it
+    should have signed it."""
 
     completed: int
     segments: int

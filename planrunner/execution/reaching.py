@@ -1,8 +1,8 @@
 """Brings the bench to the state of a segment and to rest again: temperature, orientation, motion, settling.
 
-Commands return at once with their expected duration. After that time on the bench's clock, the instrument is queried until it has
-reached the state, up to a time-out. If the plan names quantities to settle and instruments measure them, settling ends when they
-have settled. Temperature is set only when it changes, orientation only when it changes or after a motion.
+Commands return at once with their expected duration. After the expected time on the bench's clock, the instrument is queried until
+it has reached the state, up to a time-out. If the plan names quantities to settle and instruments measure them, settling ends when
+they have settled. Temperature is set only when it changes, orientation only when it changes or after a motion.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Patience:
 
 
 class Reaching:
-    """Reaches states. It remembers the last commands, so that nothing is moved unnecessarily."""
+    """Brings the bench to the states of the segments. It remembers the last commands, so that nothing is moved unnecessarily."""
 
     def __init__(self, bench: ConnectedBench, lookout: Lookout, patience: Patience, say: Callable[[str], None]):
         self._bench = bench
@@ -105,8 +105,8 @@ class Reaching:
             self._wait_until_settled(segment, segment.settle, segment.stable)
 
     def _wait_until_settled(self, segment: Segment, seconds: float, stability: Stability | None) -> None:
-        """Waits for a time. If the plan names quantities to settle and instruments measure them, it waits until these have stayed
-        within their limits for that time."""
+        """Waits for a time. If the plan names quantities to settle and instruments measure them, waits until these quantities have
+        stayed within their limits for that time."""
         if stability is None or not self._lookout.sees:
             self.pause(seconds)
             return

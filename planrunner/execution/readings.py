@@ -36,8 +36,8 @@ class Readings:
     _courses: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
 
     def take(self, now: float, conditions: Mapping[str, Condition]) -> dict[str, float]:
-        """Maps each reading to its current value, SI, for all known readings. If several instruments report the same reading, the worst
-        value is taken."""
+        """Maps each reading to its current value, SI, for all known readings. If several instruments report the same reading, the
+        worst value counts."""
         found: dict[str, float] = {}
         for name, condition in conditions.items():
             for reading in ("position_error", "rate_error"):
@@ -117,7 +117,7 @@ class LimitPassedError(Exception):
 
 
 class Holding:
-    """One attempt at one segment, from the beginning of its dwell."""
+    """One attempt to record one segment, from the beginning of its dwell."""
 
     def __init__(
         self, bench: ConnectedBench, lookout: Lookout, segment: Segment, counts: Callable[[], FrameCounts] | None = None
@@ -133,7 +133,8 @@ class Holding:
         self._seen: set[str] = set()
 
     def check(self, fresh: bool = False) -> None:
-        """Checks the bench if a check is due, or now on request. Raises `LimitPassedError` and the errors of `Lookout.look`."""
+        """Checks the bench if a check is due, or immediately on request. Raises `LimitPassedError` and the errors of
+        `Lookout.look`."""
         self._lookout.look(fresh=fresh or not self._begun)
         self._begun = True
         if self._looks == self._lookout.looks:
@@ -153,8 +154,8 @@ class Holding:
             raise LimitPassedError("; ".join(passed))
 
     def finish(self) -> FrameCounts | None:
-        """The frame counts of the sensor, after a last check that finds failures up to the end. Raises the errors of `check`, and
-        `LimitPassedError` if too many frames are lost or corrupt."""
+        """The frame counts of the sensor, after a last check so that failures up to the end are found. Raises the errors of
+        `check`, and `LimitPassedError` if too many frames are lost or corrupt."""
         self.check(fresh=True)
         counts = self.counts()
         passed = [] if counts is None else frames_outside(self._watch, counts)

@@ -18,7 +18,8 @@ AT_ONCE_SIGNALS = ("SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class StopRequest:
-    """Whether and how the run must stop. As a context manager it handles signals and restores the previous handlers afterwards.
+    """Holds the request to stop: whether and how the run must stop. As a context manager it handles signals and restores the
+    previous handlers afterwards.
 
     notify: called with a line of text for the operator at every request (from the signal handler, so it must be quick).
     """
