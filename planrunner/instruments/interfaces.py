@@ -183,7 +183,7 @@ class HoldsTemperature(Protocol):
 @runtime_checkable
 class Foresees(Protocol):
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Raises `InstrumentError` if the instrument cannot execute a schedule. It is called before anything moves."""
+        """Checks, before anything moves, whether the instrument can execute a schedule. Raises `InstrumentError` if it cannot."""
 
 
 @runtime_checkable
@@ -215,9 +215,9 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
-    """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: its channels are means, and the
-    channels named here state their scatter. deviations: channel → channel of the standard deviation of its samples, which count as
-    independent. count: channel of the number of samples; seconds: channel of the duration."""
+    """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: the sample contains the means
+    of the channels, and further channels, named here, for their scatter. deviations: channel → channel of the standard deviation of
+    the averaged samples, which count as independent. count: channel of the number of samples; seconds: channel of the duration."""
 
     deviations: Mapping[str, str]
     count: str
@@ -240,8 +240,8 @@ class StreamsSamples(Protocol):
     def stream(self, segment: Segment) -> Iterator[Block]:
         """The samples of one segment's dwell as blocks of bounded size, as they arrive. It ends with the dwell.
 
-        In real time a block is returned at least every second, without rows if no sample arrived, so that the bench can be supervised
-        between blocks; a sensor that stays silent raises `InstrumentError`."""
+        In real time a block is returned at least every second, even without rows if no sample has arrived, so that the bench can be
+        supervised between blocks; a sensor that stays silent raises `InstrumentError`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +249,7 @@ class Condition:
     """The current state of an instrument, as measured by it.
 
     values: live quantities in SI units by name; standard names are `position_error` [rad] (following error, the largest of its
-    axes), `rate_error` [rad/s], `temperature` [K]. faults: reasons why it cannot continue, in words (interlock open,
+    axes), `rate_error` [rad/s], `temperature` [K]. faults: reasons why the instrument cannot continue, in words (interlock open,
     over-temperature, axis fault); they end the run. doubts: reasons why its samples may be invalid (status bits); the plan defines
     the consequence.
     """
@@ -264,13 +264,14 @@ class Watched(Protocol):
     """An instrument with live readings, which determine settling and are compared with limits during a dwell."""
 
     def watch(self) -> Condition:
-        """Its current condition, from one short exchange or from the last frame. Called about once a second, also between the
-        blocks of a stream. Values that are not known at the moment are omitted."""
+        """The current condition of the instrument, from one short exchange or from the last frame. Called about once a second, also
+        between the blocks of a stream. Values that are not known at the moment are omitted."""
 
 
 @runtime_checkable
 class Alive(Protocol):
-    """An instrument that can verify its link. A `Watched` instrument verifies it by its readings and does not need this."""
+    """An instrument that can verify its link. A `Watched` instrument verifies its link by its readings and does not need this
+    protocol."""
 
     def heartbeat(self) -> None:
         """The shortest possible exchange, every few seconds while there is no other communication. Raises `InstrumentError` if there is no
@@ -279,11 +280,11 @@ class Alive(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
-    """Limits that an instrument must enforce itself, independent of the computer. None means that the driver uses its own
-    parameters, as for travel.
+    """Limits that an instrument must enforce itself, independent of the computer. None means that the driver takes the limit from
+    its own keys, as it always does for travel.
 
-    rate [rad/s], acceleration [rad/s²], position_error [rad]: of every axis. coldest, hottest: K. silence: s without communication from the
-    computer after which it makes itself safe.
+    rate [rad/s], acceleration [rad/s²], position_error [rad]: limits of every axis. coldest, hottest: K. silence: time [s] without
+    communication from the computer after which the instrument makes itself safe.
     """
 
     rate: float | None = None
@@ -303,8 +304,9 @@ class SelfLimiting(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Frames of one segment's stream. lost: missing by counter; corrupt: wrong checksum; overflowed: dropped because the computer did
-    not read them in time; skipped_bytes: between frames. details: further values (latency_s, clock_skew_ppm …)."""
+    """Frames of one segment's stream. lost: frames missing according to the counter; corrupt: frames with a wrong checksum;
+    overflowed: frames dropped because the computer did not read them in time; skipped_bytes: bytes between frames. details: further
+    values (latency_s, clock_skew_ppm …)."""
 
     received: int = 0
     lost: int = 0

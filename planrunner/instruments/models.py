@@ -34,8 +34,9 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(frozen=True, slots=True)
 class TableModel:
-    """A position/rate table. axes: outermost first. position_uncertainty: standard, rad; rate_stability: relative, standard;
-    orthogonality: standard uncertainty of the angles between its axes, rad. rocks: whether it has a rocking motion."""
+    """A position/rate table. axes: outermost first. position_uncertainty: standard uncertainty of a position, rad; rate_stability:
+    relative standard uncertainty of a rate; orthogonality: standard uncertainty of the angles between the axes, rad. rocks: whether
+    the table has a rocking motion."""
 
     axes: tuple[TableAxis, ...]
     position_uncertainty: float = 0.0
@@ -48,8 +49,8 @@ class TableModel:
 class ChamberModel:
     """A temperature chamber. lowest, highest: K; ramp: K/s; ambient: K, the temperature of the safe state.
 
-    lag: time constant [s] with which the air follows the ramp; tolerance: K, within which a temperature counts as reached;
-    temperature_uncertainty: standard, K, of the chamber's own thermometer.
+    lag: time constant [s] with which the air follows the ramp; tolerance: deviation [K] from the setpoint at which a temperature
+    counts as reached; temperature_uncertainty: standard uncertainty [K] of the chamber's own thermometer.
     """
 
     lowest: float
@@ -61,10 +62,10 @@ class ChamberModel:
     temperature_uncertainty: float = 0.0
 
     def seconds_to_change(self, kelvin: float) -> float:
-        """Time [s] until the air is within tolerance of a setpoint `kelvin` away.
+        """Time [s] until the air is within the tolerance of a setpoint that differs by `kelvin` from the present one.
 
-        At the end of a ramp with the rate r and the duration t, a first-order lag τ is r·τ·(1 − e^(−t/τ)) behind. This difference
-        then decays with the time constant τ.
+        At the end of a ramp with the rate r and the duration t, the output of a first-order lag τ is r·τ·(1 − e^(−t/τ)) behind.
+        This difference then decays with the time constant τ.
         """
         if abs(kelvin) <= self.tolerance:
             return 0.0
@@ -80,8 +81,8 @@ class ChamberModel:
         The body follows the air with the time constant `lag` [s]. The ramp changes the setpoint by `kelvin` and begins in
         equilibrium.
 
-        After a ramp k·t, two first-order lags a and s in series are k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)) behind. A
-        ramp that ends after T is this ramp minus the same ramp begun T later.
+        At the time t of a ramp with the rate k, the output of two first-order lags a and s in series is k·((a + s) − (a²·e^(−t/a) −
+        s²·e^(−t/s))/(a − s)) behind. A ramp that ends after T is the difference between this ramp and the same ramp begun T later.
         """
         slope = math.copysign(self.ramp, kelvin)
         return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
@@ -99,9 +100,9 @@ class ChamberModel:
 class NoiseModel:
     """Noise of one output, in output units.
 
-    white: random-walk coefficient N [unit·√s]: the mean over T seconds has variance N²/T. bias_instability: flicker floor [unit];
-    resolution: one count [unit]. counted: whether the remainder of a count is carried to the next sample, so that only the two ends
-    of a mean are rounded. states_flicker: whether the bench file gives a bias instability, which may be zero.
+    white: random-walk coefficient N [unit·√s], such that the mean over T seconds has the variance N²/T. bias_instability: flicker
+    floor [unit]; resolution: one count [unit]. counted: whether the remainder of a count is carried to the next sample, so that
+    only the two ends of a mean are rounded. states_flicker: whether the bench file gives a bias instability, which may be zero.
     """
 
     white: float = 0.0
@@ -111,12 +112,12 @@ class NoiseModel:
     states_flicker: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
-        """Whether the rounding of samples to counts averages out in a mean. This is so if noise of this variance [unit²] between
-        the samples dithers it, or if the remainder of a count is carried to the next sample."""
+        """Whether the rounding of samples to counts averages out in a mean. This is so if the noise between the samples, with this
+        variance [unit²], is large enough to dither the rounding, or if the remainder of a count is carried to the next sample."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
-        """Standard uncertainty of the mean over `seconds` of samples at `rate_hz`."""
+        """Standard uncertainty of the mean of the samples taken at `rate_hz` during `seconds`."""
         samples = max(1.0, seconds * rate_hz)
         white = self.white**2 / max(seconds, 1.0 / rate_hz)
         per_sample = self.white**2 * rate_hz
@@ -127,13 +128,13 @@ class NoiseModel:
         return math.sqrt(white + rounding + self.bias_instability**2)
 
     def chance_of_no_change(self, seconds: float, rate_hz: float) -> float:
-        """Upper bound of the probability that all samples of a constant input over `seconds` at `rate_hz` are equal.
+        """Upper bound of the probability that all samples of a constant input, taken at `rate_hz` during `seconds`, are equal.
 
-        Without carried remainders, the probability is largest for a mean in the middle of a count. With carried remainders, the sum of
-        the noise is a random walk that starts anywhere in a count, and it must stay within the count. The probability that a walk of n
-        steps of σ stays between walls at the distance a is at most exp(−π²·n·σ²/(2·a²)), from the series of H. S. Carslaw and J. C.
-        Jaeger, Conduction of Heat in Solids, 3.3. The walls are checked only once per step, so a is larger than the count by 2·0.5826·σ
-        (D. Siegmund, Sequential Analysis, 10.2).
+        Without carried remainders, the probability is largest if the input is in the middle of a count. With carried remainders,
+        the sum of the noise is a random walk that starts anywhere in a count, and it must stay within the count. The probability
+        that a walk of n steps of σ stays between walls at the distance a is at most exp(−π²·n·σ²/(2·a²)), from the series of H. S.
+        Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3. The walls are checked only once per step, so a is larger than
+        the count by 2·0.5826·σ (D. Siegmund, Sequential Analysis, 10.2).
         """
         if self.resolution == 0 or self.white == 0:
             return 0.0 if self.white else 1.0
@@ -148,8 +149,8 @@ class NoiseModel:
 @dataclass(frozen=True, slots=True)
 class OutputModel:
     """One output channel: its name, the unit in which it is recorded, full scale (either sign) in that unit, and noise. constant:
-    whether it is exactly constant while the table is at rest, as a simulated table encoder is. senses: the sensed quantity, if the
-    unit does not determine it."""
+    whether the output is exactly constant while the table is at rest, as that of a simulated table encoder is. senses: the sensed
+    quantity, if the unit does not determine it."""
 
     name: str
     unit: str
@@ -163,11 +164,11 @@ class OutputModel:
 class SensorModel:
     """The sensor under test. `nominal` contains declared coefficients (name → SI value) at which predictions are linearised.
 
-    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: True if
-    the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s] of its
-    temperature relative to the air, 0 if not declared. records_angle: whether it records the table's angle about one axis, so that motion
-    about several axes cannot be recorded. nominal_supply: V, supply voltage from which effects of the supply count. stabilised: whether
-    gimbals decouple the outputs from the motion of the table.
+    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: True
+    if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s] of
+    its temperature relative to the air, 0 if not declared. records_angle: whether the sensor records the table's angle about one
+    axis, so that motion about several axes cannot be recorded. nominal_supply: supply voltage [V] at which the effects of the
+    supply are zero. stabilised: whether gimbals decouple the outputs from the motion of the table.
     """
 
     kind: str
@@ -182,7 +183,7 @@ class SensorModel:
     stabilised: bool = False
 
     def rate_refused(self, asked: float | None) -> str:
-        """The reason why the sensor cannot be sampled at `asked` Hz; empty if it can, or if no rate is requested."""
+        """Why the sensor cannot be sampled at `asked` Hz; empty if it can be, or if no rate is requested."""
         return rate_refused(asked, self.sample_rate, self.one_rate)
 
     def output(self, name: str) -> OutputModel | None:
@@ -190,8 +191,8 @@ class SensorModel:
 
 
 def rate_refused(asked: float | None, own: float, one_rate: bool) -> str:
-    """The reason why a sensor with the sample rate `own` Hz (and no other if `one_rate`) cannot be sampled at `asked` Hz; empty if
-    it can, or if no rate is requested."""
+    """Why a sensor with the sample rate `own` Hz (and no other if `one_rate`) cannot be sampled at `asked` Hz; empty if it can be,
+    or if no rate is requested."""
     if asked is None or abs(asked / own - 1) <= 1e-9:
         return ""
     if one_rate:

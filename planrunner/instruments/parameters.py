@@ -1,5 +1,5 @@
-"""Kinds of parameter for instruments in addition to those of the language: quantities of a sensor's compound dimensions, and polynomials
-of temperature."""
+"""Kinds of parameter for instruments in addition to those of the plan language: quantities of a sensor's compound dimensions, and
+polynomials of temperature."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Polynomial:
 
 
 def nominal_supply() -> Quantity:
-    """The key of a sensor for the supply voltage from which effects of the supply count."""
+    """The key of a sensor for the supply voltage at which the effects of the supply are zero."""
     voltage: Quantity = key(
         QuantityOf("voltage", "positive"),
         "Supply voltage at which the effects of the supply are zero. It also applies to segments that state no "

@@ -100,8 +100,8 @@ class RecordingPlayer(PlaysBack):
         piece: float = math.inf,
         notice: Announce | None = None,
     ) -> RecordingPlayer:
-        """Opens a player of the files at `paths`, which continue each other. table: file of the segments; piece: longest block, s;
-        notice: receives the progress while a whole file is read. Raises `InstrumentError`."""
+        """Opens a player of the files at `paths`, each of which continues the one before. table: file of the segments; piece:
+        length [s] of the longest block; notice: receives the progress while a whole file is read. Raises `InstrumentError`."""
         columns = {name: channel.column for name, channel in parameters.channels.items()}
         parts = [RecordedFile(path, name) for path, name in zip(paths, parameters.files, strict=True)]
         pause = parameters.pause_between_files
@@ -126,7 +126,7 @@ class RecordingPlayer(PlaysBack):
         return {name: channel.unit for name, channel in self.parameters.channels.items()}
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Checks that the recording contains every segment for its whole dwell and can be read to its end. Raises `UnservedError`."""
+        """Checks that the recording contains every segment with its whole dwell and can be read to its end. Raises `UnservedError`."""
         found = Findings()
         self.look_over(segments, found)
         if found.errors:
@@ -151,7 +151,7 @@ class RecordingPlayer(PlaysBack):
         return None if self._held is None else self._held.seconds
 
     def _wanted(self, segments: Sequence[Segment], log: Findings) -> list[Wanted]:
-        """The intervals of the segments that the recording contains. Faults of the others are added to `log`."""
+        """The intervals of those segments that the recording contains. For each other segment, a finding is added to `log`."""
         name, labels = self.parameters.file, [segment.label for segment in segments]
         if self.parted:
             if len(labels) == len(self.parted):
@@ -214,7 +214,7 @@ class RecordingPlayer(PlaysBack):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _pieces(self, time: Array, columns: Mapping[str, Array]) -> Iterator[Block]:
-        """Divides blocks to a length that suits the clock: about one second each in real time."""
+        """Divides blocks into pieces whose length suits the clock: about one second each in real time."""
         rate = self.parameters.sample_rate.value
         size = time.size if math.isinf(self.piece) else max(1, round(self.piece * rate))
         for first in range(0, time.size, size):
@@ -253,7 +253,7 @@ class RecordingPlayer(PlaysBack):
 
 
 def _stamps(parameters: RecordingParameters) -> TimeStamps:
-    """The description of the time. Raises `InstrumentError` if the bench file does not describe it."""
+    """The source of the time of a row. Raises `InstrumentError` if the bench file does not describe it."""
     if parameters.stamps is None:
         raise InstrumentError(
             f"the bench file does not say which column of {parameters.file} is the time: write `time: {{column: …}}`, or "
@@ -263,8 +263,8 @@ def _stamps(parameters: RecordingParameters) -> TimeStamps:
 
 
 def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
-    """Findings about a declared rate that contradicts the time column, usually because of a wrong unit of time, and about a power-on after
-    the first row."""
+    """Adds findings about a declared rate that contradicts the time column, usually because of a wrong unit of time, and about a
+    power-on after the first row."""
     declared = parameters.sample_rate.value
     if not math.isnan(file.interval) and abs(math.log(file.interval * declared)) > RATE_TOLERANCE:
         message = (

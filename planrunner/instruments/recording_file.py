@@ -54,7 +54,7 @@ def beneath(root: Path | None, name: str) -> Path:
 
 
 class RecordingFile(Protocol):
-    """A recording that can be read repeatedly. origin: time of its first row, s; interval: median time between its first rows, s,
+    """A recording that can be read repeatedly. origin: time of the first row, s; interval: median time between the first rows, s,
     NaN for a single row; about: approximate number of rows, for progress."""
 
     @property
@@ -79,7 +79,7 @@ class RecordingFile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """A file of a recording. name: for messages."""
+    """A file of a recording. name: name of the file, for messages."""
 
     path: Path
     name: str
@@ -94,9 +94,9 @@ def open_recording(
 ) -> RecordingFile:
     """Opens the recording in `parts`, in their order, after a check of their columns and first rows.
 
-    channels: channel → column; given: format as the bench states it, by default that of each file's name. pause: s between the last
-    row of a file and the first of the next, if the time of each file begins again; None if the time continues. Raises
-    `InstrumentError`.
+    channels: channel → column; given: format as the bench states it; by default the format follows from the name of each file.
+    pause: s between the last row of a file and the first of the next, if the time of each file begins again; None if the time
+    continues. Raises `InstrumentError`.
     """
     files = []
     for part in parts:
@@ -119,7 +119,7 @@ class _Joined:
         return tuple(f"{file.name}: {remark}" for file in self.files for remark in file.remarks)
 
     def _shift(self, file: AnyFile, last: float, first: float) -> float:
-        """The time [s] to add to the times of a file. last: time of the row before it; first: first time in the file."""
+        """The time [s] to add to the times of a file. last: time of the last row before the file; first: first time in the file."""
         period = 0.0 if math.isnan(self.interval) else self.interval
         if self.counted:
             return last + period - first
@@ -171,7 +171,8 @@ class HeldRecording:
 
     @classmethod
     def of(cls, file: RecordingFile, most: float = np.inf, pace: Pace | None = None) -> HeldRecording | None:
-        """Reads all rows of a file once; None if there are more than `most`. Raises `InstrumentError` like the file."""
+        """Reads all rows of a file once; returns None if the file has more than `most` rows. Raises `InstrumentError` like the
+        file."""
         pieces, count = [], 0
         for piece in file.rows():
             pieces.append(piece)
@@ -208,7 +209,7 @@ class HeldRecording:
 def at_hand(file: RecordingFile, name: str = "", notice: Announce | None = None) -> RecordingFile:
     """The same recording in a form from which many stretches can be read quickly. It is in memory if it has at most `HELD` rows. A
     longer file becomes a temporary Parquet file, because finding a stretch in the original requires reading all preceding rows.
-    name: of the file, for notice, which receives the progress. Raises `InstrumentError` like the file."""
+    name: name of the file, for the progress that `notice` receives. Raises `InstrumentError` like the file."""
     held = HeldRecording.of(file, HELD, Pace(f"reading {name}", min(file.about, HELD), notice))
     if held is not None:
         return held

@@ -135,7 +135,7 @@ class ChannelColumn(Record):
 
 
 def check_time(time: TimeColumn, log: Findings) -> None:
-    """Adds contradictions in the description of a time column."""
+    """Adds an error for each contradiction in the description of a time column."""
     for name in ("per_second", "wraps"):
         value = time.per_second if name == "per_second" else time.wraps
         if value is not None and not value > 0:
@@ -149,7 +149,7 @@ WHITE = ("noise", "noise_density", "random_walk")
 
 
 class ChannelKind:
-    """A channel's column; the declared noise and full scale must fit its unit."""
+    """The column of a channel; the declared noise and full scale must fit the unit of the channel."""
 
     _record = RecordOf(ChannelColumn)
 
@@ -181,7 +181,7 @@ class ChannelKind:
 
 
 class SegmentColumns(Record):
-    """The table that says which stretch of the recording belongs to which label."""
+    """The table that states which stretch of the recording belongs to which label."""
 
     table: str = key(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), "CSV file in the data folder.", "jig/stops.csv")
     label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "label", default="label")
@@ -199,7 +199,7 @@ class SegmentColumns(Record):
 
     @classmethod
     def of(cls, table: str) -> SegmentColumns:
-        """The columns with their usual names."""
+        """The keys of a table file whose columns have the usual names."""
         return cls(table=table)
 
 
@@ -293,12 +293,13 @@ class RecordingParameters(Record):
 
 
 def width(quantity: Quantity) -> float:
-    """The size of an amount in SI units, such as a standard deviation, without the offset of a temperature scale."""
+    """The size of an interval, such as a standard deviation, in SI units: for a temperature, without the offset of its scale."""
     return quantity.value - quantity.unit.offset
 
 
 def _check_dimension(channel: ChannelColumn, name: str, times: str, log: Findings) -> None:
-    """Checks a dimension. times: the text after the channel's unit."""
+    """Checks the dimension of a declared amount against that of the channel. times: a factor after the channel's unit, such as
+    `*sqrt(s)`, or an empty text."""
     value: Quantity | None = getattr(channel, name)
     if value is None:
         return

@@ -54,7 +54,7 @@ _NAME = re.compile(r"[^A-Za-z0-9_]+")
 
 @dataclass(frozen=True, slots=True)
 class LikelyChannel:
-    """A column as a probable channel. unit: guessed; counts: whether its numbers are raw counts, with `per_unit` counts per unit;
+    """A column as a probable channel. unit: guessed; counts: whether the numbers are raw counts, with `per_unit` counts per unit;
     noise: standard deviation of a sample at rest, in the unit; sure: whether the name of the column contains the unit."""
 
     name: str
@@ -69,7 +69,8 @@ class LikelyChannel:
 
 @dataclass(frozen=True, slots=True)
 class WindowLevels:
-    """Scatter and level over time. begin: (n,), s; mean, scatter: column → (n,)."""
+    """Mean and scatter of each column in successive windows. begin: beginnings of the windows, (n,), s; mean, scatter: column →
+    (n,)."""
 
     begin: Array
     length: float
@@ -80,8 +81,8 @@ class WindowLevels:
 @dataclass(frozen=True, slots=True)
 class Look:
     """Properties of a recording. time: column and unit, None if rows are counted; rate: Hz; other: columns that are not channels;
-    still: spans without motion; backwards: number of rows whose time does not increase, which is the reason why rows are counted;
-    pauses: number of pauses, and the shortest of them, s."""
+    still: spans without motion; backwards: number of rows whose time does not increase (if there are any, rows are counted
+    instead); pauses: number of pauses, and the length of the shortest one, s."""
 
     file: str
     format: Format | None
@@ -138,7 +139,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
 
 
 class _Clock:
-    """Observes the column of the time: rows in which it does not increase, steps longer than `pause` [s], and its whole length."""
+    """Observes the time column: the rows in which time does not increase, the steps longer than `pause` [s], and the total time."""
 
     def __init__(self, stamp: tuple[str, str] | None, pause: float):
         self._column = None if stamp is None else stamp[0]
@@ -161,14 +162,15 @@ class _Clock:
             yield number, time, values
 
     def rate(self, rows: int, median: float) -> float:
-        """Rows per second [Hz]: for the whole recording, unless pauses make this rate differ from that of the median step."""
+        """Rows per second [Hz]: the mean over the whole recording if it agrees with `median`, the rate of the median step;
+        otherwise (pauses) `median`."""
         whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 
 
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
-    """The guesses for columns. If no name contains an accelerometer, three neighbouring columns are taken as accelerometers if
-    their vector is as long as gravity, and three others next to them as gyros."""
+    """The guesses for columns. If no name contains a gyro or an accelerometer, three neighbouring columns are taken as
+    accelerometers if their vector is as long as gravity, and three columns next to them as gyros."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
@@ -217,7 +219,8 @@ def _windows(
 
 
 def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
-    """Spans in which no sensor scatters much more than in its quietest tenth, or little compared with motion."""
+    """Spans in which every sensor is quiet: its scatter is similar to that of its quietest tenth, or small compared with its
+    scatter during motion."""
     if not columns or not len(windows.begin):
         return ()
     quiet = np.ones(len(windows.begin), bool)
@@ -233,7 +236,7 @@ def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
 
 
 def _course(mean: Array) -> Array:
-    """Change of the mean from window to window, (n,), from the windows on both sides."""
+    """Absolute change of the mean from one window to the next, (n,), from the windows before and after each window."""
     if len(mean) < 3:
         return np.zeros(len(mean))
     change = np.abs(mean[2:] - mean[:-2]) / 2
@@ -241,7 +244,7 @@ def _course(mean: Array) -> Array:
 
 
 def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Array:
-    """The values of the windows in the still spans; of all windows if nothing is still."""
+    """The values of the windows in the still spans, or of all windows if nothing is still."""
     chosen = np.zeros(len(windows.begin), bool)
     for span in still:
         chosen |= (windows.begin >= span.start - 1e-9) & (windows.begin < span.end - 1e-9)

@@ -29,8 +29,8 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """An interval that a plan requires. span: as in the table, after trimming; dwell: length of the played part, s, None for all.
-    mark: its place in the table."""
+    """An interval that a plan requires. span: the interval as in the table, after trimming; dwell: length [s] of the part to be
+    played, None for the whole interval. mark: place of the interval in the table."""
 
     label: str
     span: Span
@@ -39,14 +39,14 @@ class Wanted:
 
     @property
     def played(self) -> Span:
-        """The played part of the interval, from its beginning."""
+        """The part of the interval that is played, from the beginning of the interval."""
         end = self.span.end if self.dwell is None else min(self.span.end, self.span.start + self.dwell)
         return Span(self.span.start, end)
 
 
 @dataclass(slots=True)
 class _Seen:
-    """Result of a pass for one interval. gap: the longest gap, s, beginning at `at`."""
+    """Result of a pass for one interval. gap: length [s] of the longest gap, which begins at `at`."""
 
     rows: int = 0
     complete: int = 0
@@ -119,8 +119,8 @@ def scan(
     log: Findings,
     notice: Announce | None = None,
 ) -> Span | None:
-    """Adds all faults of a recording to `log`. name: of the file, for messages; sample_rate: Hz, as declared; notice:
-    receives the progress. Returns the span of the recording, None if its time is wrong. Raises `InstrumentError` if the rest of the file
+    """Adds all faults of a recording to `log`. name: name of the file, for messages; sample_rate: Hz, as declared; notice: receives
+    the progress. Returns the span of the recording, None if its time is wrong. Raises `InstrumentError` if the rest of the file
     cannot be read."""
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])

@@ -27,7 +27,8 @@ LabelledRow = Mapping[str, str | None]
 
 @dataclass(frozen=True, slots=True)
 class SegmentTable:
-    """Stretches by label, after trimming, and their lines in the table. name: of the file, for messages."""
+    """Stretches of the recording by label, after trimming, and the lines of the labels in the table. name: name of the file, for
+    messages."""
 
     name: str
     spans: Mapping[str, Span]
@@ -41,8 +42,8 @@ class SegmentTable:
 
 
 def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], scale: float, trim: float) -> SegmentTable:
-    """Reads the table at `path`. columns: of label, start and end; scale: seconds per unit of both; trim: time omitted at either
-    end, s.
+    """Reads the table at `path`. columns: names of the columns of label, start and end; scale: seconds per unit of start and end;
+    trim: time omitted at either end, s.
 
     Raises `InstrumentError` with the line of the fault.
     """
@@ -56,8 +57,8 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], sca
 
 
 def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tuple[str, int, LabelledRow]]:
-    """The rows of a CSV table: label, line and cells of each. columns: those that the table must have, that of the labels first. name: of
-    the file, for messages.
+    """The rows of a CSV table, each as label, line number and cells. columns: columns that the table must have, the column of the
+    labels first. name: name of the file, for messages.
 
     Raises `InstrumentError` with the line of the fault; a label may not be empty or appear twice.
     """
@@ -87,7 +88,7 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
 
 
 def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, scale: float, trim: float) -> Span:
-    """The stretch of a row. columns: of start and end."""
+    """The stretch of a row. columns: names of the columns of start and end."""
     times = []
     for column in columns:
         try:
@@ -107,7 +108,7 @@ def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, scal
 
 def stretches(file: RecordingFile, pause: float, name: str = "", notice: Announce | None = None) -> tuple[Span, ...]:
     """The stretches of a recording in which successive rows are at most `pause` s apart, found in one pass. Each stretch ends one
-    sample period after its last row. name: of the file, for notice, which receives the progress.
+    sample period after its last row. name: name of the file, for the progress that `notice` receives.
 
     Raises `InstrumentError` like the file.
     """

@@ -26,8 +26,9 @@ _DURATION = "seconds"
 
 @dataclass(frozen=True, slots=True)
 class SummaryRow:
-    """A segment in the table. line: in the file; start: s; count: samples; means, deviations: by channel, in its unit. If the table
-    states a standard error, it is converted: a mean of `count` independent samples with this deviation has the stated standard error."""
+    """A segment in the table. line: line in the file; start: s; count: number of samples; means, deviations: by channel, in the
+    unit of the channel. If the table states a standard error, it is converted to a deviation: a mean of `count` independent samples
+    with this deviation has the stated standard error."""
 
     line: int
     start: float
@@ -138,7 +139,7 @@ def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) 
 
 
 def _columns(parameters: RecordingParameters, columns: RowColumns) -> list[str]:
-    """The columns that the table must have, that of the labels first. Raises `InstrumentError`."""
+    """The columns that the table must have, the column of the labels first. Raises `InstrumentError`."""
     wanted = [columns.label, columns.count, *([] if columns.start is None else [columns.start])]
     for name, channel in parameters.channels.items():
         stated = [key for key in (channel.standard_deviation, channel.standard_error) if key is not None]

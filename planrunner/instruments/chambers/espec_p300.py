@@ -61,7 +61,7 @@ class EspecP300Commands(LinkedCommands):
         return {"manufacturer": "Espec", "model": "P300 or SCP-220", "type": said}
 
     def prepare(self, ramp: float) -> None:
-        """Prepares constant operation, in which the chamber ramps at its largest rate."""
+        """Prepares operation at a constant setpoint, in which the chamber ramps at its largest rate."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
         self._do(f"TEMP,H{hottest:.1f}")

@@ -109,7 +109,7 @@ def _columns_of(array: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def _part(array: NDArray[np.generic] | h5py.Dataset, column: str, begin: int, end: int) -> Array:
-    """Rows of one column of an array, or of a dataset from which only these rows are read."""
+    """Rows of one column of an array or dataset; from a dataset only these rows are read."""
     shape = array.shape
     if len(shape) == 1:
         return np.asarray(array[begin:end], float)
@@ -195,8 +195,8 @@ class MatlabFile(_HeldArrays):
 
 
 def _unpacked(file: BinaryIO) -> int:
-    """Total size in bytes of all elements of a MATLAB file after unpacking. Counting stops just above the bound. Afterwards the
-    file is at its beginning."""
+    """Total size in bytes of all elements of a MATLAB file after unpacking. Counting stops as soon as the total exceeds the bound.
+    Afterwards the file is positioned at its start."""
     file.seek(0)
     header = file.read(_MATLAB_HEADER)
     order = ">" if header[126:128] == b"MI" else "<"
@@ -241,7 +241,7 @@ class NumpyFile(_HeldArrays):
 
 
 def _array(file: IO[bytes], size: int) -> object:
-    """An array in NumPy's format. Its header may not announce more data than the file contains."""
+    """An array in NumPy's format. The header may not announce more data than the file contains."""
     whole = io.BytesIO(file.read(size))
     return np.lib.format.read_array(whole, allow_pickle=False)
 

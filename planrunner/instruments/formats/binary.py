@@ -1,4 +1,4 @@
-"""Binary records of constant length: either plain records in sequence, or frames with sync bytes and a checksum."""
+"""Binary records of constant length: plain records in sequence, or frames with sync bytes and a checksum."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class BinaryKeys(Record):
 
 
 def check_binary(keys: BinaryKeys, log: Findings) -> None:
-    """Adds contradictions: a number outside the record, or a checksum without frames."""
+    """Adds an error for each contradiction: a number outside the record, or a checksum without frames."""
     check = keys.length - len(bytes.fromhex(keys.sync or ""))
     if keys.checksum is not None:
         check -= CHECKSUMS[keys.checksum.type].width // 8

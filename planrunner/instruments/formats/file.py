@@ -28,7 +28,7 @@ BATCH = 65_536  # rows
 
 
 def open_samples(path: Path, name: str) -> BinaryIO:
-    """Opens the file of a recording at its beginning. name: name for messages. Raises `InstrumentError`."""
+    """Opens the file of a recording, positioned at its start. name: name for messages. Raises `InstrumentError`."""
     try:
         return open_regular(path, MAX_BYTES)
     except RefusedFileError as refused:
@@ -36,7 +36,7 @@ def open_samples(path: Path, name: str) -> BinaryIO:
 
 
 def few_columns(count: int, name: str) -> None:
-    """Checks the number of columns. Raises `InstrumentError` for more columns than a recording may have."""
+    """Checks that a recording does not have too many columns. Raises `InstrumentError` otherwise."""
     if count > MAX_COLUMNS:
         message = f"it has more than {MAX_COLUMNS} columns"
         raise InstrumentError(f"{name}: {message}; keep time and the channels, one row for each time")
@@ -46,8 +46,8 @@ def few_columns(count: int, name: str) -> None:
 class TimeStamps:
     """Source of the time of a row.
 
-    column: the column of time or of a counter; None if rows are counted. scale: s per unit of the column. period: s between rows
-    that are counted. wraps: value at which the counter starts again from zero, None if it does not wrap.
+    column: the column with the time or the counter; None if rows are counted. scale: seconds per unit of the column. period: time
+    [s] between rows, if rows are counted. wraps: value at which the counter starts again from zero, None if it does not wrap.
     """
 
     column: str | None
@@ -66,7 +66,7 @@ class TimeStamps:
 
 
 class SampleRows(Protocol):
-    """Consecutive rows of a file. count: their number."""
+    """Consecutive rows of a file. count: number of rows."""
 
     @property
     def count(self) -> int: ...
@@ -104,11 +104,11 @@ Keys = TypeVar("Keys", bound=Record, covariant=True)
 
 
 class FormatFile(ABC, Generic[Keys]):
-    """A file of samples. name: for messages; stamps: the time of its rows; channels: channel → column; parameters: the keys of the
-    format in the bench.
+    """A file of samples. name: name for messages; stamps: source of the time of its rows; channels: channel → column; parameters:
+    the keys of the format in the bench file.
 
     origin: time of the first row, s; interval: median time between the first rows, s, NaN for a single row; about: approximate
-    number of rows. `look` sets these three.
+    number of rows. `look` sets `origin`, `interval` and `about`.
     """
 
     Parameters: type[Record] = NoKeys
@@ -128,7 +128,7 @@ class FormatFile(ABC, Generic[Keys]):
 
     @abstractmethod
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
-        """Batches of rows as (number of the first row, counted from 1; rows). They may contain rows outside the span."""
+        """Batches of rows as (number of the first row, counted from 1; rows). A batch may contain rows outside the span."""
 
     def faults(self) -> tuple[type[Exception], ...]:
         """Exceptions that indicate that the file cannot be read."""
@@ -140,7 +140,7 @@ class FormatFile(ABC, Generic[Keys]):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """The rows and bytes that were skipped, in words. They are known after a pass over all rows."""
+        """The rows and bytes that were skipped, in words. The numbers are known after a pass over all rows."""
         return ()
 
     @property
@@ -206,7 +206,7 @@ class FormatFile(ABC, Generic[Keys]):
             raise self.unreadable(error) from None
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
-        """Checks that time is present and increases, from row to row and from the row before this batch."""
+        """Checks that every time is present and later than the time of the row before, also across batches."""
         if not np.all(np.isfinite(time)):
             row = first + int(np.flatnonzero(~np.isfinite(time))[0])
             raise InstrumentError(f"{self.name}, row {row}: the time is missing or not a number")

@@ -129,7 +129,7 @@ def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
 
 
 def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]:
-    """The numeric columns of a file that have the most common number of rows. Raises `InstrumentError`."""
+    """The numeric columns of a file, without those whose number of rows differs from the most common one. Raises `InstrumentError`."""
     counts: dict[str, int] = {}
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()
     for column in dict.fromkeys(known[:MOST_COLUMNS]):
@@ -156,7 +156,8 @@ def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) 
 
 
 def guessed_time(first: Mapping[str, Array]) -> tuple[str, str, float] | None:
-    """Column, unit and sample rate [Hz] of the time, from the first rows of all columns; None if no column is a time."""
+    """The column of the time, its unit and the sample rate [Hz], guessed from the first rows of all columns; None if no column is a
+    time."""
     for pattern in (_TIME, re.compile("")):
         for column, values in first.items():
             if pattern.pattern and not pattern.search(column):
@@ -206,8 +207,8 @@ def guessed_channel(column: str) -> Guess:
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
-    """The unit of a column whose name does not contain it. level: for a gyro, its largest absolute value; for an accelerometer, the
-    length of the mean vector at rest; accel_unit: unit of the accelerometers, for a gyro."""
+    """The unit of a column whose name does not contain it. level: for a gyro, the largest absolute value of the column; for an
+    accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of the accelerometers."""
     if sensed == "accel":
         for unit, one_g in (("m/s^2", STANDARD_GRAVITY), ("g", 1.0), ("mg", 1000.0)):
             if abs(math.log(max(level, 1e-9) / one_g)) < 0.25:

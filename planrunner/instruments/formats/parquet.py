@@ -25,7 +25,7 @@ _END = struct.Struct("<I4s")
 
 
 def check_directory(file: BinaryIO, name: str) -> None:
-    """Checks the size of the directory against its bound and returns to the beginning. Raises `InstrumentError`."""
+    """Checks the size of the directory against its bound; afterwards the file is positioned at its start. Raises `InstrumentError`."""
     size = file.seek(0, 2)
     if size >= _END.size:
         file.seek(size - _END.size)
@@ -106,7 +106,8 @@ class ParquetFile(FormatFile[NoKeys]):
                 first += count
 
     def _outside(self, group: pq.RowGroupMetaData, span: Span) -> bool:
-        """Whether a group is outside the span, by its statistics. A group that a rounded boundary may touch is read."""
+        """Whether a row group is outside the span, according to its statistics. A group that may touch a boundary of the span after
+        rounding is read."""
         if not self.stamps.in_file:
             return False
         scale = self.stamps.scale

@@ -1,4 +1,5 @@
-"""Separated text: CSV, tabs, semicolons with decimal commas, columns aligned with blanks; with a header line, or named in the bench."""
+"""Separated text: columns separated by commas, tabs or semicolons (with decimal commas), or aligned with blanks; the columns are
+named in a header line or in the bench file."""
 
 from __future__ import annotations
 
@@ -149,7 +150,7 @@ class TextFile(FormatFile[TextKeys]):
             raise self._not_numbers(wanted or []) or self.unreadable(error) from None
 
     def _text(self, file: BinaryIO) -> BinaryIO | Blanks:
-        """The text as it is parsed, after a check of its first line."""
+        """The text in the form in which it is parsed, after a check of its first line."""
         if self.parameters.separator == "blanks":
             return Blanks(file, self.parameters.skip)
         check_header(file, self.name, self.parameters)
@@ -181,8 +182,8 @@ class TextFile(FormatFile[TextKeys]):
 
 
 class Blanks(io.RawIOBase):
-    """Text in which each run of blanks and tabs becomes one tab. Those at the ends of a line are removed. The first `skip` lines
-    are not changed, so that they remain lines."""
+    """Text in which each sequence of blanks and tabs becomes one tab. Blanks and tabs at the ends of a line are removed. The first
+    `skip` lines are not changed, so that they remain lines."""
 
     def __init__(self, file: BinaryIO, skip: int = 0):
         self._file = file
@@ -210,7 +211,7 @@ class Blanks(io.RawIOBase):
 
 
 def check_header(file: BinaryIO, name: str, layout: TextKeys) -> None:
-    """Checks the first line against its bounds and returns to the beginning. Raises `InstrumentError`."""
+    """Checks the first line against its bounds; afterwards the file is positioned at its start. Raises `InstrumentError`."""
     for _ in range(layout.skip):
         file.readline(MAX_HEADER)
     start = file.read(MAX_HEADER + 1).removeprefix(b"\xef\xbb\xbf").lstrip(b"\r\n")

@@ -18,7 +18,7 @@ RATES, ACCELERATIONS = ("deg/s", "rad/s"), ("g", "m/s^2")
 
 
 class GyroKnowledge(Record):
-    """Declared properties of the gyros, equal for all axes."""
+    """Declared properties of the gyros, the same for all axes."""
 
     full_scale: Quantity | None = optional(
         QuantityOf("angular rate", "positive"),
@@ -36,7 +36,7 @@ class GyroKnowledge(Record):
 
 
 class AccelerometerKnowledge(Record):
-    """Declared properties of the accelerometers, equal for all axes."""
+    """Declared properties of the accelerometers, the same for all axes."""
 
     full_scale: Quantity | None = optional(
         QuantityOf("acceleration", "positive"), "Largest specific force, for both signs.", "10 g"
@@ -94,8 +94,8 @@ def sensor_model(
     resolutions: Mapping[str, float],
     inclinometers: Collection[str] = (),
 ) -> SensorModel:
-    """The model of a sensor with these channels (name → unit). resolutions: one count of each channel, in its unit. inclinometers:
-    channels in units of acceleration that are not accelerometers."""
+    """The model of a sensor with these channels (name → unit). resolutions: size of one count of each channel, in the unit of the
+    channel. inclinometers: channels in units of acceleration that are not accelerometers."""
     outputs = tuple(
         _output(name, text, resolutions.get(name, 0.0), parameters, name not in inclinometers)
         for name, text in channels.items()
@@ -114,7 +114,7 @@ def sensor_model(
 
 
 def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters, inertial: bool) -> OutputModel:
-    """The model of an output. inertial: whether it is an output of a gyro or an accelerometer if its unit fits."""
+    """The model of an output. inertial: whether the output is treated as that of a gyro or an accelerometer if its unit fits."""
     known: GyroKnowledge | AccelerometerKnowledge | None = None
     walk: Quantity | None = None
     if text in RATES and parameters.gyros is not None:

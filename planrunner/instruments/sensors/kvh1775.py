@@ -1,7 +1,7 @@
 """KVH 1775 and DSP-1760: rotations and accelerations as floats, in the binary output formats A, B and C.
 
-All formats consist of a sync, six numbers, status, sequence number and a CRC-32. B has a time stamp before the status. C sends
-temperature and the magnetic field alternately, in the order of the sequence number.
+All formats consist of a sync, six numbers, a status, a sequence number and a CRC-32. Format B has a time stamp before the status.
+Format C sends the temperature and the magnetic field alternately, according to the sequence number.
 """
 
 from __future__ import annotations
@@ -171,7 +171,8 @@ def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
 
 
 def built_in_test(reply: bytes) -> tuple[int, ...]:
-    """Reads the six status bytes of a reply to `?bit`. In seven bits of each, a cleared bit is a fault. Raises `InstrumentError`."""
+    """Reads the six status bytes of a reply to `?bit`. Seven bits of each byte are used; a cleared bit is a fault. Raises
+    `InstrumentError`."""
     if len(reply) != BIT_LENGTH or not reply.startswith(BIT_SYNC) or SUM8.of(reply[:-1]) != reply[-1]:
         raise InstrumentError(f"no result of a built-in test: {reply[:16].hex(' ')}")
     return tuple(reply[4:10])

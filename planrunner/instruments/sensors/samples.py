@@ -1,4 +1,4 @@
-"""Decoded frames of a sensor: columns of samples with counter, latency reported by the sensor, and doubts."""
+"""Decoded frames of a sensor: columns of samples with the counter, the latency reported by the sensor, and doubts."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Whole = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """One row per frame. received: s; counter: as sent; latency: s, as reported by the sensor; channels: name → (n,); doubtful: whether
-    a status bit marks the frame as doubtful; doubts: meaning of those bits; refused: frames that cannot be decoded although their
-    checksum is correct."""
+    """One row per frame. received: time of reception, s; counter: as sent; latency: s, as reported by the sensor; channels: name →
+    (n,); doubtful: whether a status bit marks the frame as doubtful; doubts: meaning of those bits; refused: number of frames that
+    cannot be decoded although their checksum is correct."""
 
     received: Array
     counter: Whole
@@ -36,7 +36,7 @@ class Samples:
         return int(self.received.size)
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
-        """Some of the rows, without properties of the whole set of frames."""
+        """Selected rows, without the fields that describe the whole set of frames (`doubts`, `refused`)."""
         channels = {name: values[chosen] for name, values in self.channels.items()}
         return Samples(
             self.received[chosen], self.counter[chosen], self.latency[chosen], channels, self.doubtful[chosen]
@@ -67,8 +67,8 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits at `item`. words: bit → its meaning, for bits that mark the frame as doubtful. A frame is doubtful if such a bit is
-    set; with `set_is_good`, if it is clear."""
+    """Status bits in the field `item` of a frame. words: bit → its meaning, for bits that mark the frame as doubtful. A frame is
+    doubtful if such a bit is set, or, with `set_is_good`, if such a bit is clear."""
 
     item: Field
     name: str
@@ -80,8 +80,9 @@ class Status:
 class FrameLayout:
     """The decoder of frames with a fixed layout.
 
-    fields: channel → its position; units: channel → unit; counts: position of the counter, None if there is none; latency:
-    converted to seconds by `scale`; means: channel → channels that it averages; zeros: channel → value added to it.
+    fields: channel → its position; units: channel → unit; counts: position of the counter, None if there is none; latency: position
+    of the latency, whose `scale` converts to seconds; means: channel → channels that it averages; zeros: channel → value added to
+    it.
     """
 
     framing: Framing

@@ -31,10 +31,10 @@ class Arriving(Protocol):
 
 
 class SegmentStream:
-    """The stream of one segment: `wanted` samples after `start` (s, by the bench's clock). byte_time: s per byte on the line; skew: of
-    the sensor's clock, as determined from the frames received until now; haste: seconds of the bench's clock per second of real time.
-    over: whether all samples have been returned. heard: good frames of the last call; fresh: the frames among them that are later than
-    all earlier frames."""
+    """The stream of one segment: `wanted` samples after `start` (s, by the bench's clock). byte_time: s per byte on the line; skew:
+    relative skew of the sensor's clock, as determined from earlier frames; haste: seconds of the bench's clock per second of real
+    time. over: whether all samples have been returned. heard: number of good frames in the last call; fresh: number of those that
+    are later than all earlier frames."""
 
     def __init__(
         self,
@@ -120,8 +120,8 @@ class SegmentStream:
         return onwards
 
     def _within(self, time: Array, index: Whole, ready: Samples) -> Block:
-        """Selects the samples of the dwell: the requested number of places, beginning with the first frame after the start of the
-        dwell."""
+        """Selects the samples of the dwell: the requested number of sampling times, beginning with the first frame after the start
+        of the dwell."""
         inside = time > self._start
         if math.isnan(self._first) and inside.any():
             self._first = float(index[inside][0])
