@@ -17,7 +17,7 @@ from planrunner.base.findings import Findings, Mark, count_of
 from planrunner.error_model.observed import Observed
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.samples import measures_motion
-from planrunner.plan.schedule import Rest
+from planrunner.plan.schedule import Rest, Spin
 from planrunner.plan.units import STANDARD_GRAVITY
 
 INTERVALS = 1.5
@@ -34,6 +34,14 @@ than this, which no scale factors and misalignments explain."""
 OTHER_NOISE = 5.0
 """Ratio of noise to its declaration, or the inverse, above which the figure is wrong or the channel is defective."""
 
+PARTS = 20
+"""Parts of a segment whose mean rates are compared."""
+UNSTEADY = 0.02
+"""Deviation from a steady rate, relative to the rate, that no effect of the catalogue causes at the ends of a segment alone."""
+UNEVEN = 0.1
+"""Scatter of the mean rates, relative to the rate, above which the rate is nowhere steady, as in a turn by hand."""
+FAR = 6.0
+"""Standard deviations beyond which the mean of a part is not due to scatter."""
 EXCHANGED = 10.0
 """Ratio of misfits above which two labels count as exchanged: no effect of the catalogue is undone by an exchange to this degree."""
 RANK = 1e-9
@@ -75,6 +83,8 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
         return
     _check_noise(observed, mark, log)
     _check_labels(observed, mark, log)
+    _check_steady_rates(observed, mark, log)
+    _note_reference(observed, mark, log)
     for kind, word in (("gyro", "angular rate"), ("accel", "acceleration")):
         channels = observed.of_kind(kind)
         if not channels:
@@ -117,6 +127,71 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
 _LOOK = (
     "check the labels, orientations and signs of rates in the plan, and the columns, signs and units in the bench file"
 )
+
+
+def _check_steady_rates(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Adds a warning about a table that still changes its rate when the record of a segment begins, or already when it ends."""
+    found = []
+    for index, motion in enumerate(observed.motions):
+        if not isinstance(motion, Spin):
+            continue
+        along = observed.attitude[index] @ np.asarray(motion.about)
+        gyros = observed.of_kind("gyro")
+        best = max(gyros, key=lambda channel: abs(along[observed.channels[channel].axis]), default=None)
+        if best is None or abs(rate := motion.rate * along[observed.channels[best].axis]) < abs(motion.rate) / 2:
+            continue
+        lasting, share = _unsteady(observed.values[observed.segments()[index], best], abs(rate))
+        if lasting > 0:
+            seconds = lasting * float(np.ptp(observed.time[observed.segments()[index]]))
+            found.append((share, observed.labels[index], seconds))
+    if found:
+        share, label, seconds = max(found)
+        message = (
+            f"the rate of the table is not steady in {_named([one for _, one, _ in found])}: in '{label}', it differs by up to "
+            f"{share:.0%} for about {seconds:.2g} s"
+        )
+        hint = "begin the segments later or end them earlier, so that the rate is constant throughout"
+        log.warning("gap-unsteady-rate", mark, message, hint)
+
+
+def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Adds a note about the errors of the channels that show a motion. White noise of variance s² in a rate makes a fitted scale factor
+    smaller by s²/v, where v is the variance of the rate (W. A. Fuller, Measurement Error Models, 1987, section 1.1). The third
+    differences of white noise have the variance 20·s²; as they also contain fast motion, the result is an upper limit."""
+    if not observed.moved.any():
+        return
+    parts = [rows for rows, moved in zip(observed.segments(), observed.moved, strict=True) if moved]
+    rates = np.concatenate([observed.turn[rows] for rows in parts])
+    noise = np.concatenate([np.diff(observed.turn[rows], 3, axis=0) for rows in parts]).var(axis=0) / 20
+    axis = int(np.argmax(variance := rates.var(axis=0)))
+    if variance[axis] > 0:
+        message = (
+            "the channels that show the motion count as exact: an error of their scale factor looks like one of the sensor, and their "
+            f"noise makes fitted scale factors too small by up to {noise[axis] / variance[axis] * 1e6:.2g} ppm"
+        )
+        log.note(
+            "gap-reference", mark, message, "add the calibration uncertainty of the reference to that of the result"
+        )
+
+
+def _unsteady(values: Array, rate: float) -> tuple[float, float]:
+    """Share of a segment, from its beginning and its end, in which the output (n,) of a gyro deviates from its middle because the rate
+    changes; and the largest deviation relative to the rate. Both are 0 if the rate is steady. The scatter of the means over `PARTS`
+    parts in the middle half is the measure of other changes, such as an uneven motion. If this scatter is large, the rate is nowhere
+    steady."""
+    if len(values) < 4 * PARTS:
+        return 0.0, 0.0
+    means = np.array([part.mean() for part in np.array_split(values, PARTS)])
+    middle = means[PARTS // 4 : -PARTS // 4]
+    level = float(np.median(middle))
+    scatter = 1.4826 * float(np.median(np.abs(middle - level)))
+    off = np.abs(means - level)
+    noise = float(np.diff(values).std()) / float(np.sqrt(2 * len(values) / PARTS))
+    if scatter > max(UNEVEN * rate, FAR * noise):
+        return 1.0, float(off.max()) / rate
+    away = off > max(UNSTEADY * rate, FAR * scatter)
+    ends = np.argmin(away), np.argmin(away[::-1])
+    return float(sum(ends)) / PARTS, float(off[away].max(initial=0.0)) / rate if any(ends) else 0.0
 
 
 def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
