@@ -6,7 +6,7 @@ from __future__ import annotations
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings
 from planrunner.instruments.models import NOMINAL_SUPPLY
-from planrunner.plan.kinds import QuantityOf, Schema, key
+from planrunner.plan.kinds import QuantityOf, Schema, Sign, has_sign, key
 from planrunner.plan.quantity import Quantity, parse_quantity, read_quantity
 from planrunner.plan.quantity import schema as quantity_schema
 from planrunner.plan.source import Node, Sequence
@@ -18,7 +18,7 @@ class QuantityLike:
     """A quantity of the dimension of `unit`, such as `(deg/h)/(pulse/s)`, or of one of `others`; `sign` as for `QuantityOf`."""
 
     unit: str
-    sign: str = "any"
+    sign: Sign = "any"
     others: tuple[str, ...] = ()
 
     def read(self, node: Node, log: Findings) -> Quantity | None:
@@ -32,10 +32,7 @@ class QuantityLike:
             )
             log.error("meaning-dimension", node.mark, message, f"write for example '1 {self.unit}'")
             return None
-        if (self.sign == "positive" and quantity.value <= 0) or (self.sign == "not negative" and quantity.value < 0):
-            log.error("meaning-range", node.mark, f"{quantity} must be {self.sign}", "change the number")
-            return None
-        return quantity
+        return quantity if has_sign(quantity, self.sign, node.mark, log) else None
 
     def schema(self) -> Schema:
         return quantity_schema(None, uncertain=False)

@@ -20,7 +20,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import Any, Protocol, dataclass_transform
+from typing import Any, Literal, Protocol, dataclass_transform
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import JsonObject
@@ -203,16 +203,29 @@ class Boolean:
         return {"type": "boolean"}
 
 
+Sign = Literal["any", "positive", "not negative"]
+
+
+def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: str = "") -> bool:
+    """Whether a quantity has this sign. If not, a finding is added. name: key that the finding names."""
+    if sign == "any" or quantity.value > 0 or (sign == "not negative" and quantity.value == 0):
+        return True
+    hint = "write zero or more" if sign == "not negative" else "write a value above zero"
+    shown = f"{name} of {quantity}" if name else f"{quantity}"
+    log.error("meaning-range", mark, f"{shown} is out of range: it must be {sign}", hint)
+    return False
+
+
 @dataclass(frozen=True, slots=True)
 class QuantityOf:
-    """A number with a unit of the named dimension (None: any). `sign` may be 'any', 'positive' or 'not negative'.
+    """A number with a unit of the named dimension (None: any).
 
     uncertain: whether an uncertainty may be stated because results use it. elsewhere: if it may not, a text that says where to
     state the uncertainty.
     """
 
     dimension: str | None
-    sign: str = "any"
+    sign: Sign = "any"
     uncertain: bool = False
     elsewhere: str = ""
 
@@ -220,13 +233,7 @@ class QuantityOf:
         quantity = read_quantity(node, self.dimension, log, self.uncertain, self.elsewhere)
         if quantity is None:
             return None
-        if (self.sign == "positive" and quantity.value <= 0) or (self.sign == "not negative" and quantity.value < 0):
-            log.error(
-                "meaning-range",
-                node.mark,
-                f"{quantity} is out of range: it must be {self.sign}",
-                "write zero or more" if self.sign == "not negative" else "write a value above zero",
-            )
+        if not has_sign(quantity, self.sign, node.mark, log):
             return None
         if self.dimension == "temperature" and quantity.value < 0:
             log.error("meaning-range", node.mark, f"{quantity} is below absolute zero", "change the number")

@@ -25,7 +25,7 @@ from dataclasses import replace
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan import source
-from planrunner.plan.kinds import ByShape, Kind, QuantityOf, Record, Schema, WordOr, keys_of
+from planrunner.plan.kinds import ByShape, Kind, QuantityOf, Record, Schema, Sign, WordOr, has_sign, keys_of
 from planrunner.plan.quantity import (
     Quantity,
     QuantityError,
@@ -279,16 +279,9 @@ def _check_signs(
     key: SweptKey, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
     """The values that the swept key accepts. For example, a dwell cannot be negative."""
-    sign = "any" if key.quantity is None else key.quantity.sign
-    for quantity in quantities:
-        if (sign == "positive" and quantity.value <= 0) or (sign == "not negative" and quantity.value < 0):
-            log.error(
-                "meaning-range",
-                node.mark,
-                f"{key.name} of {quantity} is out of range: it must be {sign}",
-                "write zero or more" if sign == "not negative" else "write a value above zero",
-            )
-            return None
+    sign: Sign = "any" if key.quantity is None else key.quantity.sign
+    if not all(has_sign(quantity, sign, node.mark, log, key.name) for quantity in quantities):
+        return None
     return _labelled(key, [(quantity, node.mark) for quantity in quantities])
 
 
