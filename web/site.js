@@ -153,7 +153,7 @@
           cell(deviceLink(device)),
           cell(bench),
           cell([make("span", { text: STATES[state][0], cls: `mark ${STATES[state][1]}` })]),
-          cell(reason || "–"),
+          cell(reason || "–", "words"),
           cell(run ? [make("a", { text: run, href: `#/runs?${new URLSearchParams({ search: run })}` })] : "–"),
         ),
       );
