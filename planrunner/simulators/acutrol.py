@@ -1,7 +1,7 @@
-"""An ACUTROL 3000 / ACT2000 motion controller: ACL messages, modes and demands axis by axis, status byte, interlock.
+"""An ACUTROL 3000 / ACT2000 motion controller: ACL messages, modes and demands for each axis, status byte, interlock.
 
-A message is `:Main:Sub axis,argument`, more commands after `;`, and every word can be abbreviated. Only the commands used on a bench are
-implemented; any other sets the remote-interface bit in the status byte and has no reply.
+A message has the form `:Main:Sub axis,argument`, with further commands after `;`; every word can be abbreviated. Only the commands
+used on a bench are implemented; any other sets the remote-interface bit in the status byte and has no reply.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class Acutrol:
         return bits | (SERVICE if bits else 0)
 
     def _status_word(self, sub: str) -> str:
-        """Status words: `stb`; for axis n the dynamics `a<n>dyn` and the software faults `a<n>sft`."""
+        """A status word by name: `stb`, the status byte; for axis n, `a<n>dyn`, the dynamics, and `a<n>sft`, the software faults."""
         if sub == "stb":
             return str(self._status())
         found = re.fullmatch(r"a(\d+)(dyn|sft)", sub)
@@ -263,7 +263,7 @@ class Acutrol:
     # -- axes ----------------------------------------------------------------------------------------------------------
 
     def _mode(self, index: int) -> str:
-        """The actual mode. It may differ from the commanded one: an axis that a fault stopped has no mode."""
+        """The actual mode. It may differ from the commanded mode: an axis that was stopped by a fault has no mode."""
         axis = self.plant.axes[index]
         if axis.faults:
             return "abort"
@@ -276,7 +276,7 @@ class Acutrol:
         return place
 
     def _axes(self, arguments: list[str]) -> list[int]:
-        """All axes for `all`, or if no axis is named."""
+        """All axes for `all` or if no axis is named, otherwise the named axis."""
         if not arguments or arguments[0].lower() == "all":
             return list(range(len(self.held)))
         return [self._axis(arguments)]

@@ -1,6 +1,7 @@
 """The air in a simulated chamber: it follows a ramped setpoint, or drifts to the room's temperature when the chamber is off.
 
-Temperatures in K, ramps in K/s. It can stick, overshoot and alarm; an alarm stops it until it is cleared.
+Temperatures in K, ramps in K/s. The air can get stuck or overshoot, and the chamber can raise an alarm, which stops it until the
+alarm is cleared.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ FULL_RAMP = 0.0  # asked for where the controller is to go as fast as it can
 
 
 class ChamberPlant:
-    """The air of a live world's virtual chamber. alarms: numbers of the active alarms. lowest, highest: of the measured temperature,
-    beyond which it switches itself off with alarm `OVER`."""
+    """The air of a live world's virtual chamber. alarms: numbers of the active alarms. lowest, highest: limits of the measured
+    temperature, beyond which the chamber switches itself off with alarm `OVER`."""
 
     OVER, UNDER = 5, 4
 
@@ -52,7 +53,7 @@ class ChamberPlant:
         self._drive()
 
     def set_ramp(self, ramp: float) -> None:
-        """Sets the ramp of the setpoint for the future; 0 means the largest rate."""
+        """Sets the ramp of all further changes of the setpoint; 0 means the largest rate."""
         self.ramp = ramp
         self._drive()
 

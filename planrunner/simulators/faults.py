@@ -1,4 +1,4 @@
-"""Faults as data: the fault, the simulated instrument, its time, duration and extent.
+"""Faults as data: the kind of fault, the simulated instrument, the time, the duration and the extent.
 
 A fault script is a YAML file of faults; the control channel accepts single faults while the bench runs.
 
@@ -117,7 +117,7 @@ class FaultScript(Record):
 
 
 def read_script(path: Path, roles: Mapping[str, str]) -> tuple[Fault, ...]:
-    """The faults of a file. roles: of the bench's instruments by name. Raises `InputError` with every finding."""
+    """The faults of a file. roles: roles of the bench's instruments, by name. Raises `InputError` with every finding."""
     data = source.read_bytes(path, str(path))
     log = Findings()
     script: FaultScript | None = RecordOf(FaultScript).read(
@@ -201,7 +201,7 @@ class FaultBoard:
         return [item.fault for item in self._active(instrument, now)]
 
     def of_reply(self, instrument: str, message: str, now: float) -> Fault | None:
-        """The fault that affects the reply to a message. The reply is counted."""
+        """The fault that affects the reply to a message; each call counts one reply."""
         for item in self._active(instrument, now):
             if item.fault.fault in WORDS and (item.fault.message or "") in message:
                 if item.left is not None:

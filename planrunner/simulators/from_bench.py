@@ -109,7 +109,7 @@ def simulated(bench: Bench, path: str, clock: Clock, seed: int | None = None) ->
 
 
 def _alive(truth: Bench, clock: Clock, seed: int) -> tuple[LiveWorld, dict[str, Instrument]]:
-    """The virtual instruments of a bench, by role, with running time."""
+    """The virtual instruments of a bench, by role, with a running clock."""
     site = site_of(truth)
     world = World(clock, site, seed, real_time=True)
     live = LiveWorld(world, clock)

@@ -79,8 +79,8 @@ PathPiece = Glide | Swing
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The pieces of one joint's motion in the order of their beginnings; the last one does not end. arrival: s, time when the commanded
-    state is reached."""
+    """The pieces of one joint's motion in order of time; the last piece does not end. arrival: s, time when the commanded state is
+    reached."""
 
     pieces: tuple[PathPiece, ...]
     arrival: float = 0.0

@@ -36,7 +36,7 @@ class Port(Protocol):
     def unplug(self) -> None: ...
 
     def plug(self) -> None:
-        """Reappears under the same name."""
+        """Makes the port reappear under the same name."""
 
     def close(self) -> None: ...
 

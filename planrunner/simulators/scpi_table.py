@@ -15,7 +15,7 @@ _NOTHING = '0,"No error"'
 
 
 class ScpiTable:
-    """Axes numbered from 1, degrees. An unknown or impossible command adds an error to the queue."""
+    """Angles are in degrees, and axes are numbered from 1. An unknown or impossible command adds an error to the queue."""
 
     def __init__(self, plant: TablePlant, identity: str = "Example,One-axis table,simulated,1.0"):
         self.plant = plant

@@ -25,8 +25,8 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class SensorUnit(Protocol):
-    """The electronics of a sensor between its samples and its line. ails: faults in its status, `overload` and `self-test`, as far
-    as its frames can show them."""
+    """The electronics of a sensor between its samples and its line. ails: faults that its status reports, `overload` and
+    `self-test`, as far as its frames can show them."""
 
     ails: frozenset[str]
 
@@ -34,17 +34,17 @@ class SensorUnit(Protocol):
         """The frames of consecutive samples, (n, length)."""
 
     def hear(self, data: bytes) -> bytes:
-        """Reply to bytes from the line; empty for unknown commands."""
+        """Receives bytes from the line; returns the reply, which is empty for unknown commands."""
 
 
 @dataclass(slots=True)
 class Outputs:
-    """A virtual sensor's outputs in the units of a frame. units: of its channels; missing axes stay zero."""
+    """Converts a virtual sensor's outputs to the units of a frame. units: units of the sensor's channels."""
 
     units: Mapping[str, str]
 
     def triad(self, block: Block, name: str, in_unit: float) -> dict[str, Array]:
-        """Outputs `gyro` or `accel` by axis, in units of the given SI value."""
+        """Outputs `gyro` or `accel` by axis, in a unit with the SI value `in_unit`; zero for an axis that the sensor lacks."""
         found = {}
         for axis in "xyz":
             channel = f"{name}_{axis}"
@@ -103,7 +103,8 @@ class Stim300Unit:
         return sent[:0] if self.service else sent
 
     def hear(self, data: bytes) -> bytes:
-        """Commands end with CR: `R` resets, `SERVICEMODE` and `UTILITYMODE` end the datagrams, `$isn,` asks for the identification."""
+        """Receives commands, which end with CR: `R` resets, `SERVICEMODE` and `UTILITYMODE` end the datagrams, `$isn,` asks for the
+        identification."""
         self.heard += data
         replies = b""
         while b"\r" in self.heard:
@@ -165,8 +166,8 @@ class KvhUnit:
         return self.form.frames(columns, numbers)
 
     def hear(self, data: bytes) -> bytes:
-        """Lines end with CR or LF: `?bit` is answered by the built-in test, `=rotfmt,…` and the like take effect. The first frames after a
-        change are marked as invalid."""
+        """Receives lines, which end with CR or LF: `?bit` is answered by the built-in test; `=rotfmt,…` and similar commands take
+        effect. The first frames after a change are marked as invalid."""
         self.heard += data.replace(b"\r", b"\n")
         replies = b""
         while b"\n" in self.heard:

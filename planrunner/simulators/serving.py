@@ -27,7 +27,8 @@ TICK = 0.005  # s between two looks at everything
 
 
 class Serving:
-    """The work of the process. addresses: as in a bench file, known after `open`."""
+    """A simulated bench in operation: its instruments, ports, faults and control channel. addresses: address of each instrument in
+    the form of a bench file, known after `open`."""
 
     def __init__(self, simulated: Simulated, control: tuple[str, int], speed: float, folder: Path | None = None):
         self.simulated, self.live, self.speed, self.folder = simulated, simulated.live, speed, folder
@@ -158,8 +159,8 @@ class Serving:
         return [self.board.declare(fault, self.live.now()) for fault in faults]
 
     def handle(self, request: Mapping[str, Json]) -> Mapping[str, Json]:
-        """Handles a request: `{ask: bench}`, `{inject: FAULT}`, `{clear: NUMBER or all}`, `{ask: state}`, `{stop: true}`. Raises
-        `ValueError`."""
+        """Handles one of the requests `{ask: bench}`, `{inject: FAULT}`, `{clear: NUMBER or all}`, `{ask: state}`, `{stop: true}`.
+        Raises `ValueError`."""
         if request.get("ask") == "bench":
             return {
                 "speed": self.speed,
@@ -185,8 +186,8 @@ class Serving:
         raise ValueError("a request must be one of ask, inject, clear and stop")
 
     def state(self) -> Mapping[str, Json]:
-        """The true present state, for tests of a run: joint angles and rates [rad, rad/s], temperature of the air, its target and set
-        point [K], faults, the counts of the line."""
+        """The true present state, for tests of a run: joint angles and rates [rad, rad/s]; temperature of the air, its target and
+        the setpoint [K]; faults; the counts of the line."""
         told: JsonObject = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:
             angles, rates = self.live.world.joints(self.live.now())
@@ -208,7 +209,7 @@ class Serving:
 
 
 def ready_note(serving: Serving) -> str:
-    """Content of the readiness file as JSON; its token is for users who may read the file."""
+    """Content of the readiness file as JSON; it includes the token, so that only users who can read the file can use the token."""
     control = f"{serving.control.host}:{serving.control.port}"
     note = {
         "pid": os.getpid(),

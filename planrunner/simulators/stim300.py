@@ -1,4 +1,4 @@
-"""The frames of a STIM300 (Safran TS1524): normal-mode datagrams with CRC-32, every datagram identifier.
+"""The frames of a STIM300 (Safran TS1524): normal-mode datagrams with CRC-32, for every datagram identifier.
 
 A datagram is its identifier, the clusters that the identifier names (gyro always; accelerometer, inclinometer), their temperatures, PPS or
 AUX, then counter, latency and CRC. The CRC covers zero bytes at the end that fill up words of four and are not sent.
@@ -50,8 +50,8 @@ class Stim300:
         return 8 + len(clusters) * (17 if warm else 10) + (4 if extra else 0) + (2 if self.crlf else 0)
 
     def frames(self, columns: Mapping[str, Values], counter: Values, latency: Values) -> Bytes:
-        """Datagrams (n, length). columns: `gyro_x` … in deg/s (deg for increments), `acc_x` …, `incl_x` … in g, `gyro_T_x` … in degC;
-        `pps` or `aux` raw; `gyro_status` and so on where they are not zero. counter: of internal samples; latency: µs."""
+        """Datagrams (n, length). columns: `gyro_x` … in deg/s (deg for increments), `acc_x` …, `incl_x` … in g, `gyro_T_x` … in
+        degC; `pps` or `aux` raw; `gyro_status` and so on where they are not zero. counter: number of internal samples; latency: µs."""
         clusters, warm, extra = DATAGRAMS[self.datagram]
         count = counter.size
         nothing = np.zeros(count)

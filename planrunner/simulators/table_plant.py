@@ -18,9 +18,9 @@ _GRANTED = 1 + 1e-9
 
 @dataclass(slots=True)
 class Axis:
-    """One axis and the settings of its controller. rates, accelerations: limits by mode. lowest, highest: angles, rad, beyond
-    which a demand is refused. trip: rate, rad/s, and tracking: following error, rad, beyond which the axis is switched off. aim: the last
-    demanded angle. faults: faults that ended its motion, until they are reset."""
+    """One axis and the settings of its controller. rates, accelerations: limits by mode. lowest, highest: angles, rad, beyond which
+    a demand is refused. trip: rate [rad/s] beyond which the axis is switched off; tracking: following error [rad] beyond which it
+    is switched off. aim: the last demanded angle. faults: faults that ended the motion of the axis, until they are reset."""
 
     model: TableAxis
     lowest: float
@@ -90,7 +90,8 @@ class TablePlant:
     def swing(
         self, index: int, amplitude: float, frequency: float, phase: float, rate: float, acceleration: float
     ) -> None:
-        """Starts a sine about the last commanded angle of the axis. All sines have the same beginning."""
+        """Starts a sine about the last commanded angle of the axis. Sines of the same frequency on several axes count their phases
+        from the same time."""
         axis, now = self.axes[index], self.live.before_change()
         path = self.paths.paths[index]
         swinging = [p for p in (path.current(now) for path in self.paths.paths) if isinstance(p, Swing)]
@@ -139,7 +140,7 @@ class TablePlant:
         return min(rate, axis.model.max_rate), min(acceleration, axis.model.max_acceleration)
 
     def _point(self) -> None:
-        """The pointing error of the last commanded orientation."""
+        """Applies the pointing error that belongs to the last commanded orientation."""
         world = self.live.world
         aims = [axis.aim for axis in self.axes]
         world.skew = self.table.pointing_error(attitude(world.axes, aims, world.site.azimuth))

@@ -18,7 +18,7 @@ _OPERATION = re.compile(r"([A-Z]+)1,(\S+)")
 
 
 class Thermotron8800:
-    """Channel 1 is the air's temperature in degC, ramps in K/min."""
+    """A controller whose channel 1 is the air's temperature in degC; ramps are in K/min."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "8800"):
         self.plant = plant

@@ -1,4 +1,4 @@
-"""The messages of a VectorNav VN-100: binary outputs with CRC-16, and ASCII lines with a sum of eight bits without carry."""
+"""The messages of a VectorNav VN-100: binary outputs with CRC-16, and ASCII lines with the exclusive-or of their bytes as checksum."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def measurement(
     ypr: Sequence[float] | Values,
     kind: str = "VNYMR",
 ) -> bytes:
-    """A line of measurements, each (3,): `VNYMR` attitude [deg], magnetic field [gauss], acceleration [m/s^2] and rate [rad/s]; `VNYPR`,
-    `VNACC` and `VNGYR` attitude, acceleration and rate alone."""
+    """A line of measurements, (3,) each: `VNYMR` contains attitude [deg], magnetic field [gauss], acceleration [m/s^2] and rate
+    [rad/s]; `VNYPR`, `VNACC` and `VNGYR` contain only attitude, acceleration or rate."""
     parts = {
         "VNYPR": [f"{value:+08.3f}" for value in ypr],
         "magnetic": [f"{value:+08.4f}" for value in magnetic],

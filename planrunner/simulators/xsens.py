@@ -61,7 +61,8 @@ def known(item: int) -> bool:
 
 
 def _real(values: Values, form: int) -> Bytes:
-    """Reals (n,): IEEE 754, or fixed point with 20 or 32 bits after the point. With 32 bits, the fraction comes first."""
+    """Real numbers (n,): IEEE 754, or fixed point with 20 or 32 bits after the binary point. With 32 bits, the fraction comes
+    first."""
     if form == 1:
         return integers(np.rint(values * 2.0**20), 4)
     if form == 2:

@@ -37,8 +37,8 @@ BACKLOG = 0.1
 
 
 class FirstFrames:
-    """The first frames after connecting. seconds: between the first good frame and the last, without frames from buffers. heard:
-    time of the last good frame. haste: seconds of the bench's clock per second of real time; buffers follow real time."""
+    """The first frames after connecting. seconds: time between the first good frame and the last, without frames from buffers.
+    heard: time of the last good frame. haste: seconds of the bench's clock per second of real time; buffers follow real time."""
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
         self._decoder, self._rate, self._backlog = decoder, rate, BACKLOG * haste
@@ -268,8 +268,7 @@ class SerialSensor(Generic[P]):
             raise InstrumentError(f"{message}: correct `sample_rate`, or the sensor's setting")
 
     def _overhear(self) -> None:
-        """Processes bytes that were received without a consumer. A frame that is incomplete at the beginning does not count as
-        lost."""
+        """Processes bytes that were received without a consumer. An incomplete first frame does not count as lost."""
         samples = self.decoder.decode(Framer(self.decoder.framing).push(self.link.take()))
         self._doubts |= dict.fromkeys(samples.doubts)
         if len(samples):

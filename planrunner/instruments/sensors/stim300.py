@@ -105,7 +105,7 @@ class Stim300(SerialSensor[Stim300Parameters]):
 
 
 def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: float) -> FrameLayout:
-    """Positions of the fields in a datagram. Scales: deg/s and g per count; rate: Hz."""
+    """Positions of the fields in a datagram. gyro and accelerometer scales: deg/s and g per count; rate: Hz."""
     contents = DATAGRAMS[datagram]
     clusters = [("gyro", gyro_scale, "deg/s")]
     clusters += [("accel", acceleration_scale, "g")] if "a" in contents else []

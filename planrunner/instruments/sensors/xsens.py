@@ -210,7 +210,8 @@ class MtData2:
         return {name: made[name] for name in self.channels()}
 
     def _shape(self, frame: bytes) -> tuple[Whole, FrameLayout | None]:
-        """Positions of the packet headers in frames of this shape, and how to read them; None if they cannot be read."""
+        """Positions of the packet headers in frames of this shape, and the layout with which such frames are decoded; None instead
+        of the layout if they cannot be decoded."""
         start = 4 if frame[3] != 255 else 6
         packets: dict[int, tuple[int, int, int]] = {}
         heads: list[int] = []

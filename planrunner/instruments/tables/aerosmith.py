@@ -19,8 +19,8 @@ END = b"\r"
 
 
 class PromptedLines:
-    """Reads a line, then a line that contains only the prompt. telling: whether only lines with content count, because the empty
-    reply of a motion that ends may come between a query and its reply."""
+    """Reads a line, then a line that contains only the prompt. telling: if True, empty replies are skipped, because the empty reply
+    that a motion sends when it ends may arrive between a query and the reply to the query."""
 
     def __init__(self, *, telling: bool = False):
         self.telling = telling
@@ -55,7 +55,7 @@ class Aerosmith(TableDriver[AerosmithParameters]):
 
 
 class AerosmithCommands(LinkedCommands):
-    """Commands of such a table; an `AxisCommands`."""
+    """Commands of an Ideal Aerosmith table; an `AxisCommands`."""
 
     rocks = True
 

@@ -9,7 +9,7 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class AxisState:
-    """Measurements of the controller in its own angles: deg and deg/s."""
+    """Position and rate of an axis as measured by the controller, in the controller's angles: deg and deg/s."""
 
     position: float
     rate: float
@@ -17,8 +17,8 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisBounds:
-    """Limits that an axis must enforce itself, in the controller's units: deg/s, deg/s², deg; lowest and highest are None without
-    stops."""
+    """Limits that an axis must enforce itself, in the controller's units: deg/s, deg/s², deg. `lowest` and `highest` are None for
+    an axis without stops."""
 
     rate: float
     acceleration: float
@@ -37,8 +37,8 @@ class Sine:
 
 
 class AxisCommands(Protocol):
-    """Commands of a controller. Axes have the controller's numbers, and angles are the controller's, in degrees. Every failure is an
-    `InstrumentError`."""
+    """Commands of a controller. Axes are named by the controller's numbers; angles are those of the controller, in degrees. Every
+    failure is an `InstrumentError`."""
 
     rocks: bool
     """Whether the controller has a sine motion."""
@@ -51,8 +51,8 @@ class AxisCommands(Protocol):
         """Makes the axes ready to move. Called before the first move, and after `switch_off`."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Moves to positions and stays there. here: the present positions. An axis that enters its position mode first holds its
-        place."""
+        """Moves axes to positions, where they stay. here: the present positions. An axis that enters its position mode first holds
+        its present position."""
 
     def turn(self, axis: int, rate: float) -> None: ...
     def rock(self, sines: Mapping[int, Sine]) -> None: ...

@@ -260,7 +260,7 @@ class AxisTable:
         return spin_up_time(self.axes[course.joint], course.rate - float(rates[course.joint]))
 
     def _turn(self, index: int, rate: float, standing: Mapping[int, float]) -> None:
-        """Starts a spin. standing: the positions of the other axes."""
+        """Starts a spin. standing: joint angles [rad], by index; the axes other than `index` hold them."""
         self._aim = Aim({other: joint for other, joint in standing.items() if other != index}, {index: rate})
         axis = self.counted[index]
         self.commands.turn(axis.number, axis.sense * math.degrees(rate))

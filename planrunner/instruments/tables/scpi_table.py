@@ -55,7 +55,7 @@ class CommandTemplate:
 
 
 def filled(template: str, axis: int, **values: float) -> str:
-    """The command for one axis with its values filled in."""
+    """The command made from a template, with the number of the axis and the values filled in."""
     return template.format(axis=axis, **{name: written(value) for name, value in values.items()})
 
 
@@ -136,7 +136,7 @@ class ScpiTable(TableDriver[ScpiTableParameters]):
 
 
 class ScpiTableCommands(LinkedCommands):
-    """Commands of such a table; an `AxisCommands`."""
+    """Commands of a table that are declared in the bench file; an `AxisCommands`."""
 
     def __init__(self, parameters: ScpiTableParameters):
         end = ENDS[parameters.ends]

@@ -27,7 +27,7 @@ class CalledOffError(Exception):
 
 
 class TimedMotion:
-    """Performs one motion at a time. broken: the reason why it could not continue, in words; empty without a fault. patience: real
+    """Performs one motion at a time. broken: why the motion could not continue, in words; empty without a fault. patience: real
     time [s] in which the run must query the table at least once."""
 
     def __init__(self, clock: Clock):
@@ -39,7 +39,8 @@ class TimedMotion:
         self._called_off = threading.Event()
 
     def begin(self, what: str, commands: Callable[[], None]) -> None:
-        """Runs `commands` on the thread; they wait with `until`. what: beginning of the message if they fail."""
+        """Runs the function `commands` on the thread; in it, waiting is done with `until`. what: beginning of the message if
+        `commands` fails."""
         self.call_off()
         self._called_off.clear()
         self.looked_at()

@@ -16,9 +16,10 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """Conditions at some samples. time: (n,), s since the run began, of the middle of each sampling interval; power_on: s, by the
-    same clock. angle: (n,), rad, rotation of the table since it reached the orientation; rate: rad/s; kelvin: temperature of the
-    sensor; overvoltage: V above its nominal supply; overpressure: Pa above the standard atmosphere."""
+    """Conditions at some samples. time: middle of each sampling interval, (n,), s since the run began; power_on: time at which the
+    sensor was switched on, s, by the same clock. angle: (n,), rad, rotation of the table since it reached the orientation; rate:
+    rad/s; kelvin: temperature of the sensor; overvoltage: V above its nominal supply; overpressure: Pa above the standard
+    atmosphere."""
 
     segment: Segment
     time: Array
@@ -33,7 +34,7 @@ class Moments:
 
 @dataclass(frozen=True, slots=True)
 class Gives:
-    """One output of the sensor. unit: of the output; white: N, unit·√s; step: size of a step of one sample, unit."""
+    """One output of the sensor. unit: unit of the output; white: N, unit·√s; step: size of a step of one sample, unit."""
 
     unit: str
     white: float

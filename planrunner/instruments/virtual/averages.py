@@ -39,7 +39,7 @@ def interval_means(world: World, sampling: Sampling, first: int, length: int) ->
 
 
 def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: float) -> None:
-    """Adds the contribution of a stretch to the means (6, n) of intervals of 1/rate s, beginning at `begin`."""
+    """Adds the contribution of a stretch to the means (6, n) over intervals of 1/rate s, the first of which begins at `begin`."""
     low, high = (_snapped((time - begin) * rate) for time in (stretch.begin, stretch.end))
     low, high = max(low, 0.0), min(high, float(means.shape[1]))
     whole, last = math.ceil(low), math.floor(high)
@@ -62,7 +62,7 @@ def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: 
 
 
 def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: float, low: float, high: float) -> None:
-    """Adds the part from `low` to `high`, counted in intervals, to its interval."""
+    """Adds the contribution of the time from `low` to `high`, counted in intervals, to the interval that contains it."""
     width = high - low
     if width <= 0.0:
         return
@@ -93,13 +93,14 @@ def _moment(world: World, time: float) -> tuple[Components, Components]:
 
 
 def _snapped(position: float) -> float:
-    """A position in units of intervals. If it differs from the end of a sample only by rounding of times, it is moved there."""
+    """A position in units of intervals, moved to the boundary of an interval if it differs from the boundary only by rounding of
+    times."""
     return float(round(position)) if abs(position - round(position)) < _SNAP else position
 
 
 @lru_cache(maxsize=64)
 def _points(phase: float) -> tuple[tuple[float, float], ...]:
-    """(place, weight) within an interval of length one over which phases change by up to `phase` rad."""
+    """Points (place, weight) of a quadrature over an interval of length one in which phases change by up to `phase` rad."""
     order = 1 if phase <= _ONE_POINT else 2 if phase <= _TWO_POINTS else 3
     panels = max(1, math.ceil(phase / _THREE_POINTS))
     places, weights = np.polynomial.legendre.leggauss(order)

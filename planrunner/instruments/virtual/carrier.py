@@ -19,7 +19,7 @@ FASTEST = 1000.0  # m/s
 
 
 class VirtualCarrierParameters(Record):
-    """A simulated carrier: from the site, at its height, along a track with a speed."""
+    """A simulated carrier, which starts at the site and moves along a track with a given speed, at the height of the site."""
 
     speed: Quantity = key(
         QuantityLike("m/s", "not negative"),

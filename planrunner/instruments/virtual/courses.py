@@ -135,8 +135,8 @@ class Spinning:
 
 @dataclass(frozen=True, slots=True)
 class Rocking:
-    """Joints rock sinusoidally about `angles`. The phase is zero at `steady`. The rocking fades in over one period before it and
-    out over one period after `duration`, so that no joint jumps."""
+    """Joints rock sinusoidally about `angles`. At the time `steady` the sines have the phases `phases`. The rocking fades in over
+    one period before `steady` and fades out over one period after `duration`, so that no joint jumps."""
 
     kind: ClassVar[str] = "rocking"
     steady: float

@@ -49,7 +49,7 @@ def normal_radius(latitude: Latitude) -> Any:
 
 
 def meridian_arc(latitude: Latitude) -> Any:
-    """Length of meridian [m] from the equator."""
+    """Length [m] of the meridian from the equator to a latitude."""
     return _ARC * (latitude + sum(c * np.sin(2 * k * latitude) for k, c in enumerate(_FORWARD, start=1)))
 
 

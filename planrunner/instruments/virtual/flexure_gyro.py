@@ -1,10 +1,10 @@
 """The virtual flexure gyro (dynamically tuned, two input axes X and Y, spin axis Z) with torque-rebalance loops.
 
-The loops drive torquer currents until the torquers precess the rotor as fast as its input does, so that the currents,
-counted in pulses, measure the input. Torquer Y turns the rotor at SF_Y·i_x along (cos ε, sin ε), torquer X at
-SF_X·i_y along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X); this must balance (ω_Y + D(X), ω_X + D(Y)),
-where the drifts D(X) and D(Y) have a constant part and parts proportional to the specific force along X, Y and Z
-(patent CN100554884C). The simulation solves this balance and shares no formula with the estimators.
+The loops drive torquer currents such that the torquers precess the rotor at the rate of its input, so that the currents, counted in
+pulses, measure the input. Torquer Y turns the rotor at SF_Y·i_x along (cos ε, sin ε), torquer X at SF_X·i_y along (−sin(ε+ξ),
+cos(ε+ξ)), both in the plane of (ω_Y, ω_X); this must balance (ω_Y + D(X), ω_X + D(Y)), where the drifts D(X) and D(Y) have a
+constant part and parts proportional to the specific force along X, Y and Z (patent CN100554884C). The simulation solves this
+balance and shares no formula with the estimators.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ THERMOMETER = "sensor_temperature"
 
 
 class ScaleFactors(Record):
-    """Scale factors: the rate that corresponds to one pulse per second of each torquer."""
+    """The scale factor of each torquer: the rate that corresponds to one pulse per second."""
 
     x: Quantity = key(
         QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_X, scale factor of the X torquer.", "0.2 (deg/h)/(pulse/s)"

@@ -1,6 +1,6 @@
 """The virtual inertial sensor: gyros and accelerometers that integrate their input, on the table of the virtual world.
 
-A sample is the mean over its sampling interval, and its time is the interval's end. The error model is that of `inertial_axis.py`, and
+A sample is the mean over its sampling interval, and its time is the interval's end. The error model is in `inertial_axis.py` and
 shares no formula with the estimators."""
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ _SWITCH_ON = 1  # second part of the key of a generator: apart from those of seg
 
 @dataclass(frozen=True, slots=True)
 class _Dwell:
-    """The recording of one segment. chances: (axes, 2), random values for bias and scale factor, drawn at switch-on; counters: of
-    counted outputs."""
+    """The recording of one segment. chances: (axes, 2), random values for bias and scale factor, drawn at switch-on; counters:
+    pulse counters of the counted outputs."""
 
     segment: Segment | None
     sampling: Sampling
@@ -241,8 +241,8 @@ class VirtualImu(TakesEffects):
         kelvin: Array,
         middles: Array,
     ) -> Array:
-        """The output of one axis without white noise, for mean rates and forces. kelvin, middles: temperature and time of every
-        second."""
+        """The output of one axis without white noise, computed from mean rates and forces over the sampling intervals. kelvin,
+        middles: temperature and time in the middle of every second."""
         sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
         off = kelvin - self.parameters.reference_temperature.value
@@ -342,7 +342,7 @@ def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
 
 
 def mean_angle(world: World, segment: Segment, times: Array, interval: float) -> Array:
-    """Mean angle [rad] over sampling intervals that end at `times`: like the outputs, which are means too."""
+    """Mean angle [rad] over each sampling interval that ends at one of `times`; the outputs are means over the same intervals."""
     places, weights = np.polynomial.legendre.leggauss(3)
     total = np.zeros(len(times))
     for place, weight in zip(places, weights, strict=True):

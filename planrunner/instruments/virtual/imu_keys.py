@@ -230,7 +230,7 @@ class Accelerometers(AccelerometerErrors):
 
 
 def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
-    """Findings about the directions of the axes and their number."""
+    """Adds findings about the directions and the number of the axes."""
     if not 1 <= len(group.axes) <= MOST_AXES:
         log.error("form-size", group.at("axes"), f"{len(group.axes)} axes are given here", f"give 1 to {MOST_AXES}")
     for name, axis in group.axes.items():

@@ -98,8 +98,8 @@ class InertialAxis:
         return steady + self.warm_up * np.exp(-since / self.warm_up_time) if self.warm_up else steady
 
     def by_surroundings(self, volts: float, pascals: float) -> tuple[float, float]:
-        """Changes of the bias, SI, and of the scale factor, relative. volts: above the nominal supply; pascals: above the standard
-        atmosphere."""
+        """Changes of the bias, SI, and of the scale factor, relative. volts: V above the nominal supply; pascals: Pa above the
+        standard atmosphere."""
         return (
             self.bias_supply * volts + self.bias_pressure * pascals,
             self.error_supply * volts + self.error_pressure * pascals,

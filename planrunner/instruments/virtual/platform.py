@@ -36,8 +36,8 @@ from planrunner.plan.units import STANDARD_GRAVITY
 class RingEncoders:
     """The readings of the table's ring encoders during one recording.
 
-    before, after: (k,), rad, deviation of each ring's position from its reading before and after it has moved. lag: s. wander:
-    rad/√s.
+    before, after: (k,), rad, deviation of each ring's position from its reading, before and after the ring has come to rest. lag:
+    time [s] by which a reading lags behind a moving ring. wander: random walk of the servos, rad/√s.
     """
 
     before: Array
@@ -54,7 +54,7 @@ class RingEncoders:
         return cls(before, after, lag, wander, np.zeros(rings))
 
     def read(self, course: Course, times: Array, step: float, draw: np.random.Generator) -> list[Array]:
-        """Indicated angles [rad] of each ring, outermost first, at `times`, `step` s apart."""
+        """Indicated angles [rad] of each ring, outermost first, at `times`, which are `step` s apart."""
         over = course.over if isinstance(course, Rocking) else math.inf
         readings = []
         for k, (angle, rate) in enumerate(course.follow(times)):
@@ -79,7 +79,8 @@ def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
 
 
 def resolver(angle: Array, error: float, speeds: int, phase: float) -> Array:
-    """Reading of a resolver with `speeds` electrical turns per turn for an angle [rad]. error: amplitude [rad]."""
+    """The reading [rad] of a resolver with `speeds` electrical turns per mechanical turn, at an angle [rad]. error: amplitude of
+    its error [rad]."""
     return angle + error * np.sin(speeds * angle + phase)
 
 
@@ -201,7 +202,7 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """The random generator for one caging (0: the platform as built), separate from those of the segments."""
+        """The random generator for one caging (number 0: the platform as built), separate from the generators of the segments."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )

@@ -38,9 +38,9 @@ class DriftLaw:
 class Element:
     """State of the element since it was caged or released.
 
-    caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: time of release, s; None while caged. axes:
-    (3, 3), rows in East-North-Up when released. left: (3,), rad, total rotation while it leaves the dead region. drifted: (3,), rad,
-    drift angle at the time `at` [s].
+    caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: time of release, s; None while caged.
+    axes: (3, 3), rows in East-North-Up when released. left: (3,), rad, total rotation while the element leaves the dead region.
+    drifted: (3,), rad, drift angle at the time `at` [s].
     """
 
     caged: Array
@@ -51,7 +51,7 @@ class Element:
     at: float = 0.0
 
     def release(self, world: World, left: Array) -> Element:
-        """Releases the element, which is then fixed in inertial space. left: rotation while it leaves the dead region."""
+        """Releases the element, which is then fixed in inertial space. left: its rotation while it leaves the dead region."""
         if self.released is not None:
             return self
         now = world.now()
@@ -59,7 +59,7 @@ class Element:
         return Element(self.caged, now, axes, left, np.zeros(3), now)
 
     def _held(self, base: Array) -> Array:
-        """Its axes (n, 3, 3) while caged: those of the base (n, 3, 3), rotated by `caged`."""
+        """The element's axes (n, 3, 3) while caged: the axes of the base (n, 3, 3), rotated by `caged`."""
         return np.stack([turn_by(base[:, :, k], -self.caged) for k in range(3)], axis=2)
 
     def advance(self, world: World, time: float, law: DriftLaw, draw: np.random.Generator) -> Element:
@@ -77,8 +77,8 @@ class Element:
     def follow(
         self, world: World, times: Array, step: float, base: Array, law: DriftLaw, draw: np.random.Generator
     ) -> tuple[Array, Element]:
-        """The element's axes as rows in East-North-Up at `times`, `step` s apart beginning at `at`, shape (n, 3, 3), and the element
-        after these times.
+        """The element's axes as rows in East-North-Up, shape (n, 3, 3), at `times`, which begin at `at` and are `step` s apart; and
+        the element after these times.
 
         base: (n, 3, 3), the base's axes at the same times.
         """

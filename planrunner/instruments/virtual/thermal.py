@@ -1,4 +1,5 @@
-"""Temperatures of the virtual world: the chamber's air behind a ramped setpoint, and the sensor behind the air.
+"""Temperatures of the virtual world: the chamber's air, which lags behind a ramped setpoint, and the sensor, which lags behind the
+air.
 
 The setpoint r moves linearly to its target, then stays. Air T and sensor S are first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T
 − S)/τ_s. They are solved in closed form from the moment of the last command, so the result at a given moment is bit-identical,
@@ -26,7 +27,7 @@ class Lags:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """State at the moment of a command. start: s; all other values are in K; target: final value of the setpoint."""
+    """State at the moment of a command. start: time of the command, s; target: final value of the setpoint; temperatures in K."""
 
     start: float
     setpoint: float
@@ -59,8 +60,8 @@ def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Arr
 def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
     """Time [s] after the command until the air stays within `tolerance` [K] of the target.
 
-    After the ramp the air's distance decays exponentially; it can be within the tolerance before the ramp ends only if the whole change is
-    no larger than the tolerance.
+    After the ramp the distance of the air from the target decays exponentially; it can be within the tolerance before the ramp ends
+    only if the whole change is no larger than the tolerance.
     """
     if abs(command.target - command.setpoint) <= tolerance and abs(command.target - command.air) <= tolerance:
         return 0.0

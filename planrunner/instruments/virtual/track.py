@@ -26,8 +26,8 @@ _ALONG_PARALLEL = 1e-12  # cosine of a heading below which the track keeps its l
 
 @dataclass(frozen=True, slots=True)
 class TrackProgress:
-    """Distance covered along a track. It begins at `start` [s] and reaches `speed` [m/s] at constant acceleration within `speed_up`
-    [s]. If `period` [s] is given, the velocity is speed·sin(2π·t/period)."""
+    """Distance covered along a track. The carrier starts at `start` [s] and reaches `speed` [m/s] at constant acceleration within
+    `speed_up` [s]. If `period` [s] is given, the velocity is speed·sin(2π·t/period)."""
 
     speed: float
     start: float = 0.0
@@ -57,8 +57,8 @@ class TrackProgress:
 
 @dataclass(frozen=True, slots=True)
 class CarrierPlace:
-    """Position of the carrier: latitude and longitude [rad] with their first and second derivatives by time, and the bench's
-    heading [rad clockwise from north] with its first derivative."""
+    """Position of the carrier: latitude and longitude [rad] with their first and second time derivatives, and the bench's heading
+    [rad clockwise from north] with its first time derivative."""
 
     latitude: Array
     longitude: Array

@@ -1,7 +1,7 @@
 """The virtual world: attitude of the table, temperatures, and the input of a sensor at any time.
 
-It depends only on the time since the last command, not on the number of queries, so that a resumed run equals an uninterrupted one bit for
-bit. The drivers change it; the sensor reads it.
+It depends only on the last command and on the time since then, not on the number of queries, so that a resumed run equals an
+uninterrupted one bit for bit. The drivers change it; the sensor reads it.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(slots=True)
 class World:
-    """The state of the virtual bench. axes: of the table, outermost first, empty without a table. skew: (3, 3), small rotation from
-    the platform to the sensor's axes; it is the pointing error at the commanded orientation. steady_at: time at which the commanded
-    motion is reached, s. track: of the carrier that moves the bench over the Earth; None if the bench does not move. added: effects
-    added to the sensor's declared errors."""
+    """The state of the virtual bench. axes: axes of the table, outermost first, empty without a table. skew: (3, 3), small rotation
+    from the platform to the sensor's axes; it is the table's pointing error at the commanded orientation. steady_at: time [s] at
+    which the commanded motion is reached. track: track of the carrier that moves the bench over the Earth; None if the bench does
+    not move. added: effects added to the sensor's declared errors."""
 
     clock: Clock
     site: Site

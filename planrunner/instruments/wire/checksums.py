@@ -37,7 +37,7 @@ class Checksum:
 
     @cached_property
     def tables(self) -> NDArray[np.uint32]:
-        """Tables (8, 256): row k contains the remainder of a byte that k zero bytes follow."""
+        """Tables (8, 256): row k contains, for each byte value, the remainder of this byte followed by k zero bytes."""
         rows = np.zeros((8, 256), np.uint32)
         top = self.polynomial << (32 - self.width)
         for byte in range(256):

@@ -14,8 +14,9 @@ from planrunner.instruments.wire.framing import Frames
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A number at `offset` of every frame: number × scale. kind: UNSIGNED or SIGNED of `width` 1 to 8 bytes, FLOAT of 4 or 8, or
-    FRACTION_FIRST (32 bits of fraction, then 16 of the integer). Exact up to 53 bits; `whole_numbers` is exact up to 64."""
+    """A number at `offset` of every frame: number × scale. kind: UNSIGNED or SIGNED with a `width` of 1 to 8 bytes, FLOAT with 4 or
+    8, or FRACTION_FIRST (32 bits of fraction, then 16 of the integer). Numbers are exact up to 53 bits; with `whole_numbers`, up to
+    64."""
 
     offset: int
     width: int
@@ -35,7 +36,7 @@ def numbers(frames: Frames, fields: Sequence[Field]) -> NDArray[np.float64]:
 
 
 def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
-    """An integer field (n,), unscaled; one of eight bytes wraps at 2⁶³."""
+    """The values (n,) of an integer field, unscaled; unsigned values of eight bytes wrap at 2⁶³."""
     from planrunner.instruments.wire.kernels import bits
 
     found: NDArray[np.int64] = bits(

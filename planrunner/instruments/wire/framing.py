@@ -24,10 +24,11 @@ MOST_TABLES = 256  # of one KiB each: more would not stay close to the processor
 class Framing:
     """Format of frames.
 
-    sync: their first bytes. rule: FIXED (`longest` bytes), XBUS (a length byte at 3, or FF and two more; never over `longest`), LINE (up to
-    a line feed, never over `longest`). trailer: bytes that may follow a frame. The checksum covers the frame from byte `covered_from` up to
-    itself, with `padding` zero bytes appended. It is in the last `check_bytes`, low byte first if `little`. In a LINE it covers the text
-    between `$` and `*` and follows it as two hexadecimal digits.
+    sync: the first bytes of a frame. rule: FIXED (`longest` bytes), XBUS (a length byte at offset 3, or FF there and two more
+    bytes; at most `longest` bytes), LINE (up to a line feed, at most `longest` bytes). trailer: bytes that may follow a frame. The
+    checksum covers the frame from byte `covered_from` up to the checksum, with `padding` zero bytes appended. It is in the last
+    `check_bytes`, low byte first if `little`. In a LINE the checksum covers the text between `$` and `*`, and follows `*` as two
+    hexadecimal digits.
     """
 
     sync: bytes
@@ -43,7 +44,7 @@ class Framing:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes as they arrived. received: s, by the bench's clock, when they had been read."""
+    """Bytes as they arrived. received: time [s], by the bench's clock, at which the bytes had been read."""
 
     received: float
     data: bytes
@@ -70,7 +71,7 @@ class Frames:
 @dataclass
 class Framer:
     """Takes pieces of a stream and returns the complete frames. byte_time: time of a byte on the line, s. good, corrupt: number of
-    frames; skipped: number of bytes outside frames; length: bytes per frame, averaged over the last call that found some."""
+    frames; skipped: number of bytes outside frames; length: mean number of bytes per frame in the last call that found frames."""
 
     framing: Framing
     byte_time: float = 0.0

@@ -1,10 +1,10 @@
 """Times of samples, computed from a sensor's counter and from the times at which the computer read its frames.
 
-A reading is never early. It may be late, because of buffers and the operating system. The line of the counter on the computer's
-clock is therefore the highest line below all readings, an edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and
-removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for
-network measurements, INFOCOM 2002). A constant delay cannot be determined in this way; transmission time and the latency reported
-by the sensor are subtracted before."""
+A frame is never read early, but may be read late, because of buffers and the operating system. The line of the counter on the
+computer's clock is therefore the highest line below all readings, an edge of their lower convex hull (Moon, Skelly and Towsley,
+Estimation and removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization
+algorithms for network measurements, INFOCOM 2002). A constant delay cannot be determined in this way; transmission time and the
+latency reported by the sensor are subtracted before."""
 
 from __future__ import annotations
 
@@ -56,8 +56,9 @@ class FrameCounter:
 class Unwrapping:
     """Extends the counter beyond its modulus, however many complete periods were lost during a silence.
 
-    After a silence, an additional full period of the counter may be possible. Either the computer slept, and the readings catch up;
-    or frames were lost, and the readings stay behind. This is decided after `PATIENCE` seconds of readings.
+    After a silence, an additional full period of the counter may be possible. Either the computer slept, and the delays of reading
+    become as small as before; or frames were lost, and the delays stay larger. This is decided after `PATIENCE` seconds of
+    readings.
     """
 
     counter: FrameCounter
@@ -104,8 +105,8 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """Raises an error for jumps of the delay. delay: s, apart from a constant. Frames after a jump would be later than frames
-        that still arrive."""
+        """Raises an error if the counter has jumped ahead, because the times of frames after the jump would be later than those of
+        frames that still arrive. delay: delays of reading, s, up to a constant."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"
@@ -123,7 +124,7 @@ class Unwrapping:
         return steps
 
     def _lowest(self, received: Array, index: Whole) -> float:
-        """The smallest delay in the last second, s, apart from a constant."""
+        """The smallest delay in the last second, s, up to a constant."""
         delay = received - index * self.counter.tick
         recent = float(np.min(delay[received >= received[-1] - self.haste]))
         return (
@@ -147,8 +148,8 @@ class HostClock:
     _last: tuple[int, float] | None = None
 
     def stamp(self, index: Whole, received: Array) -> Array:
-        """Times (n,) in s, strictly increasing with the indices, from call to call too. index: increasing; received: s, minus all known
-        delays."""
+        """Times (n,) in s, strictly increasing with the indices, also from one call to the next. index: increasing; received: s,
+        minus all known delays."""
         if index.size == 0:
             return np.empty(0)
         nominal = index.astype(float) * self.counter.tick
@@ -193,8 +194,8 @@ class HostClock:
 
 
 def line_under(points: Array) -> tuple[float, float]:
-    """Slope and offset of the line that lies below all points (n, 2) and is closest to them. It is the edge of their lower convex
-    hull above which the mean abscissa lies. Abscissae must increase."""
+    """Slope and offset of the line that lies below all points (n, 2) and is closest to them on average. It contains the edge of
+    their lower convex hull whose range of abscissae includes the mean abscissa. Abscissae must increase."""
     hull: list[tuple[float, float]] = []
     for x, y in points.tolist():
         while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]) >= (y - hull[-2][1]) * (

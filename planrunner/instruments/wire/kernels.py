@@ -227,9 +227,9 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 
 @compiled()
 def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Starts and lengths of the good frames, the beginning of the remainder, the expected place of the next frame in it (-1:
-    unknown), the number of corrupt frames and of skipped bytes. positions, base: for a CRC over frames of equal length
-    (`Checksum.by_position`), otherwise (0, 256) and 0."""
+    """Starts and lengths of the good frames, the beginning of the remainder, the expected place of the next frame in the remainder
+    (-1: unknown), the number of corrupt frames and the number of skipped bytes. positions, base: for a CRC over frames of equal
+    length (`Checksum.by_position`), otherwise (0, 256) and 0."""
     rule, longest, expected = shape
     covered_from, _, size, little = check
     covered = positions.shape[0]
@@ -341,7 +341,8 @@ def scaled(data, starts, places, scales):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no-untyped-def]
-    """Converts floats. Bits first, then numbers: each loop is simple enough to process several frames at a time."""
+    """Converts floats. The bits are collected first and converted to numbers afterwards: each of these loops is simple enough to
+    process several frames at a time."""
     if width == 4:
         words = np.empty(starts.size, np.uint32)
         for frame in range(starts.size):

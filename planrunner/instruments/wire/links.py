@@ -63,9 +63,9 @@ class LineAnswers:
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """Settings of a link. address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to every
-    message. pace: minimum time between two messages, s. baud: of a serial line. tries: number of attempts for a request that may be
-    repeated. idle: characters that may arrive without a request, such as a prompt, and are discarded without a remark."""
+    """Settings of a link. address: VISA resource name. timeout: s, for opening and for an answer. sent_end: text appended to every
+    message. pace: minimum time between two messages, s. baud: baud rate of a serial line. tries: number of attempts for a request
+    that may be repeated. idle: characters that may arrive without a request, such as a prompt, and are discarded without a remark."""
 
     address: str
     timeout: float = 2.0
@@ -81,7 +81,7 @@ class LinkFailure(Exception):  # noqa: N818 - reported to users as an Instrument
 
 
 class Wire(Protocol):
-    """The part of a PyVISA resource that is used here. timeout: ms; baud_rate and bytes_in_buffer: of a serial line."""
+    """The part of a PyVISA resource that is used here. timeout: ms; baud_rate and bytes_in_buffer: only of a serial line."""
 
     timeout: float
     read_termination: str | None
@@ -170,9 +170,9 @@ class MessageLink:
     def query(
         self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: AnswerFraming | None = None
     ) -> str:
-        """The answer to `text`, without terminator and blanks. after: commands sent immediately before it. again: whether the request may
-        be repeated on a new connection if there is no answer; not allowed for commands that change the instrument. framing: of this answer,
-        if it is different."""
+        """The answer to `text`, without terminator and blanks. after: commands sent immediately before it. again: whether the
+        request may be repeated on a new connection if there is no answer; not allowed for commands that change the instrument.
+        framing: framing of this answer, if it differs from that of other answers."""
         tries = self.settings.tries if again and not after else 1
         with self._held(f"'{text}'"):
             for left in reversed(range(tries)):
@@ -295,8 +295,8 @@ class MessageLink:
             raise LinkFailure(f"sends data without a request ({shown(rests[:40])}…): {_GARBAGE}")
 
     def _await_silence(self, resource: Wire) -> None:
-        """Waits until a serial line is silent. After a failure, it must be silent for a time-out before the next request, because
-        it keeps late data."""
+        """Waits until a serial line is silent. After a failure, the line must be silent for a time-out before the next request,
+        because late data may still arrive."""
         if not self.settings.address.startswith("ASRL"):
             return
         end = time.monotonic() + 3 * self.settings.timeout

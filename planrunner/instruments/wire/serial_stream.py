@@ -69,8 +69,8 @@ class Ring:
         return pieces
 
     def follow(self, following: bool) -> None:
-        """Begins or ends following. In both cases the waiting bytes are discarded. The count of dropped bytes restarts when
-        following begins."""
+        """Begins or ends following, in which a consumer receives all bytes. In both cases the waiting bytes are discarded. The
+        count of dropped bytes restarts when following begins."""
         with self._lock:
             self._pieces, self._held, self._following = deque(), 0, following
             if following:
@@ -78,7 +78,7 @@ class Ring:
 
 
 class SerialStream:
-    """A serial port and the thread that reads it. name: of the port, for messages; now: s, by the bench's clock."""
+    """A serial port and the thread that reads it. name: name of the port, for messages; now: time [s] by the bench's clock."""
 
     def __init__(
         self, port: SerialPort, name: str, now: Callable[[], float], capacity: int = CAPACITY, bulk: bool = False
