@@ -1,4 +1,5 @@
-"""Type aliases for arrays of real numbers and of integers. The functions that take or return an array give its shape and units."""
+"""Type aliases for arrays of real numbers and of integers. The functions that take or return an array state its shape and units in
+their docstrings."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Converts columns of numbers between numpy and pyarrow without pandas.
 
-If pandas is installed, pyarrow's own conversions to and from numpy import pandas to recognize its types. This import costs half a
+If pandas is installed, pyarrow's own conversions to and from numpy import pandas to recognise its types. This import costs half a
 second in every command that reads or writes samples. Conversions through buffers and DLPack do not import pandas.
 """
 

@@ -1,8 +1,9 @@
-"""Work on many items on a Dask cluster (https://distributed.dask.org).
+"""Distributes work on many items over a Dask cluster (https://distributed.dask.org).
 
 A task consists of one item, or of several if each takes very little time. A worker computes one item at a time, with a single
 thread for linear algebra, in the working directory of this process. If a worker is lost, Dask computes its items again on another
-one. Only a limited number of items is on the cluster at a time, so that neither the scheduler nor this process keeps all of them.
+worker. Only a limited number of items is on the cluster at a time, so that neither the scheduler nor this process keeps all of
+them.
 
 Before computing, a worker checks that it has the same program and libraries as this process, because otherwise the last digits may
 differ. The check is part of each item, because workers may join at any time.
@@ -58,7 +59,7 @@ _SCHEDULER = "--scheduler"
 @dataclass(frozen=True, slots=True)
 class _Terms:
     """Conditions that apply to each item. versions: the versions of the program and of the libraries. directory: the working
-    directory."""
+    directory of this process."""
 
     versions: Mapping[str, str]
     directory: str
@@ -102,7 +103,7 @@ def computed_on_cluster(
 ) -> Iterator[R]:
     """The results of `work` for all items, in their order; see `workers.results_in_order`. address: address of the scheduler.
     Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a path among the items, and
-    `ProcessEndedError` if it ends."""
+    `ProcessEndedError` if the cluster ends."""
     if not items:
         return
     terms = _Terms(versions(), os.getcwd())

@@ -1,7 +1,7 @@
 """`dataclass` as in the standard library, but a class is created four times as fast.
 
-Reading and checking a plan needs about 180 record classes. The standard library compiles six functions for each, which took a third
-of the time of `check`. Here only `__init__` is compiled, once for all classes with the same form of `__init__`. Comparison,
+Reading and checking a plan needs about 180 record classes. The standard library compiles six functions for each class, which took a
+third of the time of `check`. Here only `__init__` is compiled, once for all classes with the same form of `__init__`. Comparison,
 hashing, representation and the refusal of changes are closures over the field names. For readers, type checkers, `fields`,
 `replace`, `asdict`, `copy` and `pickle` there is no difference.
 """

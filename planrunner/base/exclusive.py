@@ -15,7 +15,7 @@ COMMAND = contextlib.ExitStack()
 
 
 class HeldError(Exception):
-    """Another process, or another lock of this one, holds the file. The message is the note that the holder left."""
+    """Another process, or another lock of this process, holds the file. The message is the note that the holder left."""
 
 
 class ExclusiveFile:

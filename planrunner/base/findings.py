@@ -179,7 +179,7 @@ def count_of(number: int, one: str, several: str = "") -> str:
 
 
 def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
-    """The other lines of a finding, for its message: ' (also on lines 12 and 13)'; empty if it concerns a single line."""
+    """The other lines of a finding, for its message: ' (also on lines 12 and 13)'; empty if the finding concerns a single line."""
     lines = sorted({mark.line for mark in marks} - {first.line})
     if not lines:
         return ""

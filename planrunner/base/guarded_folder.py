@@ -54,8 +54,8 @@ class NotOrdinaryError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The entry at a name: its kind and, for a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two names.
-    modified: when its content last changed, in ns since 1970 by the clock of the file system."""
+    """The entry at a name: its kind and, for a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two
+    names. modified: when the content of the file last changed, in ns since 1970 by the clock of the file system."""
 
     kind: EntryKind
     size: int
@@ -216,7 +216,7 @@ class GuardedFolder:
             os.unlink(self._at(_plain(name)), dir_fd=self._descriptor)
 
     def sync(self) -> None:
-        """Waits until the names in the folder are on the disk. Windows writes them itself and offers no call for it."""
+        """Waits until the names in the folder are on the disk. Windows writes the names itself and offers no call for it."""
         if self._descriptor is not None:
             os.fsync(self._descriptor)
 

@@ -3,8 +3,8 @@
 Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. Names are known
 without importing anything; the module of a plug-in is imported when its name is used.
 
-The project's own entry points are read from the file in which its installation lists them. For other names, `importlib.metadata` is
-used. It reads the entry points of all distributions and imports 28 further modules.
+The project's own entry points are read from the file in which its installation lists them. `importlib.metadata` is used only for
+other names, because it reads the entry points of all distributions and imports 28 further modules.
 """
 
 from __future__ import annotations

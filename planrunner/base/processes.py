@@ -53,8 +53,8 @@ def shared_out(
 
     work: a function of a module, or a `partial` of one, whose argument and result can be pickled. jobs: number of processes
     including this one; None: as many as the processors allow and the number of items justifies. tell: called in this process after
-    each item of its share, with the completed fraction of the share, 0 to 1. Exceptions of `work` are raised here; if there are
-    several, the exception of the first such item. Raises `ProcessEndedError`.
+    each item of its share, with the completed fraction of the share, 0 to 1. Exceptions of `work` are raised here; if several items
+    fail, the exception of the first one. Raises `ProcessEndedError`.
     """
     tell = tell or _untold
     method = "fork" if _may_fork() else "spawn"

@@ -39,7 +39,7 @@ class Pace:
         self._began = self._shown = now()
 
     def reached(self, amount: float) -> None:
-        """Sets the amount that is done, and reports the progress if a report is due. It may be called often."""
+        """Sets the amount that is done, and reports the progress if a report is due. It can be called often."""
         if self._notice is None or amount <= 0 or self._amount <= 0:
             return
         time = now()

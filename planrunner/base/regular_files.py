@@ -39,8 +39,8 @@ def open_regular(
     """A regular file, open for reading from its beginning.
 
     limit: largest size in bytes, None if the reader sets its own limit. folder: descriptor of the open folder to which `path` is
-    relative, if the system supports it (`os.open in os.supports_dir_fd`). links: whether the last component may be a symbolic link.
-    Raises `RefusedFileError`, never `OSError`.
+    relative, if the system supports this (`os.open in os.supports_dir_fd`). links: whether the last component may be a symbolic
+    link. Raises `RefusedFileError`, never `OSError`.
     """
     try:
         _hold(os.stat(path, dir_fd=folder, follow_symlinks=links), limit)

@@ -84,7 +84,7 @@ def said(template: str, /, **values: Inserted) -> Said:
 
 
 def counted(one: str, many: str, /, count: int, **values: Inserted) -> Said:
-    """The same as `said`, with the first template if `count` is 1, otherwise the second. Both may contain `{count}`."""
+    """The same as `said`, with the first template if `count` is 1, otherwise the second. Both templates can contain `{count}`."""
     return _made(one, many, {COUNT: count, **values})
 
 

@@ -3,11 +3,11 @@
 planrunner keeps compiled code and locks outside the folders that it is given. No other user may be able to place files there,
 because cached code is executed when it is read, and a link in place of a lock file would redirect writes. Therefore every folder
 from the root down, and every link on the way, must belong to the user or the administrator and must not be writable by others. A
-folder that all users may write to is accepted if it has the sticky bit, as `/tmp` has. Access control lists count too, because
-POSIX shows them in the group bits.
+folder that all users may write to is accepted if it has the sticky bit, as `/tmp` has. Access control lists are covered too,
+because POSIX shows them in the group bits.
 
-Windows has no such bits. There only the system's data folders for the user or for all users are accepted (`user_data`, `computer_data`);
-their access control lists give the same protection. No folder below them may be a link or a junction.
+Windows has no such permission bits. There only the system's data folders for the user or for all users are accepted (`user_data`,
+`computer_data`); their access control lists give the same protection. No folder below them may be a link or a junction.
 """
 
 from __future__ import annotations

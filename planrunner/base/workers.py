@@ -42,7 +42,7 @@ def results_of(
     """The results of `work` for all items, in their order.
 
     work: a function of a module, or a `partial` of one, whose argument and result can be pickled. tell: called with the completed
-    fraction, 0 to 1. Exceptions of `work` are raised here; if there are several, the exception of the first such item. Raises
+    fraction, 0 to 1. Exceptions of `work` are raised here; if several items fail, the exception of the first one. Raises
     `ProcessEndedError` if workers end before the work is done, and `ClusterError` if the cluster cannot be used.
     """
     if workers.scheduler is None:

@@ -1,5 +1,5 @@
-"""Calibrations of the parts of a bench: the record, checks of its dates, and its validity on the day of a run. Also the record of
-the laboratory of the bench, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
+"""Calibrations of the parts of a bench: the record, the checks of its dates, and the check that it is valid on the day of a run.
+Also the record of the laboratory of the bench, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def check_dates(calibration: Calibration, log: Findings) -> None:
 def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date, seconds: float, log: Findings) -> None:
     """Adds findings for calibrations that are invalid on the day of a run or expire soon.
 
-    calibrations: name of the calibrated object and its record; seconds: planned duration of the run. Invalid dates are skipped;
-    `check_dates` reports them.
+    calibrations: pairs of the name of a calibrated object and its calibration; seconds: planned duration of the run. Invalid dates
+    are skipped; `check_dates` reports them.
     """
     lasts = math.ceil(seconds / 86400)  # days; added to today they may be beyond the calendar
     for what, calibration in calibrations:

@@ -1,7 +1,7 @@
 """Usual limits of the constant errors of inertial sensors, by the grade of the sensor.
 
-If the bench file declares no limits, a diagnosis compares its results with these. This is necessary because the simulation fits
-biases and scale factors: even a very large value leaves no gap between simulation and measurement.
+If the bench file declares no limits, a diagnosis compares its results with the limits given here. This is necessary because the
+simulation fits biases and scale factors: even a very large value leaves no gap between simulation and measurement.
 
 Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed.,
 2013, table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to

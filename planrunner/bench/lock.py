@@ -115,8 +115,8 @@ def _named(folder: Path) -> Path:
 
 
 def _names(bench: Bench) -> Mapping[str, str]:
-    """Maps every name of every real instrument to the spelling in the bench file. The order is the same for all runs, so that two
-    runs never wait for each other."""
+    """Maps every name of the address of every real instrument to the address as written in the bench file. The order is the same
+    for all runs, so that two runs never wait for each other."""
     if runs_on_virtual_clock(bench):
         return {}
     found: dict[str, str] = {}

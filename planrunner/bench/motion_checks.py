@@ -83,7 +83,8 @@ def start_motion(
 
 
 def _check_moved(motion: RecordedMotion, models: BenchModels, at: MarkOf, log: Findings) -> None:
-    """Checks whether a motion that nobody commands is possible on this bench, and whether its sensor has the channels that show it."""
+    """Checks whether a motion that nobody commands is possible on this bench, and whether the bench's sensor has the channels that
+    show the motion."""
     if models.table is not None:
         message = "the table of this bench moves only on command, so the sensor cannot move in a way that only the recording shows"
         log.error(

@@ -5,7 +5,7 @@ started must not be stopped. Making safe tries each instrument in the bench's or
 instrument that fails and releases those already connected.
 
 For a run the bench is locked against other runs, guarded by a watchdog, connected, and finally made safe, in this order. Without
-real instruments it needs neither lock nor watchdog.
+real instruments the bench needs neither lock nor watchdog.
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ def open_bench(
 
     data_root: folder that must contain the recordings. seed: seed of all random numbers of a simulated bench; by default the seed
     in the bench file. clock: replaces the clock that the bench names. notice: receives the progress of work before the run. Raises
-    `InstrumentError` with the name of the instrument that could not be connected; those connected before are closed without being
-    commanded.
+    `InstrumentError` with the name of the instrument that could not be connected; the instruments connected before it are closed
+    without being commanded.
     """
     virtual = runs_on_virtual_clock(bench)
     clock = clock or (VirtualClock() if virtual else real_clock(bench))

@@ -22,7 +22,7 @@ def other_than_reached(first: bytes, second: bytes, shown: tuple[str, str]) -> l
 
 
 def addresses(bench: Bench) -> dict[str, str]:
-    """Maps each real instrument that has an address to its connection."""
+    """Maps the name of each real instrument that has an address to this address."""
     found = {}
     for name in real_instruments(bench):
         driver, parameters = driver_of(bench.instruments[name]), bench.instruments[name].parameters

@@ -226,7 +226,8 @@ class _Planner:
         )
 
     def report_missing(self) -> None:
-        """One finding for each missing key, regardless of the number of segments: a key missing in `defaults` is missing in all of them."""
+        """Adds one finding for each missing key, regardless of the number of segments: a key missing in `defaults` is missing in
+        all of them."""
         if self._without_orientation:
             hint = "add for example `orientation: {x: up, y: north, z: west}` there or to `defaults`, or `orientation: unknown`"
             self.log.error("meaning-no-orientation", *_lacking(self._without_orientation, "orientation"), hint)
@@ -260,7 +261,7 @@ class _Planner:
         return None
 
     def _turns(self, item: StatedSegment, dwell: Turns) -> float | None:
-        """A dwell [s] in whole turns of a spin or whole cycles of turns and stops."""
+        """The duration [s] of a dwell that is stated in whole turns of a spin or in whole cycles of turns and stops."""
         if (dwell.turns is None) == (dwell.cycles is None):
             message = f"the dwell of '{item.label}' has {'both turns and cycles' if dwell.turns else 'neither turns nor cycles'}"
             self._once("meaning-turns", item.marks["dwell"], message, "write for example `dwell: {turns: 1}`")

@@ -42,8 +42,8 @@ class SimulationSpec(Record):
 
 
 def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> JsonObject:
-    """Sends one request to a simulated bench and returns the answer. token: from its readiness file, for requests that change
-    something. Raises `InstrumentError` if nothing answers or the request is refused."""
+    """Sends one request to a simulated bench and returns the answer. token: the token in the readiness file of the bench, for
+    requests that change something. Raises `InstrumentError` if nothing answers or the request is refused."""
     import json
     import socket
 
@@ -64,8 +64,8 @@ def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> 
 
 
 def attach(simulation: SimulationSpec, addresses: Mapping[str, str]) -> WallClock:
-    """A clock at the speed of the simulated bench. addresses: of the bench's instruments by name. Raises `InstrumentError` if the
-    process does not run or does not serve all of them."""
+    """A clock at the speed of the simulated bench. addresses: addresses of the bench's instruments, by name. Raises
+    `InstrumentError` if the process does not run or does not serve all of them."""
     told = ask(simulation.control, {"ask": "bench"})
     for name, address in addresses.items():
         served = told["addresses"].get(name)

@@ -2,8 +2,8 @@
 orientation.
 
 The angle at which a motion ends is known only approximately: the computer ends the motion with some delay, and the rate has an
-error. If two ways to the next orientation take almost equally long, this deviation decides which one the table takes. Both ways are
-then possible.
+error. If two ways to the next orientation take almost equally long, the deviation of the angle decides which way the table takes.
+Both ways are then possible.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]
     """The largest deviations [rad], negative and positive, of the end of a spin at `rate` [rad/s] through `angle` [rad] from its
     planned end.
 
-    sooner: time [s] by which it may end earlier, because its settling depends on measurements.
+    sooner: time [s] by which the spin may end earlier, because its settling depends on measurements.
     """
     missed = abs(rate) * STOPS_LATE + abs(angle) * RATE_ERROR
     early = abs(rate) * sooner

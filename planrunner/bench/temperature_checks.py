@@ -28,7 +28,7 @@ class Temperatures:
         return self._head_for(kelvin, now)
 
     def ramp(self, kelvin: float, now: float, dwell: float | None, mark: Mark) -> None:
-        """Starts a ramp that is recorded, at `now` [s]."""
+        """Starts, at `now` [s], a ramp during which samples are recorded."""
         if not self._within_reach(kelvin, mark):
             return
         assert self._chamber is not None

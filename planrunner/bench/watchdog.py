@@ -86,7 +86,7 @@ class Watchdog:
             raise InstrumentError(_GONE) from None
 
     def report_to(self, folder: Path) -> None:
-        """Sets the run folder for its report, in case the watchdog acts."""
+        """Sets the run folder in which the watchdog reports if it acts."""
         with contextlib.suppress(OSError):  # the next heartbeat reports it
             self._tell(json.dumps({"report": str(folder.absolute())}))
 

@@ -181,7 +181,8 @@ class _Execution:
         self.writer.note("started", segments=count, start_at=self.start_at, clock=self.clock.now(), resumed=resumed)
 
     def _protect(self) -> dict[str, list[str]]:
-        """Sets the limits of every instrument that supports them; returns the limits that each one enforces, by name."""
+        """Sets the limits of every instrument that supports them; returns the limits that each instrument enforces, by the name of
+        the instrument."""
         told = {}
         for name, item in self.bench.instruments.items():
             if isinstance(item, SelfLimiting):

@@ -150,7 +150,7 @@ class LiveReport:
         self._notices.append(LiveNotice(utc_now(), text))
 
     def reject(self, label: str, reason: str) -> None:
-        """Resets the statistics because the segment will be recorded again, if the plan allows."""
+        """Resets the statistics because the segment will be recorded again, if the plan allows this."""
         self._samples.begin()
         self.notice(f"segment '{label}' was rejected: {reason}")
 

@@ -37,7 +37,8 @@ class Patience:
 
 
 class Reaching:
-    """Brings the bench to the states of the segments. It remembers the last commands, so that nothing is moved unnecessarily."""
+    """Brings the bench to the states of the segments. The object remembers the last commands, so that nothing is moved
+    unnecessarily."""
 
     def __init__(self, bench: ConnectedBench, lookout: Lookout, patience: Patience, say: Callable[[str], None]):
         self._bench = bench

@@ -1,4 +1,5 @@
-"""Readings of the current state by the plan's names, for settling before a segment records and for limits while it records."""
+"""Readings of the current state under the names used in plans: for settling before a segment is recorded, and for limits while it
+is recorded."""
 
 from __future__ import annotations
 
@@ -85,7 +86,7 @@ def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[st
 
 
 def unread(limits: Mapping[str, float], values: Iterable[str]) -> list[str]:
-    """The limited readings that no instrument has reported, in words."""
+    """The limits on quantities that no instrument has reported, in words."""
     return [f"no instrument reports the {name.replace('_', ' ')}" for name in limits if name not in values]
 
 
@@ -113,7 +114,7 @@ def _amount(name: str, value: float) -> str:
 
 
 class LimitPassedError(Exception):
-    """A limit of the plan was exceeded while a segment recorded. The message names the limit."""
+    """A limit of the plan was exceeded while a segment was being recorded. The message names the limit."""
 
 
 class Holding:
@@ -167,7 +168,7 @@ class Holding:
         return None if self._counts is None else self._counts()
 
     def unjudged(self) -> list[str]:
-        """The limited quantities without a reading during the dwell, in words, on a bench that has readings."""
+        """The limits on quantities without a reading during the dwell, in words; empty on a bench without readings."""
         if not self._looks or self._moves:
             return []
         return unread(self._watch.limits, self._seen)

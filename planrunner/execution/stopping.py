@@ -1,4 +1,5 @@
-"""Stops a run on request: the first Ctrl-C ends it after the segment, the second or a termination signal at once.
+"""Stops a run on request: the first Ctrl-C ends the run after the segment, the second Ctrl-C or a termination signal ends it at
+once.
 
 Handlers only record the request; the executor checks it between steps and leaves the bench safe. A third Ctrl-C raises KeyboardInterrupt,
 in case a driver does not return; the executor makes the bench safe then too.

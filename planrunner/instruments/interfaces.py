@@ -124,7 +124,7 @@ class OnlyRead:
 
 
 class PlaysBack(OnlyRead):
-    """Base of the drivers whose samples come from a recording: orientations, rates and temperatures come from the recording, too."""
+    """Base of the drivers whose samples come from a recording, as do orientations, rates and temperatures."""
 
 
 class TakesEffects(OnlyRead):
@@ -146,7 +146,7 @@ class Instrument(Protocol):
         """Manufacturer, model, serial number …, as reported by the instrument."""
 
     def make_safe(self) -> None:
-        """Brings the instrument to its safe state (table stopped, chamber to ambient). It may be called repeatedly. It raises
+        """Brings the instrument to its safe state (table stopped, chamber to ambient). It can be called repeatedly. It raises
         `InstrumentError` on every failure, because the last caller decides whether a watchdog must act.
 
         Commands may follow: a run that waits for its operator waits in the safe state."""
@@ -166,7 +166,7 @@ class HoldsOrientation(Protocol):
 @runtime_checkable
 class Moves(Protocol):
     def begin_motion(self, motion: Motion, seconds: float) -> float:
-        """Starts a spin, rock or cycle that will be held for `seconds`; returns the expected time [s] until it is steady."""
+        """Starts a spin, rock or cycle that will be held for `seconds`; returns the expected time [s] until the motion is steady."""
 
     def end_motion(self) -> float:
         """Brings the table to rest; returns the expected time [s]."""
@@ -238,7 +238,7 @@ class StreamsSamples(Protocol):
         """Channel name → unit, in the order of the recording's columns."""
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The samples of one segment's dwell as blocks of bounded size, as they arrive. It ends with the dwell.
+        """The samples of one segment's dwell as blocks of bounded size, as they arrive. The stream ends with the dwell.
 
         In real time a block is returned at least every second, even without rows if no sample has arrived, so that the bench can be
         supervised between blocks; a sensor that stays silent raises `InstrumentError`."""
@@ -250,7 +250,7 @@ class Condition:
 
     values: live quantities in SI units by name; standard names are `position_error` [rad] (following error, the largest of its
     axes), `rate_error` [rad/s], `temperature` [K]. faults: reasons why the instrument cannot continue, in words (interlock open,
-    over-temperature, axis fault); they end the run. doubts: reasons why its samples may be invalid (status bits); the plan defines
+    over-temperature, axis fault); they end the run. doubts: reasons why the samples may be invalid (status bits); the plan defines
     the consequence.
     """
 
@@ -274,8 +274,8 @@ class Alive(Protocol):
     protocol."""
 
     def heartbeat(self) -> None:
-        """The shortest possible exchange, every few seconds while there is no other communication. Raises `InstrumentError` if there is no
-        reply."""
+        """Performs the shortest possible exchange; called every few seconds while there is no other communication. Raises
+        `InstrumentError` if there is no reply."""
 
 
 @dataclass(frozen=True, slots=True)

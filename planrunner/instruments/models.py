@@ -1,6 +1,6 @@
 """Models of instruments, known without a connection, which are used by check, schedule, design and estimators.
 
-SI units with radians throughout, except the outputs of a sensor, whose units are always named.
+All values are in SI units with radians, except those of a sensor's outputs, whose units are always named.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ class ChamberModel:
         equilibrium.
 
         At the time t of a ramp with the rate k, the output of two first-order lags a and s in series is k·((a + s) − (a²·e^(−t/a) −
-        s²·e^(−t/s))/(a − s)) behind. A ramp that ends after T is the difference between this ramp and the same ramp begun T later.
+        s²·e^(−t/s))/(a − s)) behind the ramp. A ramp that ends after T is the difference between this ramp and the same ramp begun
+        T later.
         """
         slope = math.copysign(self.ramp, kelvin)
         return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
@@ -164,11 +165,11 @@ class OutputModel:
 class SensorModel:
     """The sensor under test. `nominal` contains declared coefficients (name → SI value) at which predictions are linearised.
 
-    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: True
-    if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s] of
-    its temperature relative to the air, 0 if not declared. records_angle: whether the sensor records the table's angle about one
-    axis, so that motion about several axes cannot be recorded. nominal_supply: supply voltage [V] at which the effects of the
-    supply are zero. stabilised: whether gimbals decouple the outputs from the motion of the table.
+    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that has only one. one_rate: True
+    if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s]
+    with which the sensor's temperature follows that of the air, 0 if not declared. records_angle: whether the sensor records the
+    table's angle about one axis, so that motion about several axes cannot be recorded. nominal_supply: supply voltage [V] at which
+    the effects of the supply are zero. stabilised: whether gimbals decouple the outputs from the motion of the table.
     """
 
     kind: str

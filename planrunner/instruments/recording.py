@@ -178,8 +178,8 @@ class RecordingPlayer(PlaysBack):
         return found
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """Yields the samples of one label: its first `dwell` seconds, or all of them. Time is counted from power-on if it is
-        declared, otherwise from the first row of the recording.
+        """Yields the samples of the interval with one label: those of its first `dwell` seconds, or all. Time is counted from
+        power-on if power-on is declared, otherwise from the first row of the recording.
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value
@@ -253,7 +253,7 @@ class RecordingPlayer(PlaysBack):
 
 
 def _stamps(parameters: RecordingParameters) -> TimeStamps:
-    """The source of the time of a row. Raises `InstrumentError` if the bench file does not describe it."""
+    """The source of the time of a row. Raises `InstrumentError` if the bench file does not describe the time."""
     if parameters.stamps is None:
         raise InstrumentError(
             f"the bench file does not say which column of {parameters.file} is the time: write `time: {{column: …}}`, or "

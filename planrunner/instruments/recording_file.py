@@ -31,7 +31,7 @@ HELD = 1_000_000
 
 
 def beneath(root: Path | None, name: str) -> Path:
-    """The path of the file `name` in the data folder. Raises `InstrumentError` for a file or link outside it."""
+    """The path of the file `name` in the data folder. Raises `InstrumentError` for a file or link outside the folder."""
     if root is None:
         raise InstrumentError(f"'{name}' is relative to a data folder, but no data folder is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
@@ -95,8 +95,8 @@ def open_recording(
     """Opens the recording in `parts`, in their order, after a check of their columns and first rows.
 
     channels: channel → column; given: format as the bench states it; by default the format follows from the name of each file.
-    pause: s between the last row of a file and the first of the next, if the time of each file begins again; None if the time
-    continues. Raises `InstrumentError`.
+    pause: time [s] between the last row of a file and the first row of the next, if time starts again in each file; None if the
+    time continues. Raises `InstrumentError`.
     """
     files = []
     for part in parts:
@@ -132,7 +132,7 @@ class _Joined:
         return 0.0
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """Rows as `RecordingFile.rows` gives them for one file."""
+        """The rows of all files, as described in `RecordingFile.rows`."""
         last = math.nan
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -146,7 +146,7 @@ class _Joined:
                     return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Rows as `RecordingFile.all_rows` gives them for one file. Rows are counted through all files."""
+        """All rows of all files, as described in `RecordingFile.all_rows`. Rows are counted through all files."""
         last, before = math.nan, 0
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -162,7 +162,7 @@ class _Joined:
 
 @dataclass(frozen=True, slots=True)
 class HeldRecording:
-    """A recording in memory, so that many intervals need only one read. time: (n,), s; columns: each (n,)."""
+    """A recording in memory, so that many intervals require only one pass over the files. time: (n,), s; columns: each (n,)."""
 
     origin: float
     interval: float

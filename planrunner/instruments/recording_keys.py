@@ -293,7 +293,7 @@ class RecordingParameters(Record):
 
 
 def width(quantity: Quantity) -> float:
-    """The size of an interval, such as a standard deviation, in SI units: for a temperature, without the offset of its scale."""
+    """A difference, such as a standard deviation, in SI units: for a temperature, without the offset of its scale."""
     return quantity.value - quantity.unit.offset
 
 

@@ -162,8 +162,8 @@ class _Clock:
             yield number, time, values
 
     def rate(self, rows: int, median: float) -> float:
-        """Rows per second [Hz]: the mean over the whole recording if it agrees with `median`, the rate of the median step;
-        otherwise (pauses) `median`."""
+        """Rows per second [Hz]: the mean rate over the whole recording, or `median`, the rate of the median step, if pauses make
+        these rates differ."""
         whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 

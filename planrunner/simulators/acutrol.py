@@ -39,7 +39,7 @@ class _Held:
 
 
 class Acutrol:
-    """The controller of a table plant's axes, numbered from 1."""
+    """The controller of the axes of a table plant; it numbers them from 1."""
 
     def __init__(self, plant: TablePlant, identity: str = "ACUTRONIC,ACUTROL3000,simulated,1.0"):
         self.plant = plant

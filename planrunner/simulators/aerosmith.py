@@ -1,4 +1,4 @@
-"""An Ideal Aerosmith table on its serial line: mnemonics of three letters, a reply line and a prompt after each.
+"""An Ideal Aerosmith table on its serial line: mnemonics of three letters, and a reply line and a prompt after each command.
 
 Long motions (`JOG`, a sine) are answered when they end; `STO` is not answered at all.
 """

@@ -135,7 +135,7 @@ class Alarms:
 
 @dataclass(slots=True)
 class DeclaredUnit:
-    """The electronics of a declared sensor. units: of the virtual sensor's channels. words: line → mode to which it switches;
+    """The electronics of a declared sensor. units: units of the virtual sensor's channels. words: line → mode to which it switches;
     switch: called with the mode."""
 
     units: Mapping[str, str]

@@ -19,7 +19,8 @@ UNKNOWN, OUT_OF_RANGE, NOT_READY = "NA:CMD ERR", "NA:DATA OUT OF RANGE", "NA:CHB
 
 
 class EspecP300:
-    """A P300 controller. address: on RS-485, where messages for other addresses are ignored; None on TCP and RS-232."""
+    """A P300 controller. address: address of the chamber on RS-485, where messages for other addresses are ignored; None on TCP and
+    RS-232."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "T,T,S2,140.0", address: int | None = None):
         self.plant = plant

@@ -1,5 +1,5 @@
-"""Frames of simulated sensors: numbers as columns of bytes, one row per frame, and check values, written bit by bit
-from their polynomials.
+"""Frames of simulated sensors: numbers as columns of bytes, one row per frame, and check values, derived bit by bit from their
+polynomials.
 
 A cyclic redundancy check is the remainder of the message, as a polynomial over GF(2), after division by the generator. Here the register
 takes one byte of every frame at a time; the table of the effect of a byte is computed by shifting.

@@ -29,14 +29,14 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @runtime_checkable
 class DeclaresAxes(Protocol):
-    """Keys of a driver of a table that a simulation needs."""
+    """The keys of a table's driver that a simulation needs."""
 
     axes: Sequence[object]
 
 
 @runtime_checkable
 class DeclaresLine(Protocol):
-    """Keys of a driver of a sensor on a serial line that a simulation needs."""
+    """The keys of the driver of a sensor on a serial line that a simulation needs."""
 
     sample_rate: Quantity
     baud: int

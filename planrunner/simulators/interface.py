@@ -1,8 +1,9 @@
-"""Interface of a simulator of an instrument. It is found under its driver's name in the entry-point group `planrunner.simulators`.
+"""Interface of a simulator of an instrument. It is found under the name of the instrument's driver in the entry-point group
+`planrunner.simulators`.
 
 For a table or a chamber it is a function that returns a `Conversation`. For a sensor it is a function that returns the `SensorUnit`
-on its line. Both receive the driver's keys in the bench file and the virtual bench; a sensor also receives the feed of its samples.
-Simulators share no code with drivers. A simulator declares, as a protocol, the keys that it reads.
+on its line. Both functions receive the driver's keys in the bench file and the virtual bench; a sensor also receives the feed of
+its samples. Simulators share no code with drivers. A simulator declares, as a protocol, the keys that it reads.
 """
 
 from __future__ import annotations

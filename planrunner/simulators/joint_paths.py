@@ -26,7 +26,7 @@ _KEPT = 10.0  # s for which pieces that are over are kept
 
 @dataclass(frozen=True, slots=True)
 class Glide:
-    """Constant acceleration beginning at `begin` [s]; angle [rad] and rate [rad/s] at that time."""
+    """A piece of constant acceleration that begins at `begin` [s]; angle [rad] and rate [rad/s] are those at that time."""
 
     begin: float
     angle: float
@@ -151,8 +151,8 @@ class Path:
         return path.then(start, (up, level, slow, rest), rest.begin)
 
     def swing(self, now: float, amplitude: float, frequency: float, phase: float, zero: float, about: float) -> Path:
-        """Starts a sine about an angle. If only the amplitude of a present sine changes, it changes gradually. Any other change begins
-        from rest."""
+        """Starts a sine about an angle. If only the amplitude of a present sine changes, the amplitude changes gradually. Any other
+        change begins from rest."""
         piece = self.current(now)
         same = isinstance(piece, Swing) and (piece.frequency, piece.phase, piece.zero) == (frequency, phase, zero)
         before = piece.amplitude if isinstance(piece, Swing) and same else 0.0

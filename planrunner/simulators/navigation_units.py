@@ -1,4 +1,5 @@
-"""Xsens MTi and VectorNav VN-100 as units on a line: their configured outputs of the virtual sensor, and their configuration."""
+"""Xsens MTi and VectorNav VN-100 as units on a line: messages with the configured outputs of the virtual sensor, and the
+configuration of the units."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ def _vectors(outputs: Outputs, block: Block) -> tuple[Array, Array]:
 
 @dataclass(slots=True)
 class XsensUnit:
-    """An Xsens unit. rate: packets per second. silent: whether it is being configured and sends nothing."""
+    """An Xsens unit. rate: packets per second. silent: whether the unit is being configured and therefore sends nothing."""
 
     outputs: Outputs
     form: xsens.Xsens
@@ -123,7 +124,7 @@ class VectorNavUnit:
         return self.form.frames({name: columns[name] for name in self.form.fields})
 
     def _lines(self, rates: Array, forces: Array) -> Bytes:
-        """Lines of equal length. Their numbers have leading zeros."""
+        """Lines of equal length. The numbers in them have leading zeros."""
         sent = [
             vectornav.measurement((0, 0, 0), f, w, (0, 0, 0), self.text) for f, w in zip(forces, rates, strict=True)
         ]

@@ -1,7 +1,8 @@
 """The frames of a STIM300 (Safran TS1524): normal-mode datagrams with CRC-32, for every datagram identifier.
 
-A datagram is its identifier, the clusters that the identifier names (gyro always; accelerometer, inclinometer), their temperatures, PPS or
-AUX, then counter, latency and CRC. The CRC covers zero bytes at the end that fill up words of four and are not sent.
+A datagram consists of its identifier, the clusters that the identifier names (gyro always; accelerometer, inclinometer), their
+temperatures, PPS or AUX, counter, latency and CRC. The CRC also covers zero bytes that fill up the datagram to whole words of four
+bytes and are not sent.
 """
 
 from __future__ import annotations

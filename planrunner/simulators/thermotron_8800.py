@@ -1,4 +1,4 @@
-"""A Thermotron 8800 chamber controller: queries on channel 1, operations, which are answered by a code, and a stop code."""
+"""A Thermotron 8800 chamber controller: queries on channel 1, operations that are answered by a code, and a stop code."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Chambers with an Espec P300 or SCP-220 controller, over TCP (port 10001) or a serial line.
 
-Every command is answered, with `OK:` and the command or with `NA:` and the reason. Its upper and lower temperature alarms are set before it
-first runs, so that it stops by itself beyond them. Sources: P300 communication manual; the maker's open library.
+Every command is answered, with `OK:` and the command or with `NA:` and the reason. The chamber's upper and lower temperature alarms
+are set before it first runs, so that it stops by itself beyond them. Sources: P300 communication manual; the maker's open library.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Chambers with a Thermotron 8800 controller, over TCP (port 8888).
 
-The reply to an operation is 0. The stop code shows whether the chamber runs, or why it stopped. Its limits are set at its panel. Source:
-Thermotron, 8800 interface command descriptions.
+The reply to an operation is 0. The stop code shows whether the chamber runs, or why it stopped. The chamber's limits are set at its
+panel. Source: Thermotron, 8800 interface command descriptions.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Chambers with a Watlow F4T controller, over its SCPI port (TCP 5025).
 
-Writes have no reply, so set points are read back. Limits are set at the panel; SCPI has no command for them. Source: F4T setup and
+Writes have no reply, so setpoints are read back. Limits are set at the panel; SCPI has no command for them. Source: F4T setup and
 operation manual, SCPI commands.
 """
 

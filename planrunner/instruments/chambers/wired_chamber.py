@@ -1,4 +1,4 @@
-"""Functions common to all real chambers: temperature within the range, arrival of the air at the set point, the safe state.
+"""Functions common to all real chambers: checks of the temperature range, arrival of the air at the setpoint, the safe state.
 
 The commands of a controller are in a separate file, as `AirCommands`; this file does not depend on a vendor. The safe state is ambient
 temperature, held, because a chamber that is switched off at −40 degC would cause condensation on the sensor.
@@ -32,13 +32,13 @@ class AirCommands(Protocol):
 
     def identify(self) -> Mapping[str, str]: ...
     def prepare(self, ramp: float) -> None:
-        """Sets the units and the rate of the set point [K/min], if the controller has these settings."""
+        """Sets the units and the rate of the setpoint [K/min], if the controller has these settings."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
         """Sets the temperatures at which the chamber stops by itself; returns a line for each limit set."""
 
     def head_for(self, celsius: float) -> None:
-        """Sets the set point and starts the chamber."""
+        """Changes the setpoint and starts the chamber."""
 
     def air(self) -> float: ...
     def faults(self) -> Sequence[str]:

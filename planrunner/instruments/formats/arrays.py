@@ -2,7 +2,7 @@
 
 A column is the name of an array with one number per row (`gyro_x`), or a column of a matrix by its number from 1 (`imu[4]`). A
 field of a structure follows after a point (`data.gyr[1]`). In HDF5, `/` separates the groups (`imu/gyro[1]`). The longer dimension
-of a matrix counts the rows.
+of a matrix is that of the rows.
 """
 
 from __future__ import annotations

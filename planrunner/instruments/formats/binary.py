@@ -127,7 +127,7 @@ class BinaryFile(FormatFile[BinaryKeys]):
             )
 
     def _frames(self) -> Iterator[Frames]:
-        """The frames in pieces of at most a batch."""
+        """The frames in pieces of at most the size of a batch."""
         keys = self.parameters
         framing, length = keys.framing, keys.length
         with open_samples(self.path, self.name) as file:

@@ -104,5 +104,5 @@ class SqliteFile(FormatFile[SqliteKeys]):
 
 
 def _quoted(name: str) -> str:
-    """A name as SQL quotes it."""
+    """A name in the quotes of SQL."""
     return '"' + name.replace('"', '""') + '"'

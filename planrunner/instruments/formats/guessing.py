@@ -56,8 +56,8 @@ _MATRIX = re.compile(r"\[([123])\]$")
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A guess for a column that may be a channel. sensed: gyro, accel, temperature or empty; axis: x, y, z or empty; unit: from its
-    name, or empty."""
+    """Guesses about a column that is perhaps a channel. sensed: gyro, accel, temperature or empty; axis: x, y, z or empty; unit:
+    unit according to the name of the column, or empty."""
 
     column: str
     sensed: str

@@ -232,8 +232,8 @@ class SerialSensor(Generic[P]):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _patience(self) -> float:
-        """Longest permitted silence, s by the bench's clock. It is converted because delays of cables and computers follow real
-        time."""
+        """Longest permitted silence in seconds of the bench's clock. It is converted from real time, because delays of cables and
+        computers follow real time."""
         return self.parameters.silence.value * self._speed
 
     def _byte_time(self) -> float:

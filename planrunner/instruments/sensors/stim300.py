@@ -1,7 +1,8 @@
 """STIM300: gyros, accelerometers and inclinometers in datagrams of normal mode (Safran TS1524).
 
-A datagram is its identifier, for each cluster three axes of 24 bits and a status byte, the clusters' temperatures, PPS or AUX, a counter
-of internal samples at 2000 Hz, the latency in µs, and a CRC-32 over all of it, filled up with zeros to whole words.
+A datagram consists of its identifier, three axes of 24 bits and a status byte for each cluster, the temperatures of the clusters,
+PPS or AUX, a counter of internal samples at 2000 Hz, the latency in µs, and a CRC-32 over all of this, filled up with zeros to
+whole words.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ class Stim300(SerialSensor[Stim300Parameters]):
 
 
 def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: float) -> FrameLayout:
-    """Positions of the fields in a datagram. gyro and accelerometer scales: deg/s and g per count; rate: Hz."""
+    """Positions of the fields in a datagram. Scales are in deg/s and g per count; rate: Hz."""
     contents = DATAGRAMS[datagram]
     clusters = [("gyro", gyro_scale, "deg/s")]
     clusters += [("accel", acceleration_scale, "g")] if "a" in contents else []

@@ -169,7 +169,7 @@ def word(fields: tuple[str, ...]) -> int:
 
 
 def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
-    """Positions of the fields in a binary message with these fields. rate: Hz."""
+    """Positions of these fields in a binary message that contains them. rate: Hz."""
     found: dict[str, Field] = {}
     units: dict[str, str] = {}
     counts, counter = None, FrameCounter(1 / rate)

@@ -199,7 +199,7 @@ class MtData2:
         )
 
     def _as_recorded(self, channels: Mapping[str, Array]) -> Mapping[str, Array]:
-        """Converts increments to means over the frame. A quaternion increment turns by 2·atan2(|v|, w) about v."""
+        """Converts increments to means over the interval of a frame. A quaternion increment turns by 2·atan2(|v|, w) about v."""
         made = dict(channels)
         if "delta_q" in self.outputs:
             w, *vector = (made.pop(f"q{place}") for place in range(4))

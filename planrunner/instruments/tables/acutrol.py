@@ -4,9 +4,9 @@ Commands are `:Main:Sub axis,argument;Sub axis,argument` and have no reply. The 
 clearing it, shows whether a command was accepted. GPIB follows the manual. The framing over TCP has not been confirmed on hardware.
 Sources: ACUTROL 3000 manual; open drivers of a BD125 table.
 
-Public sources agree that eight bytes precede each reply over TCP, an error code and a length. They disagree on the form of these
-bytes: two 32-bit words, or eight characters. The first reply shows which form applies, because its length must match the data that
-follow. After that, exactly the stated number of bytes is read. Plain lines from a gateway are also accepted.
+Public sources agree that over TCP eight bytes with an error code and a length precede each reply. They disagree on the form of
+these bytes: two 32-bit words, or eight characters. The first reply shows which form applies, because its length must match the data
+that follow. After that, exactly the stated number of bytes is read. Plain lines from a gateway are also accepted.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ KINDS: dict[str, Header] = {
 
 
 def kind_of(reply: bytes) -> str | None:
-    """Format of the header of a complete reply, a key of `KINDS`; None for a plain line. Raises `LinkFailure` if it is neither."""
+    """Format of the header of a complete reply, a key of `KINDS`; None for a plain line. Raises `LinkFailure` if the reply is
+    neither."""
     for name, header in KINDS.items():
         try:
             _, length = header(reply[:HEADER])
@@ -68,7 +69,7 @@ def kind_of(reply: bytes) -> str | None:
 
 
 class AcutrolFraming:
-    """Reads replies. The first reply shows how they are framed."""
+    """Reads the replies of an ACUTROL. The first reply shows how they are framed."""
 
     def __init__(self) -> None:
         self._known = False

@@ -1,7 +1,8 @@
 """Single-axis tables of Ideal Aerosmith in their table language ATL, over a serial line. Experimental.
 
-Written from open-source drivers only. A command is a mnemonic with a number; the reply is a line and a prompt. Jogging and rocking reply
-only when they end, and this driver does not wait for that. The open-source drivers mention no limit that stops the table.
+Written from open-source drivers only. A command is a mnemonic with a number; the reply is a line and a prompt. Commands for jogging
+and rocking are answered only when the motion ends, and this driver does not wait for that answer. The open-source drivers mention
+no limit that stops the table.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ class AerosmithCommands(LinkedCommands):
         self.link.write("STO")
 
     def switch_off(self) -> None:
-        """Switches off; here it only checks whether the table is at rest with the servo on."""
+        """Does nothing: the servo stays on. The caller checks whether the table is at rest."""
 
     def _do(self, command: str) -> None:
         if self.link.query(command, again=False) == "?":

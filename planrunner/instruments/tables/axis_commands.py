@@ -29,7 +29,8 @@ class AxisBounds:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """A sine motion about the present position: amplitude·sin(2π·frequency·t + phase), in deg, Hz, deg."""
+    """A sine motion about the present position: amplitude·sin(2π·frequency·t + phase), with amplitude and phase in deg and
+    frequency in Hz."""
 
     amplitude: float
     frequency: float

@@ -1,4 +1,5 @@
-"""Functions common to all real tables: attitudes to axis positions, spins, rocking, cycles, detection of a held state, the safe state.
+"""Functions common to all real tables: conversion of attitudes to axis positions, spins, rocking, cycles, detection of a held
+state, the safe state.
 
 The commands of a controller are in a separate file, as an `AxisCommands`; this file does not depend on a vendor. States are judged by the
 measurements of the controller, never by elapsed time.
@@ -136,8 +137,8 @@ class AxisTable:
         return self._rock(motion) if isinstance(motion, Rock) else self._cycle(motion)
 
     def end_motion(self) -> float:
-        """Comes to rest. A turn of a cycle ends at its present angle; if the turn is already complete, the axis moves to the end position
-        of the turn."""
+        """Brings the table to rest. A turn of a cycle ends at its present angle; if the turn is already complete, the axis moves to
+        the end position of the turn."""
         self._timed.call_off()
         if self._rocking is not None:
             return self._end_rocking()
@@ -301,7 +302,8 @@ class AxisTable:
         return 1 / rocking.frequency
 
     def _rock_between(self, begin: float, end: float) -> None:
-        """Starts rocking between two positions. The rocking begins only while the segment is recorded."""
+        """Rocks from `begin` to `end` [s by the bench's clock], for rocking that begins only when the segment is already being
+        recorded. An infinite `end` means until the motion is ended."""
         rocking = self._rocking
         assert rocking is not None
         self._timed.until(begin)
@@ -352,7 +354,7 @@ class AxisTable:
         self._timed.until(self.clock.now() + POLL)
 
     def _stop_and_switch_off(self) -> str:
-        """Stops and switches off; returns the present fault of the table, or an empty text."""
+        """Stops every axis and switches off; returns a message if the table still turns, otherwise an empty text."""
         self.commands.stop()
         slowest = max(axis.max_rate / axis.max_acceleration for axis in self.axes)
         deadline = self.clock.now() + slowest + 2.0

@@ -2,7 +2,7 @@
 
 Every command without a reply is followed by the error query, so that a rejected command is detected at once.
 
-In the bench file a command is text with named places, such as `AXIS{axis}:POS {position}`.
+In the bench file a command is text with placeholders, such as `AXIS{axis}:POS {position}`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planrunner.plan.source import Node, Scalar
 
 @dataclass(frozen=True, slots=True)
 class CommandTemplate:
-    """One command. places: the names that it may contain in braces."""
+    """One command. places: the names that the command may contain in braces."""
 
     places: tuple[str, ...]
 

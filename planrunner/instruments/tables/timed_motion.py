@@ -39,8 +39,8 @@ class TimedMotion:
         self._called_off = threading.Event()
 
     def begin(self, what: str, commands: Callable[[], None]) -> None:
-        """Runs the function `commands` on the thread; in it, waiting is done with `until`. what: beginning of the message if
-        `commands` fails."""
+        """Runs the function `commands` on the thread; `commands` waits with `until`. what: beginning of the message if `commands`
+        fails."""
         self.call_off()
         self._called_off.clear()
         self.looked_at()

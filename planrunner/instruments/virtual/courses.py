@@ -99,7 +99,7 @@ class Travelling:
 
 @dataclass(frozen=True, slots=True)
 class Spinning:
-    """One joint changes from one rate to another at constant acceleration, then keeps it; the others are at rest."""
+    """One joint changes from one rate to another at constant acceleration, then keeps the new rate; the other joints are at rest."""
 
     kind: ClassVar[str] = "spinning"
     begin: float
@@ -183,7 +183,7 @@ class Rocking:
         return self.steady - 1 / self.frequency
 
     def ended(self, now: float) -> Rocking:
-        """The same rocking motion after it has begun, changed so that it fades out at `now` at the latest."""
+        """The same rocking motion after it has begun, changed so that it begins to fade out at `now` at the latest."""
         return replace(self, duration=min(self.duration, now - self.steady))
 
 

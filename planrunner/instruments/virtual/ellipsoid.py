@@ -1,7 +1,7 @@
 """The Earth under a simulated carrier: the WGS 84 ellipsoid and its normal gravity (NIMA TR8350.2, 2000).
 
-Lengths of meridian follow Helmert's series in the third flattening n; the omitted terms are of the order n⁵, 0.4 µm. These formulas are for
-the simulator only: navigation has separate formulas, which tests compare with these.
+Lengths of the meridian follow Helmert's series in the third flattening n; the omitted terms are of the order n⁵, 0.4 µm. These
+formulas are for the simulator only: navigation has separate formulas, which tests compare with these.
 """
 
 from __future__ import annotations

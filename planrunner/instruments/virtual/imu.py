@@ -215,7 +215,8 @@ class VirtualImu(TakesEffects):
         return Block(time, readings)
 
     def _excess(self, segment: Segment | None) -> tuple[float, float]:
-        """Voltage [V] above the nominal supply and pressure [Pa] above the standard atmosphere; zero if the segment states none."""
+        """Voltage [V] above the nominal supply and pressure [Pa] above the standard atmosphere; zero for a quantity that the
+        segment does not state."""
         voltage = None if segment is None else segment.supply_voltage
         pressure = None if segment is None else segment.ambient_pressure
         return (

@@ -36,9 +36,9 @@ WARM_UP_TIME = 600.0  # s, where nothing is said of it
 
 @dataclass(frozen=True, slots=True)
 class InertialAxis:
-    """One axis. name: of the output; unit: of the output; direction: (3,) in the sensor's frame; nominal: declared K, in the output's
-    unit per SI input; error: δ; step: size of a step of a sample in `unit`, or of a count in unit·s if `counted`; white: N, SI·√s; walk:
-    K of the random walk, SI/√s; warm_up: A, SI; warm_up_time: τ, s."""
+    """One axis. name, unit: name and unit of the output; direction: (3,) in the sensor's frame; nominal: declared K, in the
+    output's unit per SI input; error: δ; step: size of a step of a sample in `unit`, or of a count in unit·s if `counted`; white:
+    N, SI·√s; walk: K of the random walk, SI/√s; warm_up: A, SI; warm_up_time: τ, s."""
 
     name: str
     unit: str

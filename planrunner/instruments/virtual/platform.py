@@ -1,8 +1,9 @@
-"""The virtual gimballed platform: three accelerometers on a stabilised element within gimbals, rigidly on the virtual table.
+"""The virtual gimballed platform: three accelerometers on a stabilised element within gimbals, mounted rigidly on the virtual
+table.
 
-Modes: when caged, the element is fixed to the base with a random error for each caging. In navigation it is released and stays
-fixed in inertial space except for its drift. The attitude of the element is simulated; accelerometers and gimbal encoders follow
-from it. The estimators share no formula with this code.
+When caged, the element is fixed to the base with a random error for each caging. In navigation it is released and stays fixed in
+inertial space except for its drift. The attitude of the element is simulated; accelerometers and gimbal encoders follow from it.
+The estimators share no formula with this code.
 
 A ring of a rocking table has a random return error each time it comes to rest, its reading lags while it moves, and its servo
 drifts over minutes. The error of a multi-speed gimbal resolver has a period of a fraction of a turn.

@@ -1,10 +1,10 @@
 """The stabilised element of a virtual platform: caged to the base, then released and fixed in inertial space apart from its drift.
 
-In element axes the drift angle is the sum of a constant rate, a rate caused by rocking, a random walk, and a transient after caging: during
-the first minute the element leaves the dead region of the levelling loops. Rocking causes drift through rectification: the servos transmit
-a fraction of the base's motion about every axis, and two such motions with a phase difference cause a steady rate that is proportional to
-the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1). It is modelled as proportional to the square of the base's
-angular rate.
+In element axes the drift angle is the sum of a constant rate, a rate caused by rocking, a random walk, and a transient after
+caging: during the first minute the element leaves the dead region of the levelling loops. Rocking causes drift through
+rectification: the servos transmit a fraction of the base's motion about every axis, and two such motions with a phase difference
+cause a steady rate that is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1). This rate is
+modelled as proportional to the square of the base's angular rate.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 The carrier keeps its height. There are two exact tracks: a line of constant heading over the ellipsoid, with the distance measured
 along the ellipsoid; or a great circle of the ellipsoid's normals, at the angular rate that gives the distance on a sphere of the
-Earth's mean radius. Velocity, acceleration, Earth and transport rate follow from latitude and longitude as functions of time by
-differentiation in closed form.
+Earth's mean radius. Velocity, acceleration, Earth rate and transport rate follow from latitude and longitude as functions of time
+by differentiation in closed form.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Track:
         return turning + 2 * self.progress.speed / (ellipsoid.MEAN_RADIUS * math.cos(POLAR))
 
     def stretches(self, stretch: Stretch) -> list[Stretch]:
-        """Smooth stretches of another motion, divided at the times when the carrier's acceleration jumps."""
+        """The smooth stretches of another motion, further divided at the times when the carrier's acceleration jumps."""
         times = [stretch.begin, *(t for t in self.progress.breaks if stretch.begin < t < stretch.end), stretch.end]
         return [Stretch(first, last, stretch.pace + self.pace) for first, last in pairwise(times)]
 

@@ -24,8 +24,8 @@ _ALL = 0xFFFFFFFF
 class Checksum:
     """A method to check bytes; its value has `width` bits.
 
-    kind: CRC, SUM (of bytes, mod 2^width), NEGATIVE_SUM (what makes the sum zero) or XOR. polynomial (without its leading one), initial,
-    reflected (least significant bit first) and final (exclusive-or at the end) describe a CRC as catalogues do.
+    kind: CRC, SUM (of bytes, mod 2^width), NEGATIVE_SUM (the value that makes the sum zero) or XOR. polynomial (without its leading
+    one), initial, reflected (least significant bit first) and final (exclusive-or at the end) describe a CRC as catalogues do.
     """
 
     kind: int

@@ -1,7 +1,7 @@
 """Compiled operations on every byte of a stream: checksums, the search for frames, conversion of fields to columns.
 
-Shapes and meanings are documented in the functions of `checksums`, `framing` and `columns` that call these. Imports numba, so it is
-imported only when there are bytes to process.
+Shapes and meanings are documented in the functions of `checksums`, `framing` and `columns` that call these kernels. This module
+imports numba, so it is imported only when there are bytes to process.
 
 numba compiles a function once for each set of argument types, and a literal number in a call has its own type (`Literal[int](0)`).
 Such numbers are therefore written `np.int64(0)`: every function is compiled once.
@@ -153,7 +153,7 @@ def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
     length of the preceding line; 0 if unknown.
 
     Lines usually have the same length as the preceding one. One loop with a known end, which can process many bytes at once, checks
-    whether this line does. Otherwise its end is searched for four bytes at a time, and the same loop follows.
+    whether this line has the same length. Otherwise the search for the end takes four bytes at a time, and the same loop follows.
     """
     start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
     end, feed = start, np.uint8(LINE_FEED)

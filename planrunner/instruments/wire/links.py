@@ -1,8 +1,8 @@
 """Requests and replies of a message-based instrument: GPIB, USB, TCP or a serial line, through PyVISA.
 
-Each resource has only one exchange at a time. A failed link is closed before it is used again, and unread data are discarded before a
-request, so that a late reply is never taken for the next one. Nothing waits longer than its time-out. PyVISA is imported when the first
-link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
+Each resource has only one exchange at a time. A failed link is closed before it is used again, and unread data are discarded before
+a request, so that a late reply is never taken for the reply to the next request. Nothing waits longer than its time-out. PyVISA is
+imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
 
 The bench keys for the connection and identification of such an instrument are declared here too.
 """
@@ -207,7 +207,7 @@ class MessageLink:
 
     @contextlib.contextmanager
     def _held(self, asked: str) -> Iterator[None]:
-        """Holds the link for one exchange. Failures become messages."""
+        """Holds the link for one exchange. A failed exchange raises `InstrumentError`, as does a resource that stays busy."""
         address = self.settings.address
         patience = self.settings.tries * 3 * self.settings.timeout
         if not self._lock.acquire(timeout=patience):
@@ -372,7 +372,7 @@ def _count_steadily() -> None:
 
 
 def _nothing_came() -> type[Exception]:
-    """Exceptions of backends for a time-out."""
+    """The exceptions with which the backends report a time-out."""
     from pyvisa.errors import VisaIOError
 
     return VisaIOError
@@ -400,7 +400,7 @@ RESOURCE = (
 
 
 class LinkKeys(Record):
-    """How an instrument is reached."""
+    """The keys of the connection to an instrument."""
 
     address: str = key(
         Text(
