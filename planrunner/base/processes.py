@@ -1,8 +1,8 @@
 """Distributes work on many items over several processes.
 
 The items are distributed before the processes start, and each process sends all its results together when it has finished.
-Therefore no process waits for another. If the first process is killed, the others end after their share. If another one is killed,
-its pipe closes. This is an error in the first process, never an endless wait.
+Therefore no process waits for another. If the first process is killed, the other processes end after their share. If another
+process is killed, its pipe closes. This is an error in the first process, never an endless wait.
 
 A process is a fork where that is safe: on Linux, while this process has a single thread. A fork has everything that this process
 has imported and computed. Elsewhere the process is a new interpreter, whose start takes as long as the work on many items.

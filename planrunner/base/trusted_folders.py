@@ -1,6 +1,6 @@
 """Checks that only the user and the administrator can change a folder, along its whole path.
 
-planrunner keeps compiled code and locks outside the folders that it is given. No other user may be able to place files there,
+planrunner keeps compiled code and locks outside the folders that it is given. Other users must not be able to place files there,
 because cached code is executed when it is read, and a link in place of a lock file would redirect writes. Therefore every folder
 from the root down, and every link on the way, must belong to the user or the administrator and must not be writable by others. A
 folder that all users may write to is accepted if it has the sticky bit, as `/tmp` has. Access control lists are covered too,

@@ -51,8 +51,8 @@ def start_motion(
     """Time [s] until the table is in motion, and its state after the dwell. A motion that the table cannot execute becomes a
     finding at the place of the motion in the plan.
 
-    input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: the mark
-    of one of the motion's keys, or, for an empty key, of the motion.
+    input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: gives
+    the mark of one of the motion's keys, or, for an empty key, the mark of the motion.
     """
     table, mark = models.table, at("")
     if isinstance(motion, Rest):

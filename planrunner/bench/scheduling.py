@@ -79,7 +79,7 @@ def build_schedule(
     log: Findings,
     mounting: Mapping[str, model.MountedAxis] | None = None,
 ) -> Schedule:
-    """The schedule of the valid segments. A segment with an error is omitted; the others are still checked.
+    """The schedule of the valid segments. A segment with an error is omitted; the other segments are still checked.
 
     mounting: directions of the sensor's input axes in its frame, if stated in the plan; by default the axes of the frame.
     """

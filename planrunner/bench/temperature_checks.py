@@ -22,7 +22,7 @@ class Temperatures:
         self._warned: float | None = None  # time of the change whose soak was reported as too short
 
     def change(self, kelvin: float | None, now: float, mark: Mark) -> float:
-        """Time [s] from `now` [s] until the air has reached the setpoint."""
+        """Changes the setpoint at `now` [s]; returns the time [s] until the air has reached it."""
         if kelvin is None or not self._within_reach(kelvin, mark):
             return 0.0
         return self._head_for(kelvin, now)

@@ -107,7 +107,7 @@ class _Samples:
         self.strip.append((self.last, new))
 
     def begin(self) -> None:
-        """Forgets the samples of the previous segment. The strips continue."""
+        """Starts a new set of samples; the strips continue."""
         self.waiting, self.rows, self.moments = [], 0, None
 
 

@@ -60,7 +60,7 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
     """The rows of a CSV table, each as label, line number and cells. columns: columns that the table must have, the column of the
     labels first. name: name of the file, for messages.
 
-    Raises `InstrumentError` with the line of the fault; a label may not be empty or appear twice.
+    Raises `InstrumentError` with the line of the fault; every label must be present and unique.
     """
     try:
         text = read_text(path, name)

@@ -14,7 +14,7 @@ class Controller(Protocol):
     """Reply to an identity query."""
 
     def answer(self, message: str) -> str | None:
-        """The reply to a message, both without terminators; None if there is none."""
+        """The reply to a message (both without terminators); None if there is no reply."""
 
     def later(self) -> list[str]:
         """Replies that have become due since the last call; empty for instruments that only reply to messages."""

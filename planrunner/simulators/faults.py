@@ -201,7 +201,7 @@ class FaultBoard:
         return [item.fault for item in self._active(instrument, now)]
 
     def of_reply(self, instrument: str, message: str, now: float) -> Fault | None:
-        """The fault that affects the reply to a message; each call counts one reply."""
+        """The fault that affects the reply to a message, if any; the reply counts as one of those that the fault affects."""
         for item in self._active(instrument, now):
             if item.fault.fault in WORDS and (item.fault.message or "") in message:
                 if item.left is not None:

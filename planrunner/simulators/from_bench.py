@@ -1,5 +1,5 @@
-"""Makes the simulated instruments at the addresses of a bench file. The virtual instruments of its `simulation` use the protocol of
-the bench's driver of the same role.
+"""Makes the simulated instruments at the addresses of a bench file. The virtual instruments of the bench named in `simulation` use
+the protocols of the drivers with the same roles in the bench file.
 
 Drivers are only known by name, and their settings only as the keys of the bench file: no code is shared with them.
 """

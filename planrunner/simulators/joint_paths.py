@@ -162,7 +162,7 @@ class Path:
 
 @dataclass(slots=True)
 class JointPaths:
-    """A course of the virtual world: every joint on its own path."""
+    """A course of the virtual world in which every joint follows its own path."""
 
     kind: ClassVar[str] = "joint paths"
     paths: list[Path] = field(default_factory=list)

@@ -241,7 +241,7 @@ class NumpyFile(_HeldArrays):
 
 
 def _array(file: IO[bytes], size: int) -> object:
-    """An array in NumPy's format. The header may not announce more data than the file contains."""
+    """An array in NumPy's format. A header that announces more data than the file contains is an error."""
     whole = io.BytesIO(file.read(size))
     return np.lib.format.read_array(whole, allow_pickle=False)
 

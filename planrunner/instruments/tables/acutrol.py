@@ -248,7 +248,7 @@ class AcutrolCommands(LinkedCommands):
         self.link.write(":int:open all")
 
     def _do(self, *commands: str) -> None:
-        """Sends commands. Raises `InstrumentError` if one was rejected."""
+        """Sends commands. Raises `InstrumentError` if a command was rejected."""
         if not _byte(self.link.query(":status:stb?", after=commands)) & REFUSED:
             return
         self.link.query("*STB?", again=False)

@@ -48,7 +48,7 @@ class Course(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A course at rest."""
+    """A course in which every joint is at rest."""
 
     kind: ClassVar[str] = "standing"
     angles: tuple[float, ...]
@@ -65,7 +65,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Travelling:
-    """A course from rest to rest. Every joint has its own trapezoidal rate profile."""
+    """A course that moves the joints from rest to rest. Every joint has its own trapezoidal rate profile."""
 
     kind: ClassVar[str] = "travelling"
     begin: float
