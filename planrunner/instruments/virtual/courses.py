@@ -1,7 +1,7 @@
-"""Courses: the joint angles and rates of a virtual table over time, one small class per kind of motion.
+"""Courses: a course is the joint angles and rates of a virtual table as functions of time; one small class per kind of motion.
 
-A course gives its state at any time after its beginning, for arrays of times. It can be stored as JSON data, so that a resumed run
-begins with the table in the same state. Joints at rest are plain floats, so no arrays are computed if nothing moves.
+A course gives these angles and rates at any time after its beginning, for arrays of times. It can be stored as JSON data, so that a
+resumed run begins with the table in the same state. Joints at rest are plain floats, so no arrays are computed if nothing moves.
 """
 
 from __future__ import annotations
