@@ -1,8 +1,9 @@
-"""The command line: one module for each command, with only arguments, progress and printing.
+"""The command line: one module for each command. A module contains only the arguments, the progress and the printing of its
+command.
 
-A command's module is imported when the command is used, so that `check` stays quick. Every failure ends here as a message and an exit code:
-0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during execution, 4 integrity, 130 ended by a
-signal.
+A command's module is imported when the command is used, so that `check` stays quick. Every failure becomes a message and an exit
+code here. The exit codes are: 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during
+execution, 4 a file was changed or damaged, 130 ended by a signal.
 """
 
 from __future__ import annotations
@@ -99,13 +100,14 @@ def _main(arguments: list[str]) -> int:
 
 @dataclass(slots=True)
 class AnswerForm:
-    """Form of the output that the user requests. json: pure JSON on standard output, including errors."""
+    """Form of the output that the user requests. json: with True, stdout receives only JSON, even for errors."""
 
     json: bool
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser. With JSON output, wrong usage is a finding; otherwise argparse prints it."""
+    """An argument parser. With JSON output, it reports wrong usage as a finding; otherwise it prints the usage and an error
+    message."""
 
     asked = AnswerForm(False)
 
@@ -118,8 +120,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _fail(error: Exception, *, as_json: bool) -> int:
-    """Prints the failure as text on standard error and, on request, as a list of findings on standard output. Returns the exit
-    code."""
+    """Prints the failure as text on stderr and, on request, as a list of findings on stdout. Returns the exit code."""
     from planrunner.cli.failures import failure_of
     from planrunner.cli.printing import print_json
 
@@ -132,7 +133,7 @@ def _fail(error: Exception, *, as_json: bool) -> int:
 
 
 def _let_go_of_output() -> None:
-    """Discards output that could not be written, so that the interpreter does not try again when it ends."""
+    """Discards output that could not be written, so that the interpreter does not try to write it again when it exits."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError, AttributeError):
@@ -141,15 +142,15 @@ def _let_go_of_output() -> None:
 
 
 def _print_anything() -> None:
-    """Makes the output accept all characters. Characters that the terminal's encoding lacks, such as °, are shown as codes instead
-    of ending the command."""
+    """Makes the output streams accept all characters. Characters that the terminal's encoding lacks, such as °, are then shown as
+    codes; without this, they would end the command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _imported(name: str) -> ModuleType:
-    """Imports a module and its dependencies. Garbage collection is off meanwhile, because modules are permanent."""
+    """Imports a module and its dependencies. Garbage collection is off during the import, because modules are never freed."""
     collecting = gc.isenabled()
     gc.disable()
     try:
@@ -165,7 +166,7 @@ that digits do not depend on their number. Without threads, processes that share
 
 
 def _start_no_threads(command: str) -> None:
-    """Keeps numpy from starting threads that a command does not need, unless the user sets their number."""
+    """Keeps numpy from starting threads that a command does not need, unless the user sets the number of threads."""
     if command in _ONE_THREAD and "numpy" not in sys.modules:  # which reads it when it is imported
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

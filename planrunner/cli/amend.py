@@ -1,4 +1,5 @@
-"""`planrunner amend`: evaluates a run again as a new analysis, with who, when and why; the old analysis stays."""
+"""`planrunner amend`: evaluates a run again and stores a new analysis with the person, the time and the reason. The old analysis
+stays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner approve`: signs a plan for benches after showing what is approved; withdraws approvals; lists them."""
+"""`planrunner approve`: shows a plan with its benches and signs its approval; also withdraws and lists approvals."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def _lines(item: JudgedApproval) -> list[str]:
 
 
 def _show(prepared: PreparedApproval, statement: str) -> None:
-    """Shows the approval to be signed, on standard error, after the warnings of the check."""
+    """Prints the warnings of the check on stderr, then the content of the approval to be signed."""
     from planrunner.reporting.words import duration
     from planrunner.review.approvals import DECLARED
 
@@ -177,7 +177,7 @@ def _show_last(prepared: PreparedApproval) -> None:
 
 
 def _ask() -> None:
-    """Asks for consent. Raises `InputError` unless the reviewer agrees at the terminal."""
+    """Asks the reviewer for consent. Raises `InputError` unless the reviewer agrees at the terminal."""
     if sys.stdin is None or not sys.stdin.isatty():
         message = "there is no terminal to confirm the approval at"
         raise InputError.at(COMMAND_LINE, "approval-unconfirmed", message, "read what is printed above, then add --yes")

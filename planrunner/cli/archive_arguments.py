@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 
 def folder_argument(text: str, *, anew: bool = False) -> Path:
-    """A folder of runs or a run. A URL is copied when the command line is read (`archive.remote`): commands read local folders
-    only. anew: whether to copy even files that have not changed since an earlier copy."""
+    """The path of a folder of runs, or of a run, from the command line. For a URL, the folder is copied to this computer when the
+    command line is read (`archive.remote`), because commands read only local folders. anew: with True, files that have not changed
+    since an earlier copy are also copied."""
     if "://" not in text:
         return Path(text)
     from planrunner.archive.remote import fetched
@@ -31,7 +32,8 @@ def folder_argument(text: str, *, anew: bool = False) -> Path:
 
 
 def folder_to_verify(text: str) -> Path:
-    """The same as `folder_argument`, but a URL is always copied again, because an older copy does not show the present state."""
+    """The same as `folder_argument`, but from a URL all files are always copied again, because an older copy does not show the
+    present state."""
     return folder_argument(text, anew=True)
 
 
@@ -77,7 +79,7 @@ def add_index(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
-    """The updated index."""
+    """Opens the index of an archive and updates it."""
     from planrunner.cli.progress import reading_progress
     from planrunner.tasks.history import Freshness, opened
 
@@ -89,7 +91,7 @@ def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
 
 
 def report_left_out(faults: Sequence[FaultRow]) -> int:
-    """Lists on standard error the damaged runs that a command omits. Returns the resulting exit code."""
+    """Prints the damaged runs that a command omits, on stderr. Returns the exit code that follows from them."""
 
     for fault in faults:
         print_line(f"not in the index: {fault.folder}: {fault.message}", sys.stderr)

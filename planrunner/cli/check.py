@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """The output for a plan. summary: empty for `--json`."""
+    """The result of the check of a plan, ready for output. summary: text for the terminal; empty with `--json`."""
 
     findings: tuple[Finding, ...]
     ok: bool
@@ -88,8 +88,8 @@ class _Answer:
 
 
 def _answer_elsewhere(args: argparse.Namespace, today: date, files: tuple[Path, Path | None]) -> _Answer | None:
-    """Checks a plan on a worker of a cluster. None if the result depends on the computer. files: the plan, and the bench if one was
-    given."""
+    """Checks a plan on a worker of a cluster. Returns None if the result depends on the computer. files: the plan file, and the
+    bench file if one was given."""
     plan, _ = files
     if is_suite(plan):
         return None  # its plans are shared
@@ -131,15 +131,15 @@ def add_parameter(parser: argparse.ArgumentParser) -> None:
 
 
 def sound_plan(plan: str, bench: str | None, parameters: Sequence[str] = ()) -> Sound:
-    """A plan that passes its checks. Its warnings are printed. Raises `InputError` with the errors."""
+    """Returns a plan that passes its checks. Prints its warnings. Raises `InputError` with all findings if there are errors."""
     sound = check_plan(Path(plan), bench=bench, parameters=parameters_of(parameters)).sound()
     print_findings(sound.findings)
     return sound
 
 
 def summary(checked: Checked, looked_over: bool = True) -> str:
-    """A summary: whether the plan is sound, its duration, and the expected uncertainties. looked_over: whether a recording that is
-    played back was examined too."""
+    """A summary for the terminal: whether the plan is sound, how long it takes, and the expected uncertainties. looked_over:
+    whether the check also examined a recording that the bench plays back."""
     errors, warnings = (
         sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")
     )
@@ -179,7 +179,7 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
 
 
 def _columns(pairs: list[tuple[str, str]]) -> str:
-    """Three pairs per line, or as many as fit the terminal."""
+    """The pairs in columns: three pairs per line, or as many as fit the terminal."""
     wide = [max(len(name) for name, _ in pairs), max(len(text) for _, text in pairs)]
     cells = [f"{name:<{wide[0]}} {text:<{wide[1]}}" for name, text in pairs]
     across = max(1, min(3, (columns(sys.stdout) - 1) // (sum(wide) + 4)))

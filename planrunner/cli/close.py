@@ -1,5 +1,5 @@
-"""`planrunner close`: diagnoses, enters the effects found into the simulation, simulates and compares, until no named cause
-remains."""
+"""`planrunner close`: repeats four steps until no remaining effect has a name: it diagnoses, enters the effects found into the
+simulation, simulates, and compares."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner design`: finds better positions or rates for a plan on its bench, with the bound that no design can exceed; or a
+"""`planrunner design`: finds better positions or rates for a plan on its bench, and the bound that no design can exceed; or finds a
 better rotation cycle.
 """
 
@@ -146,7 +146,7 @@ def _seconds(text: str | None) -> float | None:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
-    """Prints one line for each stage on standard error if the search takes longer than a moment."""
+    """Prints one line for each stage on stderr if the search takes longer than a moment."""
     if quiet:
         yield None
         return

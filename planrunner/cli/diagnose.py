@@ -1,5 +1,5 @@
-"""`planrunner diagnose`: shows where recording and simulation differ, which effect explains the difference, how much the gap
-shrinks, and what to measure next."""
+"""`planrunner diagnose`: shows where recording and simulation differ, which effects explain the difference, how much of it they
+explain, and what to measure next."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
-    """The arguments that name a recording."""
+    """Adds the arguments that name a recording."""
     parser.add_argument(
         "subject", metavar="RUN|PLAN", type=Path, help="run folder, or the plan of a recording in a file"
     )
@@ -36,7 +36,7 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
 
 
 def add_nominal(parser: argparse.ArgumentParser) -> None:
-    """The arguments for the terms that the simulation fits."""
+    """Adds the arguments for the terms that the simulation fits."""
     parser.add_argument(
         "--nominal",
         metavar="TERM",
@@ -173,7 +173,7 @@ def _compared(made: Diagnosed, simulation: str | None) -> JsonObject:
 
 
 def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
-    """Writes the plan and the bench with the named effects, if requested. Returns the lines to print about them."""
+    """Writes the plan and the bench with the named effects, each only if requested. Returns the lines to print about them."""
     asked = [path for path in (args.write_plan, args.write_bench) if path is not None]
     if asked and not made.diagnosis.verdict.named:
         return [f"No effect is named: {path} is not written." for path in asked]
@@ -189,7 +189,7 @@ def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
 
 
 def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
-    """The requested options. None: the options of the plan."""
+    """The options of the diagnosis from the command line; None if none are given, so that the options of the plan apply."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.gap.hypotheses.candidates import FULL
 
@@ -202,7 +202,7 @@ def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
 
 
 def recorded_of(args: argparse.Namespace, notice: Announce | None) -> Recorded:
-    """A run folder, or a plan with a recording."""
+    """Reads the recording from a run folder, or from a file that is given together with a plan."""
     from planrunner.tasks.diagnose import recorded_file, recorded_run
 
     subject: Path = args.subject
@@ -223,7 +223,8 @@ def recorded_of(args: argparse.Namespace, notice: Announce | None) -> Recorded:
 
 
 def _next(args: argparse.Namespace, found: JsonObject) -> str:
-    """Writes the proposed plan to the file given by --next or next to the page, and enters its path in the diagnosis."""
+    """Writes the proposed plan to the file given by --next, or otherwise beside the page, and enters the path of the plan in the
+    diagnosis."""
     following = found["next"]
     if following is None:
         return ""
@@ -255,7 +256,7 @@ def context_of(made: Diagnosed, found: JsonObject, next_plan: str) -> DiagnosisC
 
 
 def _given(found: JsonObject) -> dict[str, str]:
-    """The effects that were known to act, as a fact for the page; empty without such effects."""
+    """The effects that the user states as known, as one fact for the page; empty if there are none."""
     fitted = dict.fromkeys(f"{one['effect']} (fitted)" for one in found["given"]["fitted"])
     stated = [
         f"{name} = {', '.join(filter(None, (f'{key} {text}'.strip() for key, text in values.items())))}"

@@ -1,4 +1,4 @@
-"""`planrunner diagnose RUN RUN …`: determines whether the device, the bench or the occasion causes the effects in the runs."""
+"""`planrunner diagnose RUN RUN …`: determines whether the effects in the runs come from the device, the bench or the occasion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ _ONE_RUN = ("bench", "recording", "segments", "also", "next", "write_plan", "wri
 
 
 def run_fleet(args: argparse.Namespace, runs: list[Path], nominal: tuple[str, ...] | None) -> int:
-    """Diagnoses several runs together and prints the attribution. nominal: the requested terms; None: those of the plans."""
+    """Diagnoses several runs together and prints the attribution. nominal: the terms that the simulations fit; None for those of
+    the plans."""
     from planrunner.tasks.diagnose_fleet import diagnose_fleet
 
     given = [f"--{name.replace('_', '-')}" for name in _ONE_RUN if vars(args).get(name)]

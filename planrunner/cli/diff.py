@@ -1,4 +1,4 @@
-"""`planrunner diff`: shows how two plans, benches or runs differ in meaning, and the consequences."""
+"""`planrunner diff`: shows how the meanings of two plans, benches or runs differ, and the consequences."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _textconv(path: Path) -> int:
-    """Prints the meaning of a file for git. A file that is not a sound plan is printed unchanged, because git needs some text of
-    every version."""
+    """Prints the meaning of a file, for `git diff`. If the file is not a sound plan or bench, its text is printed instead, because
+    git needs some text for every version."""
     from planrunner.plan import source
     from planrunner.tasks.diff import meaning_of_file
 

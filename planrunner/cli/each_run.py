@@ -1,5 +1,5 @@
-"""Applies a command to several run folders: each is processed separately, the exit code is the highest, and JSON is a list with one
-entry for each run."""
+"""Applies a command to several run folders. Each folder is processed separately, the exit code is the highest of all, and JSON
+output is a list with one entry for each run."""
 
 from __future__ import annotations
 
@@ -26,20 +26,21 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """Result of a command on one run: its exit code and, for `--json`, its output."""
+    """The result of a command for one run: the exit code and, for `--json`, the data to print."""
 
     code: int
     found: JsonObject = field(default_factory=dict)
 
 
 def add_runs(parser: argparse.ArgumentParser, kind: Callable[[str], Path] = Path) -> None:
-    """Adds RUN [RUN …] for commands without other positional arguments. kind: converts an argument to a path."""
+    """Adds the argument RUN [RUN …], for commands without other positional arguments. kind: function that converts an argument to a
+    path."""
     parser.add_argument("runs", metavar="RUN", nargs="+", type=kind, help="one or more run folders")
 
 
 def run_folders(given: Sequence[Path]) -> list[Path]:
-    """The given folders without those that contain the nights of an archive. A pattern such as `runs/*` includes these; a note
-    names them."""
+    """The given folders, except those that contain the records of nights. A pattern such as `runs/*` matches these too; a note
+    names each folder that is skipped."""
     nights = [] if len(given) < 2 else [folder for folder in given if holds_nights(folder)]
     for folder in nights:
         print_line(f"note: {folder} is skipped: it holds the records of nights, not a run", sys.stderr)
@@ -57,16 +58,17 @@ def runs_of(args: argparse.Namespace) -> list[Path]:
 
 
 def archive_of(runs: Sequence[Path]) -> Path:
-    """The folder that was given with --all. Raises `InputError` if there are several."""
+    """The one folder that was given with --all. Raises `InputError` if several folders were given."""
     if len(runs) > 1:
         raise InputError.of_usage("--all takes one folder", "give the folder that contains the runs")
     return runs[0]
 
 
 def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:
-    """Does the work on every run, even if others fail. A failure is printed; with `--json` it is in `findings` of its entry.
+    """Does the work on every run, even if others fail. A failure is printed; with `--json`, it is in `findings` of the entry of the
+    run.
 
-    With several runs, the output of each begins with its name. The exit code is the highest of all.
+    With several runs, the name of each run precedes its output. The exit code is the highest of all runs.
     """
     runs = run_folders(runs)
 
@@ -88,9 +90,10 @@ def each_result(
     as_json: bool,
     last: Callable[[], Done | None] | None = None,
 ) -> int:
-    """The same as `each_run`, for work that prints nothing and that workers can share. `work` must be a function defined at
-    module level, or a `partial` of one, so that it can be sent to workers. show: prints a result, in the order of the runs. what: text
-    for the progress. last: computes the result for all runs together, which is the last entry."""
+    """The same as `each_run`, for work that prints nothing, so that several workers can share the runs. `work` must be a function
+    defined at module level, or a `partial` of such a function, because it is sent to workers. show: prints one result; it is called
+    in the order of the runs. what: text that describes the work in the progress. last: computes a further result from all runs
+    together, which becomes the last entry."""
     alone = len(runs) == 1 and not as_json
     with reading_progress(as_json) as notice:
         pace = Pace(what, 1.0, notice)
@@ -127,7 +130,7 @@ def _concluded(
     as_json: bool,
     headed: bool = False,
 ) -> int:
-    """Prints the results and returns the exit code. headed: whether to print the names of the runs here."""
+    """Prints the results and returns the exit code. headed: whether this function prints the name of each run before its result."""
     alone = len(runs) == 1 and not as_json
     entries, worst = [], 0
     for run, result in zip(runs, results, strict=True):

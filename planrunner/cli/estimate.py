@@ -1,4 +1,4 @@
-"""`planrunner estimate`: makes estimates from recordings only, as a new analysis of each run, or as a proof of a stored analysis."""
+"""`planrunner estimate`: makes estimates from stored recordings only: as a new analysis of each run, or to prove a stored analysis."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _estimate(folder: Path, workers: Workers, *, as_json: bool) -> Done:
-    """Estimates one run, with the progress of reading it. The workers share its Monte Carlo draws."""
+    """Makes the estimates of one run and shows the progress of reading it. The workers share the Monte Carlo draws of this run."""
     from planrunner.tasks.run import evaluate_run
 
     with reading_progress() as notice:

@@ -1,5 +1,5 @@
-"""Exit codes: 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during execution, 4 integrity,
-130 ended by a signal.
+"""Exit codes: 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during execution, 4 a
+file was changed or damaged, 130 ended by a signal.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ from planrunner.cli.printing import print_findings
 
 @dataclass(frozen=True, slots=True)
 class CommandFailure:
-    """A failure of a command. text: text for the terminal instead of the findings, if it contains more. trace: traceback of an
-    unexpected exception, until it is `saved`."""
+    """A failure of a command. text: text for the terminal, if it contains more than the findings; it is then printed instead of
+    them. trace: traceback of an unexpected exception until it is saved (see `saved`)."""
 
     code: int
     findings: tuple[Finding, ...]
@@ -23,7 +23,7 @@ class CommandFailure:
     trace: str = ""
 
     def saved(self) -> CommandFailure:
-        """The failure with its traceback, if any, in a temporary file that the message names."""
+        """Saves the traceback, if any, in a temporary file; returns the failure with a message that names the file."""
         if not self.trace:
             return self
         with tempfile.NamedTemporaryFile(
@@ -64,15 +64,16 @@ _INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
 def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailure:
-    """The failure for an exception. where: file or folder of the command, for findings without a place.
+    """The failure that reports an exception. where: file or folder that the command works on, for findings that do not state a
+    place.
 
-    For an unexpected exception the traceback is saved in a temporary file, which the message names.
+    The traceback of an unexpected exception is saved in a temporary file, which the message names.
     """
     return unsaved_failure_of(error, where).saved()
 
 
 def unsaved_failure_of(error: Exception, where: str) -> CommandFailure:
-    """The same as `failure_of`, but nothing is written, because another computer than that of the command may compute it."""
+    """The same as `failure_of`, but no file is written, so that a worker on another computer can call it."""
     if isinstance(error, InputError):
         return CommandFailure(exit_codes.WRONG_INPUT, tuple(error.findings))
     for kind in type(error).__mro__:

@@ -1,4 +1,4 @@
-"""Options for the place of computation: `--jobs` for processes of this machine, `--scheduler` for a Dask cluster."""
+"""Options for where a command computes: `--jobs` for processes on this computer, `--scheduler` for a Dask cluster."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HERE = "processes"
 
 
 def number_of_jobs(text: str) -> int:
-    """A number of processes or threads, at least 1. Raises `argparse.ArgumentTypeError`."""
+    """Reads a number of processes or threads, at least 1. Raises `argparse.ArgumentTypeError`."""
     try:
         value = int(text)
     except ValueError:
@@ -24,14 +24,14 @@ def number_of_jobs(text: str) -> int:
 
 
 def scheduler(text: str) -> str:
-    """An address of a Dask scheduler, or `processes`. Raises `argparse.ArgumentTypeError`."""
+    """Reads the address of a Dask scheduler, or the word `processes`. Raises `argparse.ArgumentTypeError`."""
     if text != HERE and not re.fullmatch(r"(tcp|tls)://[^/\s]+:\d+", text):
         raise argparse.ArgumentTypeError(f"must be an address such as tcp://10.0.0.5:8786, or {HERE}: {text}")
     return text
 
 
 def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
-    """Adds --jobs, with the given help text, and --scheduler."""
+    """Adds the options --jobs, with the given help text, and --scheduler."""
     parser.add_argument("--jobs", metavar="N", type=number_of_jobs, help=jobs)
     parser.add_argument(
         "--scheduler",
@@ -44,7 +44,7 @@ def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
 
 
 def workers_of(args: argparse.Namespace, jobs: int | None = 1) -> Workers:
-    """The requested workers. jobs: number of processes if neither option is given."""
+    """The workers that the options request. jobs: number of processes if neither --jobs nor --scheduler is given."""
     if args.scheduler is None:
         return Workers(jobs if args.jobs is None else args.jobs)
     if args.scheduler == HERE:

@@ -75,7 +75,8 @@ def _new_for_bench(args: argparse.Namespace) -> int:
 
 
 def _write_public(private: Path, line: str) -> None:
-    """Writes the public key next to its private key. If this fails, it removes the private key, because nobody could use it."""
+    """Writes the public key next to its private key. If this fails, it removes the private key, because a private key without its
+    public key is useless."""
     try:
         write_new(private.with_name(f"{private.name}.pub"), line.encode())
     except InputError:
@@ -123,7 +124,7 @@ def _add(args: argparse.Namespace) -> int:
 
 
 def _require_ring(text: str, path: Path, name: str) -> None:
-    """Raises `InputError` if the entry cannot be appended to the text of the file."""
+    """Raises `InputError` if `text`, the file with the new entry at its end, is not a key ring that contains `name`."""
     from planrunner.signing.key_ring import parse_ring
 
     try:

@@ -1,4 +1,4 @@
-"""`planrunner log`: manages the log of an archive, which shows removed and replaced runs; its tree heads and proofs."""
+"""`planrunner log`: manages the log of an archive, which shows removed and replaced runs, and makes its tree heads and proofs."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_heads(parser: argparse.ArgumentParser) -> None:
-    """Adds --head and --keys."""
+    """Adds the options --head and --keys."""
     parser.add_argument(
         "--head", metavar="FILE", action="append", default=[], type=Path, help="tree head of the log that was kept"
     )
@@ -210,7 +210,7 @@ def ring_of(args: argparse.Namespace) -> KeyRing | None:
 
 
 def heads_of(files: Sequence[Path], ring: KeyRing | None) -> dict[str, RememberedHead]:
-    """The tree heads in files, by the names of the files. Raises `InputError` and `IntegrityError`."""
+    """Reads tree heads from files; returns them by file name. Raises `InputError` and `IntegrityError`."""
     from planrunner.archive.run_log import MOST_HEAD
     from planrunner.signing.tree_heads import remembered_head
 

@@ -89,9 +89,10 @@ def _list(plans: dict[str, Path], *, as_json: bool) -> int:
 
 
 def _copy(original: Path, target: Path) -> Path:
-    """Copies a plan atomically and makes its first line name an existing schema. Returns the schema file.
+    """Copies a plan atomically and enters an existing schema file in its first line. Returns the schema file.
 
-    If the target's project has a schema, that one is named; otherwise the shipped schema is written next to the plan. Raises `InputError`.
+    If the project of the target already has a schema file, the first line names that file; otherwise the shipped schema is written
+    next to the plan. Raises `InputError`.
     """
     text = original.read_bytes()
     header = _HEADER.search(text)

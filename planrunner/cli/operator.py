@@ -1,4 +1,4 @@
-"""The operator: prompts of a plan, answered with Enter at the terminal, or on the live page."""
+"""Lets the operator answer the prompts of a plan: with Enter at the terminal, or on the live page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 
 def add_attendance(parser: argparse.ArgumentParser) -> argparse._MutuallyExclusiveGroup:
-    """Adds the options for commands that depend on the presence of an operator."""
+    """Adds the options about the presence of an operator, for commands that depend on it."""
     present = parser.add_mutually_exclusive_group()
     present.add_argument(
         "--unattended", action="store_true", help="no operator is present: refuse a plan with operator prompts"
@@ -28,9 +28,9 @@ def add_live_page(parser: argparse.ArgumentParser) -> None:
 
 
 class TerminalOperator:
-    """The operator at the terminal. notify: shows a line. Answers are read in a thread, so that the run continues to supervise the
-    bench and reacts to Ctrl-C. The thread reads directly from the descriptor, because a thread that still waits at the end would
-    keep the buffer locked."""
+    """The operator at the terminal. notify: function that shows a line of text. A separate thread reads the answers, so that the
+    run continues to supervise the bench and reacts to Ctrl-C. This thread reads directly from the file descriptor: if it still
+    waits when the program exits, it would otherwise keep the buffer of stdin locked."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify
@@ -49,7 +49,7 @@ class TerminalOperator:
         self._notify(text)
 
     def _read(self) -> None:
-        """Reads one line for each question. A closed terminal gives no answer."""
+        """Counts the lines that the operator enters; each line answers one question. A closed terminal gives no answer."""
         try:
             while piece := os.read(sys.stdin.fileno(), 1024):
                 self._answers += piece.count(b"\n")
@@ -58,7 +58,7 @@ class TerminalOperator:
 
 
 class PageOperator:
-    """The operator at the live page, who answers through the run folder. notify: shows a line."""
+    """The operator at the live page, who answers through the run folder. notify: function that shows a line of text."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify
@@ -72,7 +72,8 @@ class PageOperator:
 
 
 def operator_of(args: argparse.Namespace, notify: Callable[[str], None]) -> TerminalOperator | PageOperator | None:
-    """The operator at the terminal or at the live page; None without either, and in unattended runs."""
+    """The operator on the live page if the live page is requested, otherwise the operator at the terminal. None for an unattended
+    run, and if there is no terminal."""
     if args.live_page:
         return PageOperator(notify)
     present = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty() and not args.unattended

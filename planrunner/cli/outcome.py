@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
-    """Reports how an unfinished run ended, what is kept, and how to continue: on standard error, and as JSON on request."""
+    """Reports on stderr how an unfinished run ended, what is kept, and how to continue; prints JSON too on request."""
     for failure in outcome.failures:
         print(f"error: {failure}", file=sys.stderr)
     for unsafe in outcome.unsafe:
@@ -56,8 +56,8 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
 
 
 def conclude(analysis: Analysis, *, as_json: bool) -> Done:
-    """Prints the results, unless JSON is requested. The last line is the path of the first report (or of the analysis). Returns the
-    exit code of the verdict and the results as JSON."""
+    """Prints the results, unless JSON is requested. The last line is the path of the first report, or of the analysis if there are
+    no reports. Returns the exit code that follows from the results, and the results as JSON."""
     if not as_json:
         print_results(analysis.results, analysis.headline)
         for path in reversed(analysis.reports or (analysis.folder,)):
@@ -70,9 +70,9 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
 
 
 def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | None = None) -> int:
-    """Ends a command that made one run: prints its results and returns the exit code. A run that its bench should have signed but
-    did not sign counts as a fault, unless the results already have another exit code. After a run of the check standard of the
-    bench, it also reports whether the standard is in control. run: its folder, if it was made on a bench."""
+    """Ends a command that made one run: prints its results and returns the exit code. If its bench should have signed the run but
+    did not, this counts as a fault, unless the results already give another exit code. If the run measured the check standard of
+    the bench, it also reports whether the standard is in control. run: the run folder, if the run was made on a bench."""
     done = conclude(analysis, as_json=as_json)
     unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
     standard, in_control = ({}, True) if run is None else _check_standard(run)
@@ -82,8 +82,9 @@ def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | N
 
 
 def _check_standard(run: Path) -> tuple[JsonObject, bool]:
-    """The data about the check standard that a run measured, for JSON, and whether it is in control. The data are null if the state
-    cannot be determined; the run is complete nevertheless. Prints it on standard error. Empty for other runs."""
+    """Reports on stderr the state of the check standard that a run measured. Returns this state as JSON data, and whether the
+    standard is in control. The state is null if it cannot be determined, which does not affect the run. For a run that did not
+    measure a check standard, the JSON data are empty."""
     from planrunner.tasks.check_standard import state_after
 
     try:
@@ -99,7 +100,8 @@ def _check_standard(run: Path) -> tuple[JsonObject, bool]:
 
 
 def code_of(results: Results) -> int:
-    """The exit code: for wrong input if an estimate failed because of the plan; otherwise for a failed limit or a failed estimate."""
+    """The exit code of results: `WRONG_INPUT` if an estimate failed because of the plan, otherwise `LIMIT_FAILED` if a limit is not
+    met or the data do not give an estimate, otherwise `DONE`."""
     if results.failures.keys() - set(results.unfit):
         return exit_codes.WRONG_INPUT
     met = all(limit.verdict == "pass" for limit in results.limits)

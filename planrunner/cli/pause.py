@@ -1,4 +1,4 @@
-"""`planrunner pause`: asks a running run to wait before its next segment, with its bench safe."""
+"""`planrunner pause`: asks an active run to wait before its next segment, with its bench in the safe state."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
     12 |     dwell: 30
        |            ^^
 
-The line is shown as it was read, even if the file has changed, was removed or was a pipe. Before columns are counted, control characters
-are replaced by codes, and characters that the encoding lacks by escapes.
+The source line is shown as it was read, even if the file has changed or was removed since then, or was a pipe. Control characters
+are replaced by codes, and characters that the encoding lacks by escapes, before columns are counted.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _BREAK = re.compile("\r\n|\r|\n")
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """A source line for display. gutter: the line number; blank: spaces of the same width; line: its text, cut to the width;
-    carets: the marks below it."""
+    """A source line for display. gutter: the line number; blank: spaces of the same width; line: the text of the line, cut to the
+    available width; carets: the marks below the text."""
 
     gutter: str
     blank: str
@@ -43,7 +43,8 @@ class Excerpt:
 
 
 def excerpt(mark: Mark, width: int, encoding: str = "utf-8") -> Excerpt | None:
-    """The line at a mark, in at most `width` columns of a stream with this encoding; None if the text is not known."""
+    """The source line that a mark names, in at most `width` columns, for a stream with this encoding; None if the text of the file
+    is not known."""
     if mark.text is None:
         return None
     lines = _lines(mark.text)
@@ -67,7 +68,7 @@ def _lines(text: str) -> list[str]:
 
 
 def _cell(char: str, encoding: str) -> tuple[str, int]:
-    """The text shown for one character of a file, and its width in columns."""
+    """The text that is shown for one character of a file, and the number of columns that this text takes."""
     if char == "\t":
         return _TAB, len(_TAB)
     shown = printable(char, keep="").encode(encoding, "backslashreplace").decode(encoding)
@@ -80,7 +81,7 @@ def _cell(char: str, encoding: str) -> tuple[str, int]:
 
 def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> tuple[str, int, int]:
     """The part of a line around the cells `first` to `last` that fits into `room` columns; also the number of columns before these
-    cells and under them."""
+    cells, and the number of columns that they take."""
     widths = [width for _, width in cells]
     begin, end = 0, len(cells)
     if sum(widths) > room:
@@ -116,12 +117,12 @@ EXCERPTS = ContextVar("EXCERPTS", default=True)
 
 
 def columns(stream: TextIO) -> int:
-    """Maximum width of a line: width of the terminal, or `WIDE` for a pipe or a file."""
+    """Maximum width of a line: the width of the terminal, or `WIDE` for a pipe or a file."""
     return shutil.get_terminal_size((WIDE, 24)).columns if stream.isatty() else WIDE
 
 
 def print_findings(findings: Iterable[Finding], file: TextIO | None = None) -> None:
-    """Prints findings to standard error unless `file` is given, in colour on a terminal. Each finding is one line, followed by its
+    """Prints findings to stderr, or to `file` if it is given; in colour on a terminal. Each finding is one line, followed by its
     source line and a hint."""
     out = beneath(file or sys.stderr)
     colour = out.isatty() and not os.environ.get("NO_COLOR")
@@ -145,17 +146,18 @@ def _coloured(text: str, finding: Finding) -> str:
 
 
 def print_line(text: str, file: TextIO | None = None) -> None:
-    """Prints a line with text from files, such as a label. Its control characters and line breaks are shown as codes."""
+    """Prints a line with text from files, such as a label. Control characters and line breaks in the text are shown as codes."""
     print(printable(text, keep=""), file=file)
 
 
 def name_file(path: Path, as_json: bool) -> None:
-    """Prints the name of a file that was written. With `--json` it uses standard error, because standard output is JSON."""
+    """Prints the name of a file that was written. With `--json` the name goes to stderr, because stdout contains the JSON."""
     print(path, file=sys.stderr if as_json else sys.stdout)
 
 
 def write_file(path: Path, text: str) -> None:
-    """Writes a file that the user named, completely or, if the disk is full, not at all. Raises `InputError`."""
+    """Writes a file that the user named. If the disk is full, nothing is written, and an existing file stays unchanged. Raises
+    `InputError`."""
     if path.exists() and not path.is_file():  # such as /dev/stdout
         path.write_text(text, encoding="utf-8")
         return
@@ -171,7 +173,7 @@ def write_file(path: Path, text: str) -> None:
 
 
 def write_new(path: Path, text: bytes) -> None:
-    """Writes a file that does not exist yet, completely or not at all. Raises `InputError`."""
+    """Writes a new file. If this fails, no part of the file remains. Raises `InputError`, also if the file exists already."""
     try:
         with path.open("xb") as file:
             try:
@@ -192,7 +194,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def print_json(value: Json) -> None:
-    """Prints JSON to standard output. If the encoding is not UTF-8, it uses escapes so that the output stays valid JSON."""
+    """Prints JSON to stdout. If the encoding of stdout is not UTF-8, characters are escaped so that the output stays valid JSON."""
     plain = (sys.stdout.encoding or "").lower().replace("-", "") != "utf8"
     import json
 

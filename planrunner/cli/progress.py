@@ -1,5 +1,5 @@
-"""Progress with time left for runs and for reading long recordings: a bar on a terminal, otherwise an occasional line; silent on
-request.
+"""Shows the progress and the time left of runs and of reading long recordings: as a bar on a terminal, otherwise as a line from
+time to time; nothing on request.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LINES_EVERY = 10.0
 
 @contextmanager
 def run_progress(quiet: bool) -> Iterator[tuple[ProgressCallback | None, Callable[[str], None]]]:
-    """A callback for the executor's progress events, and one for notices to the operator."""
+    """Two callbacks: one for the progress events of the executor, and one for notices to the operator."""
     if quiet:
         yield None, lambda text: print(text, file=sys.stderr)
     elif not sys.stderr.isatty():
@@ -37,7 +37,7 @@ def _bar() -> Iterator[tuple[ProgressCallback, Callable[[str], None]]]:
 
 @contextmanager
 def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
-    """Shows a bar on the terminal. transient: whether it disappears at the end."""
+    """Shows a progress bar on the terminal. transient: whether the bar disappears at the end."""
     from rich.progress import BarColumn, Progress, TextColumn
 
     from planrunner.base.progress import Underway
@@ -69,7 +69,7 @@ def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
 
 @contextmanager
 def reading_progress(quiet: bool = False) -> Iterator[Announce | None]:
-    """A callback for the progress of passes over recorded samples. Nothing is shown before the first call, and a bar disappears at the
+    """A callback for the progress of reading recorded samples. Nothing is shown before its first call, and a bar disappears at the
     end."""
     if quiet:
         yield None
@@ -89,7 +89,7 @@ def reading_progress(quiet: bool = False) -> Iterator[Announce | None]:
 
 
 class _Lines:
-    """Progress for logs: an occasional line."""
+    """Progress for logs: prints a line from time to time."""
 
     def __init__(self) -> None:
         from planrunner.base.progress import now

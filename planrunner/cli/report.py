@@ -1,5 +1,5 @@
-"""`planrunner report`: makes the reports of one or more runs again as a new analysis, a certificate, or a report with the user's
-template."""
+"""`planrunner report`: makes the reports of one or more runs again as a new analysis, or makes a certificate, or a report from the
+user's own template."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
-    """Splits the arguments into run folders and names of reports. The first word is always a run; a later word is a run if it is a
-    folder. Raises `InputError` for an unknown report."""
+    """Splits the arguments into run folders and names of reports. The first argument is always a run; a later argument is a run if
+    it is a folder or a URL. Raises `InputError` for an unknown report."""
     from planrunner.tasks.check import report_names
 
     known = report_names()
@@ -75,8 +75,8 @@ def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
 
 
 def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
-    """Refuses a certificate or an output file for several runs, because a certificate is for one item, and a file contains one
-    report. Raises `InputError`."""
+    """Refuses a certificate, and options that belong to one run (--set, --info, --before, --template), for several runs. Raises
+    `InputError`."""
     from planrunner.reporting.certificate_requirements import is_certificate
 
     given = {"--set": args.set, "--info": args.info, "--before": args.before, "--template": args.template}

@@ -1,4 +1,4 @@
-"""`planrunner run`: checks, runs, estimates and reports."""
+"""`planrunner run`: checks a plan, runs it, makes its estimates and writes its reports."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def add_new_runs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of every command that produces results."""
+    """Adds the arguments of every command that produces results."""
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_live_page(parser)
@@ -135,7 +135,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _admission(args: argparse.Namespace, sound: Sound, info: Mapping[str, Json]) -> Admission | None:
-    """Whether the check standard of the bench allows the run to begin. Its warnings are printed."""
+    """Permission from the check standard of the bench for the run to begin; None if the bench has no check standard and no override
+    is given. Prints the warnings of this decision."""
     override = override_of(args)
     if sound.bench.check_standard is None and override is None:
         return None

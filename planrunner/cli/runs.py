@@ -1,4 +1,4 @@
-"""`planrunner runs`: lists the runs of an archive, filtered; also updates, rebuilds or exports the index."""
+"""`planrunner runs`: lists the runs of an archive that pass a filter; also updates, rebuilds or exports the index."""
 
 from __future__ import annotations
 

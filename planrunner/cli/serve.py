@@ -1,4 +1,4 @@
-"""`planrunner serve`: serves the live page of an archive, on this computer only."""
+"""`planrunner serve`: serves the live page of an archive, to browsers on this computer only."""
 
 from __future__ import annotations
 

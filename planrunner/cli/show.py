@@ -1,4 +1,5 @@
-"""`planrunner show`: shows what a plan does: timeline, positions, rates, temperatures, total time, predicted uncertainties."""
+"""`planrunner show`: shows what a plan does: its timeline, positions, rates, temperatures and total time, and the predicted
+uncertainties."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner sign`: makes an electronic signature of a sealed run, with its meaning."""
+"""`planrunner sign`: makes an electronic signature of a sealed run; the signature states its meaning, for example "reviewed"."""
 
 from __future__ import annotations
 

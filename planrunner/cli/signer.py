@@ -1,4 +1,4 @@
-"""The signing key: a file, or a key of the running ssh-agent.
+"""The key that signs: a key file, or a key of the running ssh-agent.
 
 The passphrase of a key comes from a file descriptor, the environment or the terminal, never from the command line, which others can see.
 """
@@ -31,7 +31,8 @@ def add_passphrase(parser: argparse.ArgumentParser) -> None:
 
 
 def passphrase(args: argparse.Namespace, *, twice: bool = False) -> bytes:
-    """The passphrase, without the end of its line. twice: whether to ask again at the terminal. Raises `InputError`."""
+    """The passphrase, without a line break at its end. twice: whether the terminal asks for the passphrase a second time, to detect
+    a typing error. Raises `InputError`."""
     if args.passphrase_fd is not None:
         try:
             data = os.read(args.passphrase_fd, _MOST)
@@ -61,7 +62,7 @@ def add_signer(parser: argparse.ArgumentParser) -> None:
 
 
 def signer_of(args: argparse.Namespace) -> Signer:
-    """The signer. Raises `InputError` unless exactly one key is given."""
+    """The signer that the options name. Raises `InputError` unless exactly one key is given."""
     from planrunner.signing.keys import is_encrypted, read_private, read_public
 
     if (args.by is None) == (args.agent is None):

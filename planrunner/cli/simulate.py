@@ -1,4 +1,4 @@
-"""`planrunner simulate`: runs a plan on a virtual bench with added effects from the catalogue."""
+"""`planrunner simulate`: runs a plan on a virtual bench to which effects from the catalogue are added."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner simulate-bench`: serves simulated instruments at the addresses of a bench file, and injects faults."""
+"""`planrunner simulate-bench`: serves simulated instruments at the addresses in a bench file, and injects faults into them."""
 
 from __future__ import annotations
 
@@ -97,7 +97,8 @@ def _tell(bench: Bench, request: JsonObject, ready: Path | None) -> int:
 
 
 def _token(ready: Path | None, control: str) -> str:
-    """The token that authorises commands to a running simulated bench, from its readiness file. Raises `InputError`."""
+    """Reads the token that authorises commands to a running simulated bench, from the readiness file of that bench. Raises
+    `InputError`."""
     start = "start the simulated bench with `--ready FILE`, and give the same file here"
     if ready is None:
         message = "a running simulated bench accepts commands only with the token of its readiness file"
@@ -118,8 +119,7 @@ def _token(ready: Path | None, control: str) -> str:
 
 
 def _write_ready(ready: Path, note: str) -> None:
-    """Writes the readiness file atomically and readable only by the user, because its token permits commands to the simulated
-    bench."""
+    """Writes the readiness file atomically. Only the user may read it, because its token permits commands to the simulated bench."""
     waiting = ready.with_name(ready.name + ".new")
     waiting.unlink(missing_ok=True)
     with open(os.open(waiting, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
@@ -164,7 +164,7 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
 
 
 def _copied(data: bytes, bench: Bench, control: str, serving: Serving) -> bytes:
-    """The bench file with its addresses replaced by the served ones."""
+    """The text of the bench file with each address replaced by the address at which the instrument is served."""
     from planrunner.bench.model import driver_of
     from planrunner.instruments.interfaces import Addressed
     from planrunner.simulators.from_bench import simulation_of

@@ -1,4 +1,4 @@
-"""`planrunner stamp`: requests time stamps for the seals of runs without one, because the authority did not answer at the time."""
+"""`planrunner stamp`: requests time stamps for seals that have none because the authority did not answer when the runs were sealed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Common parts of `check` and `night` for suites: the arguments, and the printed timetable."""
+"""The parts for suites that `check` and `night` share: the arguments, and the printed timetable."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planrunner.tasks.check_suite import CheckedSuite, check_suite, is_suite
 
 
 def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `check` that apply to suites only."""
+    """Adds the arguments of `check` that apply to suites only."""
     parser.add_argument("--html", metavar="FILE", type=Path, help="for a suite: write its timetable as a page")
     add_at(parser)
 
@@ -32,7 +32,8 @@ def add_at(parser: argparse.ArgumentParser) -> None:
 
 
 def local_time(text: str) -> str:
-    """A local time of the form YYYY-MM-DDTHH:MM, as written. Its time zone is that of the suite."""
+    """Checks that a text is a local time of the form YYYY-MM-DDTHH:MM; returns the text unchanged. The time is in the time zone of
+    the suite."""
     try:
         form = re.fullmatch(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?", text)
         if form and FIRST_YEAR <= datetime.fromisoformat(text).year <= LAST_YEAR:
@@ -44,7 +45,7 @@ def local_time(text: str) -> str:
 
 
 def require_usable(args: argparse.Namespace) -> None:
-    """Raises `InputError` if arguments for suites are given without a suite, or the reverse."""
+    """Raises `InputError` if an argument for suites is given without a suite, or an argument for plans is given with a suite."""
     suites = [plan for plan in args.plans if is_suite(Path(plan))]
     if args.html is not None and (len(args.plans) != 1 or not suites):
         raise InputError.of_usage("--html needs exactly one suite", "use `planrunner show` for a plan")
@@ -58,7 +59,7 @@ def require_usable(args: argparse.Namespace) -> None:
 
 
 def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
-    """Checks a suite; writes the page on request."""
+    """Checks a suite; also writes the page of its timetable on request."""
     checked = check_suite(file, at=args.at, archive=args.runs, workers=workers_of(args, None))
     table = timetable_of(checked)
     if args.html is not None and table is not None:
@@ -73,7 +74,7 @@ def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
 
 
 def timetable_of(checked: CheckedSuite) -> Timetable | None:
-    """The timetable of a suite; None for a suite with errors."""
+    """The timetable of a suite; None if errors in the suite prevent one."""
     if checked.suite is None or checked.forecast is None:
         return None
     return Timetable(
@@ -88,7 +89,7 @@ def timetable_of(checked: CheckedSuite) -> Timetable | None:
 
 
 def suite_summary(checked: CheckedSuite) -> str:
-    """Counts of findings and the timetable."""
+    """A summary for the terminal: the numbers of findings and the timetable."""
     counts = {kind: sum(item.severity == kind for item in checked.findings) for kind in ("error", "warning")}
     head = ", ".join(count_of(number, kind) for kind, number in counts.items())
     table = timetable_of(checked) if checked.ok else None

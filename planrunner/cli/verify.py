@@ -1,4 +1,4 @@
-"""`planrunner verify`: shows what was changed in run folders since they were written; exit code 4 if anything was changed."""
+"""`planrunner verify`: shows what was changed in run folders since they were written; the exit code is 4 if anything was changed."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _authority(path: Path, revoked: Path | None) -> StampAuthority:
 
 @dataclass(frozen=True, slots=True)
 class _Verified:
-    """The verification of a run: the output, the data to compare with the log, and the JSON."""
+    """The verification of a run: the lines to print, the data to compare with the log of the archive, and the JSON data."""
 
     run: LoggedRun
     changed: bool
@@ -112,7 +112,8 @@ def _verified(ring: KeyRing | None, authority: StampAuthority | None, named: boo
 
 
 def _lines(name: str, verification: Verification) -> Iterator[str]:
-    """The lines about one run. name: name of the folder; empty if it has already been printed."""
+    """The lines that report on one run. name: the text that precedes the first line, with the name of the folder; empty if the name
+    has already been printed."""
     found = verification.found
     state = "CHANGED" if verification.changes else "unchanged" if verification.sealed else "unchanged, NOT SEALED"
     yield (f"{name or '    '}{state}")
@@ -154,7 +155,7 @@ def _lines(name: str, verification: Verification) -> Iterator[str]:
 
 
 def _covered(one: RunSignature) -> str:
-    """The data that a signature covers, and its result."""
+    """The data that a signature covers, and the result of the run that it states."""
     if not one.current:
         return "an earlier seal"
     if not one.analyses:
