@@ -1,7 +1,7 @@
-"""The words for directions of the site, in East-North-Up. A new word is declared only in this module.
+"""The words for directions at the site, and their vectors in East-North-Up. A new word is declared only in this module.
 
-Parsing, suggestions, the schemas, the reference of keys, reports and the diagnosis follow from `DIRECTIONS`. Designs and proposals
-search only among `CARDINAL`, so a new word does not change their choices.
+Parsing, suggestions, the schemas, the reference of keys, reports and the diagnosis use `DIRECTIONS`, so they need no change.
+Designs and proposals search only among `CARDINAL`, so a new word does not change their choices.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ RIGHT_ANGLE = 1e-9
 
 
 def word_of(direction: Iterable[float], within: float = 1e-9) -> str | None:
-    """The word for a unit vector; None if no word is near enough. within: maximum length of the difference."""
+    """The word for a unit vector; None if no word is near enough. within: largest permitted length of the difference between the
+    two vectors."""
     given = tuple(direction)
     word, vector = min(DIRECTIONS.items(), key=lambda item: math.dist(item[1], given))
     return word if math.dist(vector, given) < within else None

@@ -1,4 +1,4 @@
-"""Converts nested segments to a flat list of states: inheritance, sweeps, repeats and readable labels."""
+"""Converts nested segments to a flat list of states: resolves inheritance, sweeps and repeats, and makes readable labels."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 
 @dataclass(frozen=True, slots=True)
 class StatedSegment:
-    """One segment: its state with all inherited keys, and the place of each value by key.
+    """One segment: its state with all inherited keys and, for each key, the place of its value in the file.
 
-    prompts: prompts to the operator before the segment, in order, with their places. conditioning: whether the plan declares that
-    the segment only brings the sensor to a state. sound: False if its state is not known, because it inherits a value from
-    `defaults` that could not be read, or because its label names a key that is not swept.
+    prompts: prompts to the operator before the segment, in order, each with its place in the file. conditioning: True if the plan
+    declares that the segment only brings the sensor to a state. sound: False if the state is not known completely: the segment
+    inherits a value from `defaults` that could not be read, or its label names a key that is not swept.
     """
 
     label: str
@@ -41,7 +41,8 @@ class StatedSegment:
 
 
 def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
-    """Every sound segment in order. Adds findings about too many segments, repeated or empty labels, and contradictory keys."""
+    """All segments in order, except those with errors of their own. Adds findings about too many segments, repeated or empty
+    labels, and contradictory keys."""
     count = sum(_count(spec) for spec in plan.segments)
     if count > MAX_SEGMENTS:
         longest = max(plan.segments, key=_count)
@@ -69,7 +70,7 @@ UNREADABLE = object()
 
 
 def _stated(state: StateValues) -> tuple[State, bool]:
-    """The part of a state that could be read, and whether it is enough to check a segment."""
+    """The part of a state that could be read, and whether this part is enough to check a segment."""
     readable = {name: value for name, value in state.items() if value is not UNREADABLE}
     sound = len(readable) == len(state) or not any(state.get(name) is UNREADABLE for name in _DECISIVE)
     return State(**readable), sound
@@ -80,7 +81,7 @@ _DECISIVE = tuple(name for name, traits in STATE_TRAITS.items() if traits.decisi
 
 
 def _count(spec: SegmentSpec) -> int:
-    """Number of segments of a spec, including those that will be omitted, because they are visited too."""
+    """Number of segments that an entry makes. Segments that will be omitted are included, because the expansion visits them too."""
     own = spec.repeat * (spec.for_each.size if spec.for_each else 1)
     return own * (sum(_count(step) for step in spec.steps) or 1)
 
@@ -97,7 +98,8 @@ def _inherit(own: State, state: StateValues, marks: dict[str, Mark]) -> None:
 
 
 def _set(name: str, value: object, mark: Mark, state: StateValues, marks: dict[str, Mark]) -> None:
-    """Sets a key. A rate replaces an inherited motion and vice versa, because both define the motion of the table."""
+    """Sets the value of a key, and the place of this value. A rate replaces an inherited motion and vice versa, because both define
+    the motion of the table."""
     other = STATE_TRAITS[name].replaces
     if other is not None:
         state.pop(other, None)
@@ -115,7 +117,7 @@ def _one_motion(own: State, log: Findings) -> bool:
 
 
 def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
-    """Checks that no swept key is also given next to the sweep, and that rate and motion are not both swept."""
+    """Checks that no key is both swept and given as a single value, and that rate and motion are not both swept."""
     swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
     for name in swept:
         twin = STATE_TRAITS[name].replaces or name
@@ -195,7 +197,7 @@ def _filled(
     used: set[str],
     log: Findings,
 ) -> str:
-    """The text of `key` with its {placeholders} replaced; `used` collects their names."""
+    """The text of `key` with its {placeholders} replaced; the names of the placeholders are added to `used`."""
 
     def fill(match: re.Match[str]) -> str:
         name = match[1]
@@ -223,7 +225,7 @@ def _prompts(
 
 
 def _check_unique(segments: list[StatedSegment], log: Findings) -> None:
-    """One finding for each place that repeats labels, regardless of their number."""
+    """Adds one finding for each place in the plan that makes repeated labels, regardless of the number of these labels."""
     first: dict[str, Mark] = {}
     repeated: dict[Mark, list[str]] = {}
     for segment in segments:

@@ -1,8 +1,9 @@
-"""Kinds of value: one declaration that both reads a node and describes itself as JSON Schema.
+"""Kinds of value: one declaration that both reads a node of the file and describes the permitted values as JSON Schema.
 
 A record is a frozen dataclass derived from `Record` whose fields are made with `key(...)`. This single declaration gives the reader
 (with findings at file:line:column), the JSON Schema for editors, and the reference in `docs/`. Plug-ins declare their parameters in
-the same way. A key's value has a kind: a scalar, a quantity, a collection, a record, or a choice by the node's shape.
+the same way. A key's value has a kind: a scalar, a quantity, a collection, a record, or a choice that depends on the form of the
+node.
 
     class Chamber(Record):
         lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature the chamber reaches.", "-55 degC")
@@ -36,7 +37,7 @@ class Kind(Protocol):
     """The permitted values of a key."""
 
     def read(self, node: source.Node, log: Findings) -> Any:
-        """The value, or None after adding a finding to `log`."""
+        """The value in a node; None after a finding was added to `log`."""
 
     def schema(self) -> Schema:
         """The kind as JSON Schema (draft 2020-12)."""
@@ -69,7 +70,8 @@ def _takes_numbers(pattern: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A text. pattern: must match the whole text; what: the required form in words; hint: how to write it.
+    """A text. pattern: regular expression that the whole text must match; what: the required form in words; hint: advice on how to
+    write the text.
 
     A plain number is accepted as written, unless the pattern rejects some numbers.
     """
@@ -109,7 +111,8 @@ _WORDS_FOR = {
 
 
 def _in_words(pattern: str) -> str:
-    """The required form of a name in words. Patterns that only limit the length need no words."""
+    """Advice on how to write a name that does not match its pattern. A pattern that limits only the length needs no entry in
+    `_WORDS_FOR`."""
     if pattern.startswith(r"[^\x00-\x1f]"):
         limit = pattern.rpartition(",")[2].rstrip("}")
         return f"write it on one line, 1 to {limit} characters without control characters"
@@ -220,8 +223,8 @@ def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: st
 class QuantityOf:
     """A number with a unit of the named dimension (None: any).
 
-    uncertain: whether an uncertainty may be stated because results use it. elsewhere: if it may not, a text that says where to
-    state the uncertainty.
+    uncertain: True if an uncertainty may be stated; results then use it. elsewhere: if an uncertainty may not be stated here, a
+    text that says where to state it.
     """
 
     dimension: str | None
@@ -249,7 +252,7 @@ class QuantityOf:
 
 @dataclass(frozen=True, slots=True)
 class ListOf:
-    """A list. single: one item may be written without a list. maximum: 0 means any number."""
+    """A list. single: True if one item may be written without a list. maximum: largest number of items; 0 means any number."""
 
     item: Kind
     single: bool = False
@@ -291,7 +294,8 @@ class ListOf:
 
 @dataclass(frozen=True, slots=True)
 class MapOf:
-    """A mapping from names to values of one kind; `names` restricts the names. of_channels: the names are channels of the sensor."""
+    """A mapping from names to values of one kind. names: the only permitted names; if empty, all names that match `pattern` are
+    permitted. of_channels: True if the names are channels of the sensor."""
 
     item: Kind
     names: tuple[str, ...] = ()
@@ -322,9 +326,10 @@ class MapOf:
 
 @dataclass(frozen=True, slots=True)
 class ByShape:
-    """Separate kinds for a scalar, a mapping and a list. A form without a kind is refused.
+    """A value whose kind depends on the form of the node: there are separate kinds for a scalar, a mapping and a list. A node is
+    refused if there is no kind for its form.
 
-    A mapping with the key `value` counts as a quantity if a scalar would be one.
+    A mapping with the key `value` is read like a scalar if scalars are quantities here.
     """
 
     scalar: Kind | None = None
@@ -363,9 +368,10 @@ class WordOr:
 
 
 class Origin:
-    """Places of the keys of a record in its file. Empty for records made in code.
+    """The places of the keys of a record in its file. Empty for records made in code.
 
-    broken: keys with values that could not be read completely. meant: absent key → unknown keys that may be misspellings of it.
+    broken: keys whose values could not be read completely. meant: absent key → places of the unknown keys that may be misspellings
+    of the absent key.
     """
 
     def __init__(
@@ -379,7 +385,7 @@ class Origin:
         self.meant = meant
 
     def __getstate__(self) -> dict[str, object]:
-        """The state without the nodes, because the parser's marks in them cannot be pickled."""
+        """The state for pickling. It lacks the nodes, because the marks of the parser in them cannot be pickled."""
         return {"_node": None, "broken": self.broken, "meant": dict(self.meant), "mark": self.mark, "keys": self.keys}
 
     @cached_property
@@ -388,8 +394,8 @@ class Origin:
 
     @cached_property
     def keys(self) -> Mapping[str, Mark]:
-        """The places by key: `report` is the place where the value of that key begins, `report[1]` the place of the second entry of
-        its list, and `limits.x` the place of the value of `x` in its mapping."""
+        """The place of each key: `report` is the place where the value of that key begins, `report[1]` the place of the second
+        entry of its list, and `limits.x` the place of the value of `x` in its mapping."""
         marks: dict[str, Mark] = {}
         for name, item in self._node.entries if self._node else ():
             marks[name.text] = _used(name, item)
@@ -408,13 +414,13 @@ class Origin:
         return marks
 
     def parts(self, key: str) -> tuple[Mark, ...]:
-        """The places that determine the value of a key: the place of the value, or the unknown keys that may be misspellings of the
-        key."""
+        """The places that determine the value of a key: the place of the value or, if the key is absent, the places of the unknown
+        keys that may be misspellings of the key."""
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
-        """The mark of a key or of an entry of its list or mapping. If it has no mark, the mark of the key, otherwise the mark of
-        the record."""
+        """The mark of a key, or of an entry in its list or mapping. If an entry has no mark, the mark of its key is returned; if
+        the key has no mark either, the mark of the record."""
         if key in self.keys:
             return self.keys[key]
         return self.keys.get(key.partition("[")[0].partition(".")[0], self.mark)
@@ -434,9 +440,10 @@ def key(
     fallback: Any = None,
     traits: object = None,
 ) -> Any:
-    """A dataclass field that is also a key of the language. Every key has a description and an example; name: its spelling in YAML
-    if that is not a Python name. fallback: value that replaces a required value if this is missing or wrong, so that the rest of
-    the record can still be checked. traits: properties that the module of the record needs, such as whether the key may be swept."""
+    """A dataclass field that is also a key of the language. Every key has a description and an example. name: spelling of the key
+    in YAML, if this spelling is not a valid Python name. fallback: value that replaces a required value that is missing or wrong,
+    so that the rest of the record can still be checked. traits: properties that the module of the record needs, such as whether the
+    key may be swept."""
     metadata = {
         "kind": kind,
         "description": description,
@@ -495,8 +502,8 @@ def is_required(item: dataclasses.Field[Any]) -> bool:
 def read_keys(
     node: source.Mapping, fields: Mapping[str, dataclasses.Field[Any]], log: Findings, passed: Iterable[str] = ()
 ) -> tuple[JsonObject, Origin]:
-    """Values of the given keys by Python name, and their places. Unknown and missing keys become findings. Keys in `passed` are read
-    elsewhere."""
+    """Reads the values of the given keys; returns the values by Python name, and their places. Unknown and missing keys become
+    findings. Keys in `passed` are permitted, but other code reads them."""
     values: JsonObject = {}
     broken: set[str] = set()
     known, given = dict.fromkeys((*fields, *passed)), {name.text for name, _ in node.entries}
@@ -525,10 +532,11 @@ def read_keys(
 def _meant(
     node: source.Mapping, known: Collection[str], missing: Sequence[str]
 ) -> tuple[dict[str, tuple[Mark, ...]], dict[str, str]]:
-    """For each absent key, the unknown keys that may be misspellings of it; and the message for each unknown key.
+    """For each absent key, the unknown keys that may be misspellings of it; also the hint for each unknown key.
 
-    An unknown key counts as a misspelling of the absent key that it resembles. If it resembles none, it may mean any optional key.
-    It may also mean a missing key if there are at least as many such unknown keys as missing keys.
+    An unknown key counts as a misspelling of the absent key that it resembles. An unknown key that resembles no absent key may mean
+    any optional key. It may also mean a required key if the number of such unknown keys is at least the number of required keys
+    that are missing.
     """
     unknown = {name.text: name.mark for name, _ in node.entries if name.text not in known}
     if not unknown:
@@ -563,7 +571,7 @@ def _meant(
 
 
 def inline(example: Any) -> str:
-    """An example as written in a plan, on one line."""
+    """An example value on one line, as a plan would state it."""
     if isinstance(example, Mapping):
         return "{" + ", ".join(f"{name}: {inline(value)}" for name, value in example.items()) + "}"
     if isinstance(example, list | tuple):
@@ -575,14 +583,15 @@ def inline(example: Any) -> str:
 
 
 def _used(key: source.Scalar, value: source.Node) -> Mark:
-    """The place where a value is used. The value of an alias is placed at its anchor, before the key; the place of the key is then
-    returned."""
+    """The place where a value is used. The value of an alias has the place of its anchor, which is before the key; in that case the
+    place of the key is returned."""
     return key.mark if value.precedes(key) else value.mark
 
 
 @dataclass(frozen=True, slots=True)
 class RecordOf:
-    """A mapping read into a `Record`. `check(record, log)` may add findings that concern several keys."""
+    """A mapping that is read into a `Record`. check: function of the record and the log that may add findings about several keys
+    together."""
 
     record: type[Record]
     check: Callable[[Any, Findings], None] | None = None
@@ -608,7 +617,7 @@ class RecordOf:
 
 
 def object_schema(fields: Mapping[str, dataclasses.Field[Any]], closed: bool = True) -> Schema:
-    """A JSON Schema object: every key with its description and an example."""
+    """The JSON Schema of a mapping: every key with its description and an example."""
     properties = {}
     for name, item in fields.items():
         meta = item.metadata
@@ -623,7 +632,7 @@ def object_schema(fields: Mapping[str, dataclasses.Field[Any]], closed: bool = T
 
 
 class Plugin(Protocol):
-    """Interface of a plug-in class for `Plugged`: the record of its parameters."""
+    """Interface of a plug-in class for `Plugged`: it has a record of its parameters."""
 
     Parameters: type[Record]
 

@@ -69,7 +69,7 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
 
 
 def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
-    """Adds one finding for each name that is not an estimate, regardless of how often it is used."""
+    """Adds one finding for each name that is not the name of an estimate, regardless of how often the name is used."""
     unknown: dict[str, list[Mark]] = {}
     for spec in plan.estimates.values():
         for index, other in enumerate(spec.uses):
@@ -86,7 +86,8 @@ def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
 
 
 def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Labels, log: Findings) -> set[int]:
-    """Checks the selected segments. A pattern that matches none gives one finding, regardless of how often it is written."""
+    """Checks the selected segments. A pattern that matches no segment gives one finding, regardless of how often the pattern is
+    written."""
     chosen: set[int] = set()
     undefined: dict[str, list[Mark]] = {}
     for spec in specs:
@@ -108,7 +109,7 @@ def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Lab
 
 
 def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findings) -> None:
-    """Adds one warning for each place that defines unused segments, regardless of their number."""
+    """Adds one warning for each place in the plan that defines unused segments, regardless of the number of these segments."""
     unused: dict[Mark, list[str]] = {}
     for index, segment in enumerate(segments):
         if index not in used and not segment.conditioning:
@@ -168,10 +169,10 @@ def _check_limit(limit: Limit, log: Findings) -> None:
 
 
 def check_channels(parameters: Record, outputs: Collection[str] | None, log: Findings) -> None:
-    """Adds findings about channels that the sensor does not have or that are named twice.
+    """Adds a finding for each channel that the sensor does not have, and for each channel that is named twice.
 
-    outputs: outputs of the sensor; None if it is not known what will be recorded. Default channels of an estimator, which the plan does not
-    name, may be missing: the estimator decides whether it needs them.
+    outputs: names of the sensor's outputs; None if it is not known what will be recorded. An estimator's default channels, which
+    the plan does not name, may be absent from the outputs: the estimator decides whether it needs them.
     """
     seen: set[str] = set()
     for key, place, channel in _named(parameters):
@@ -192,7 +193,7 @@ def channels_of(parameters: Record) -> tuple[str, ...]:
 
 
 def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
-    """Key, place in the file and channel."""
+    """Every channel that the parameters name, after its key and the path of its value, for example `channels[1]`."""
     for key, name, kind in _naming(type(parameters)):
         value = getattr(parameters, name)
         if isinstance(kind, ListOf):
@@ -206,7 +207,7 @@ def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
 
 
 def _naming(parameters: type[Record]) -> tuple[tuple[str, str, Kind], ...]:
-    """The keys whose values name channels, with their names in the record and their kinds."""
+    """The keys whose values name channels, each with its name in the record and its kind."""
     if parameters not in _NAMING:
         kinds = [(key, item.name, item.metadata["kind"]) for key, item in keys_of(parameters).items()]
         _NAMING[parameters] = tuple(

@@ -171,7 +171,8 @@ class MountedAxis(Record):
 
     @property
     def direction(self) -> tuple[float, float, float]:
-        """Unit vector in the sensor's frame, whose z axis lies along the rotation axis; an azimuth that is not stated counts as zero."""
+        """The direction as a unit vector in the sensor's frame, whose z axis lies along the rotation axis. An azimuth that is not
+        stated counts as zero."""
         angle, azimuth = self.angle.value, self.azimuth.value if self.azimuth else 0.0
         across = math.sin(angle)
         return across * math.cos(azimuth), across * math.sin(azimuth), math.cos(angle)
@@ -213,7 +214,8 @@ class EstimateSpec(Record):
 
 
 class SymmetricKind:
-    """A symmetric bound, `±0.5 deg/h`, kept as written. dimension: of its unit, if it must be a certain one."""
+    """A symmetric bound, `±0.5 deg/h`, kept as written. dimension: the dimension that the unit of the bound must have; None if any
+    dimension is permitted."""
 
     def __init__(self, dimension: str | None = None):
         self.dimension = dimension
@@ -385,7 +387,8 @@ class Plan(Record):
 
 
 def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan | None, Findings]:
-    """The plan in a document, as far as it can be read, and the findings about it (added to `log`, if given).
+    """Reads the plan in a document as far as possible; returns it with the findings about it, which are added to `log` if it is
+    given.
 
     A part with an error is omitted (a segment is marked as not sound), so that all other parts can still be checked.
     """
@@ -401,7 +404,8 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
 
 
 def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
-    """The plan in `text` and all findings about it. shown: file name in findings. Never raises because of the content."""
+    """Reads the plan in `text`; returns it with all findings about it. shown: file name that findings state. No content of the text
+    makes it raise an error."""
     log = Findings()
     try:
         root = source.parse(text, shown, log)

@@ -1,7 +1,7 @@
 """Converts the motion in a plan to the motion of a schedule, with the checks that concern only motion.
 
-Cycles of turns and stops are followed move by move. Each move must start where the previous one ended and end at its stated position, and
-the cycle must not wind up cables.
+Cycles of turns and stops are checked move by move. Each move must start where the previous one ended and end at its stated
+position, and the cycle must not wind up cables.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _FORMS = "rate, rock, cycle and recorded"
 
 
 def motion_of(state: State, marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
-    """The motion of one segment; None after a finding."""
+    """The motion of one segment; None after a finding was added."""
     if state.rate is not None:
         return Spin(state.rate.value) if state.rate.value else Rest()
     motion = state.motion
@@ -160,7 +160,7 @@ def _cycle(motion: model.MotionSpec, sign: float, log: Findings) -> Cycle | None
 def _check_positions(
     moves: list[Move], positions: Mapping[str, float], motion: model.MotionSpec, log: Findings
 ) -> None:
-    """Adds one finding for each name that is not a position, regardless of the number of moves that use it."""
+    """Adds one finding for each name that is not the name of a position, regardless of the number of moves that use it."""
     users: dict[str, list[int]] = {}
     for index, move in enumerate(moves):
         for name in dict.fromkeys((move.start, move.end)):
@@ -206,6 +206,6 @@ def _degrees(angle: float) -> str:
 
 
 def _turns(positions: Mapping[str, float], move: Move) -> str:
-    """The two rotations that end at the position: the short way and the long way."""
+    """The two rotations that lead to the end position of a move, in words: the short way and the long way."""
     short = round(math.degrees(math.remainder(positions[move.end] - positions[move.start], TURN)), 6)
     return f"{short:+g} or {short - math.copysign(360, short):+g} deg"

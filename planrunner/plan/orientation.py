@@ -29,15 +29,15 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """An orientation. text: as reviewed; matrix: (3, 3) as nested tuples, rows are the sensor axes in East-North-Up, or None for
-    unknown."""
+    """An orientation. text: the orientation in words, for reviewers; matrix: shape (3, 3) as nested tuples, whose rows are the
+    sensor's axes in East-North-Up; None if the orientation is unknown."""
 
     text: str
     matrix: tuple[tuple[float, ...], ...] | None
 
     @property
     def attitude(self) -> Matrix | None:
-        """The attitude as a read-only array, because segments share it."""
+        """The matrix as an array, which is read-only because segments share it."""
         return None if self.matrix is None else _array(self.matrix)
 
 
@@ -57,7 +57,7 @@ def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
 
 
 def as_mapping(attitude: Matrix) -> str | None:
-    """The orientation as in a plan, `{x: up, y: north, z: west}`; None if an axis points in a direction without a word."""
+    """The orientation as a plan states it, `{x: up, y: north, z: west}`; None if an axis points in a direction without a word."""
     words = [word_of(row) for row in attitude]
     return (
         None
@@ -71,7 +71,8 @@ def _pointing(row: Matrix | Direction, tolerance: float = 1e-9) -> str:
 
 
 def rotation(axis: int, angle: float) -> Matrix:
-    """Sensor-to-sensor rotation by `angle` [rad] about sensor axis 0, 1 or 2: v_new = R @ v_old components."""
+    """The matrix R of a rotation by `angle` [rad] about the sensor's axis 0, 1 or 2. It converts components in the axes before the
+    rotation to components in the axes after it: v_new = R @ v_old."""
     c, s = math.cos(angle), math.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     result = np.eye(3)
@@ -180,7 +181,7 @@ _TURNED = ("from", "rotate")
 
 @lru_cache(maxsize=1024)
 def _sound(words: tuple[tuple[str, object], ...]) -> Orientation | None:
-    """The orientation that these words give; None if something is wrong with them."""
+    """The orientation that these words describe; None if they do not describe a valid orientation."""
     nowhere = Written("")
     entries = [(Scalar(key, key, nowhere), Scalar(str(word), str(word), nowhere)) for key, word in words]
     return _read_words(Mapping(tuple(entries), nowhere), Findings())
@@ -237,7 +238,8 @@ def _right_handed(given: dict[str, Direction], node: Mapping, log: Findings) -> 
 
 @lru_cache(maxsize=256)
 def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[float, ...], ...], str, bool]:
-    """The complete set of axes from two or three perpendicular ones, in words, and whether it is right-handed."""
+    """The three axes that follow from two or three perpendicular ones, as rows in East-North-Up and in words; also whether they are
+    right-handed."""
     known = dict(given)
     rows = [np.array(known[axis], dtype=float) if axis in known else None for axis in AXES]
     for index in range(3):
@@ -248,7 +250,8 @@ def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[fl
 
 
 def _repairs(matrix: Matrix) -> list[str]:
-    """The right-handed orientations that differ from these words by one mistake: two axes exchanged, or one reversed."""
+    """The right-handed orientations, in words, that differ from a left-handed `matrix` by one mistake: two axes exchanged, or one
+    axis reversed."""
     repairs = []
     for i, j in ((1, 2), (0, 1), (0, 2)):
         swapped = matrix.copy()

@@ -1,7 +1,8 @@
-"""Parameters of a plan: its values with a YAML anchor, such as `dwell: &dwell 2 min`. A run or a suite may replace them.
+"""Parameters of a plan: the values in its text with a YAML anchor, such as `dwell: &dwell 2 min`. A run or a suite may replace
+these values.
 
-A plan with other values is a different plan. Its text differs only in these values, so every other line keeps its position. The run
-stores this text, and readers of the run need nothing else.
+A plan with other values for its parameters is a different plan. Its text differs only in these values, so every other line keeps
+its position. The run stores this text, and readers of the run need nothing else.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A value for a parameter, and where it was given."""
+    """A value for a parameter, and the place where the value was given."""
 
     value: str
     mark: Mark
@@ -52,7 +53,7 @@ def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """A plan with other values for its parameters. places: parameter → its value in `text`."""
+    """The text of a plan with other values for its parameters. places: parameter → place of its value in `text`."""
 
     text: str
     places: Mapping[str, Mark]
@@ -60,8 +61,8 @@ class Varied:
 
 @dataclass(frozen=True, slots=True)
 class _Anchored:
-    """A value with an anchor. start: of the anchor, as an index into the text. begin, end: of the value without the anchor; both
-    are equal if the value does not fit on one line."""
+    """A value with an anchor. start: index of the anchor in the text. begin, end: indices between which the value stands, without
+    its anchor; they are equal if it is not a single value on one line."""
 
     mark: Mark
     start: int
@@ -71,16 +72,16 @@ class _Anchored:
 
 
 def variant_name(plan: str, parameters: Mapping[str, str]) -> str:
-    """The name of the plan in the archive if it runs with these values. Values of different plans do not belong in one history. The name
-    does not depend on the order in which the values were given."""
+    """The name of the plan in the archive if it runs with these values. A plan with other values is a different plan, so its
+    results belong in another history. The name does not depend on the order in which the values were given."""
     if not parameters:
         return plan
     return f"{plan} ({', '.join(f'{name}={value}' for name, value in sorted(parameters.items()))})"
 
 
 def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
-    """The plan with these values. Raises `InputError` for names that are no parameters of the plan. Text that is not valid YAML is
-    returned unchanged."""
+    """The text of the plan with these values for its parameters. Raises `InputError` for a name that is not a parameter of the
+    plan. Text that is not valid YAML is returned unchanged."""
     log = Findings()
     try:
         found = _anchored(text, file, log)
@@ -117,7 +118,8 @@ def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
 
 
 def _written(value: str, *, quoted: bool) -> str:
-    """A value as YAML text. It is plain if YAML then reads the same text at any place."""
+    """A value as YAML text. Quotes are omitted if `quoted` is False and YAML reads the same text without quotes, wherever the value
+    stands."""
     return value if not quoted and _is_plain(value) else json.dumps(value, ensure_ascii=False)
 
 
@@ -136,7 +138,7 @@ def _is_plain(value: str) -> bool:
 
 
 def _anchored(text: str, file: str, log: Findings) -> dict[str, _Anchored]:
-    """The values with an anchor. A name that belongs to two values is a finding."""
+    """The values with an anchor, by the name of the anchor. A name that belongs to two values causes a finding."""
     found: dict[str, _Anchored] = {}
     for event, is_key in _nodes(text):
         if event.anchor is None:

@@ -71,7 +71,7 @@ class Quantity:
 
     @property
     def shape(self) -> str:
-        """The distribution for a budget: Student's t for a normal distribution with finite degrees of freedom."""
+        """The distribution as an uncertainty budget states it: Student's t instead of normal if the degrees of freedom are finite."""
         return "t" if math.isfinite(self.degrees_of_freedom) and self.distribution == "normal" else self.distribution
 
     def to(self, unit_text: str) -> float:
@@ -80,7 +80,7 @@ class Quantity:
 
 
 class QuantityError(ValueError):
-    """A text is not a quantity: `code`, message and hint."""
+    """A text is not a quantity. The error has a `code`, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = ""):
         super().__init__(message)
@@ -92,7 +92,8 @@ class QuantityError(ValueError):
 
 
 def takes_bare_number(dimension: str | None) -> bool:
-    """Whether a number without a unit is a quantity of this dimension: true for a ratio, and if any dimension is allowed."""
+    """Whether a number without a unit can be a quantity of this dimension: True for a ratio, and for None, which means any
+    dimension."""
     return dimension in (None, "ratio")
 
 
@@ -126,8 +127,8 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
 
 
 def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
-    """Parses `±300, ±150 deg/s` or `10, 20, 30 deg` as quantities; ± gives the positive and then the negative value. Raises
-    `QuantityError`.
+    """Parses the values of a sweep, such as `±300, ±150 deg/s` or `10, 20, 30 deg`; ± stands for the positive value and then the
+    negative value. Raises `QuantityError`.
 
     A unit after the last value applies to values without a unit. A comma must be followed by a space, so that a decimal comma does not
     separate two values.
@@ -183,14 +184,15 @@ def parse_symmetric(text: str) -> Quantity | None:
 
 
 def _parts(text: str) -> re.Match[str] | None:
-    """Number, unit, uncertainty and its unit, as far as they are written; None for a text that is not a quantity."""
+    """The number, its unit, the uncertainty and the unit of the uncertainty, as far as the text contains them; None for a text that
+    is not a quantity."""
     return _grammar(max(text, default="") <= "\xff").fullmatch(text) if len(text) <= _MAX_TEXT else None
 
 
 @cache
 def _grammar(latin: bool) -> re.Pattern[str]:
-    """The grammar of `_parts`. latin: for texts of Latin-1 characters, the usual case, because compiling the full grammar takes
-    milliseconds."""
+    """The regular expression that `_parts` uses. latin: True for a text of Latin-1 characters, the usual case. A smaller expression
+    is then enough; compiling the full one takes milliseconds."""
     return re.compile(re.sub(r"\\u(?!00)[0-9a-f]{4}|[^\x00-\xff]", "", _PARTS) if latin else _PARTS)
 
 
@@ -252,10 +254,10 @@ def _no_quantity(text: str, dimension: str | None) -> QuantityError:
 def read_quantity(
     node: Node, dimension: str | None, log: Findings, uncertain: bool, elsewhere: str = ""
 ) -> Quantity | None:
-    """The quantity in a node, text or mapping. If it adds a finding to `log`, the result is None.
+    """Reads the quantity in a node, which is a text or a mapping. Returns None after a finding was added to `log`.
 
-    uncertain: whether an uncertainty is used; if not, a stated uncertainty is a finding. elsewhere: words that tell where to state
-    the uncertainty instead; '' if nowhere.
+    uncertain: True if results use the uncertainty; if it is False, a stated uncertainty causes a finding. elsewhere: text that says
+    where to state the uncertainty instead; '' if there is no such place.
     """
     if uncertain:
         return _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)
@@ -268,13 +270,13 @@ def read_quantity(
 
 
 def states_uncertainty(text: str) -> bool:
-    """Whether the text of a quantity has a ± with something after it, even zero."""
+    """Whether the text of a quantity has a ± that is followed by anything, even by zero."""
     parts = _parts(text)
     return parts is not None and parts[3] is not None
 
 
 def uncertain_piece(text: str) -> str | None:
-    """The first value of a sweep that states an uncertainty, without its leading ±; None if there is none."""
+    """The first value that states an uncertainty in the text of a sweep, without a leading ±; None if no value states one."""
     pieces = [signed[2] if (signed := _SIGNED.fullmatch(piece)) else piece for piece in text.split(",")]
     return next((piece for piece in pieces if states_uncertainty(piece)), None)
 
@@ -301,7 +303,7 @@ def without_uncertainty(text: str, dimension: str | None = None) -> Quantity:
 
 
 def read_scalar(node: Node, dimension: str | None, log: Findings) -> Quantity | None:
-    """Like `read_quantity`, but only for the text forms."""
+    """The same as `read_quantity`, but only for a quantity that is written as a text."""
     if not isinstance(node, Scalar) or node.value is None or isinstance(node.value, bool):
         found = f", not '{node.text[:40]}'" if isinstance(node, Scalar) and node.text else ", as a text"
         log.error("form-type", node.mark, f"one quantity is expected here{found}", _example(dimension))
@@ -373,7 +375,8 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
 def _width(
     node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
 ) -> tuple[Quantity | None, str]:
-    """The stated half-width and its distribution. misspelt: places of unknown keys."""
+    """The stated standard uncertainty or half-width, and its distribution. misspelt: places of unknown keys, which may be
+    misspellings of the key that is missing here."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:
@@ -415,12 +418,13 @@ def _degrees(node: Mapping, log: Findings) -> float:
 
 
 def anchored(pattern: str) -> str:
-    """A pattern that matches the whole text, in the dialects of JSON Schema and Python ('$' alone would allow a final newline)."""
+    """The pattern in a form that must match the whole text, both in JSON Schema and in Python ('$' alone would allow a final line
+    break)."""
     return rf"^(?:{pattern})$(?!\n)"
 
 
 def text_schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
-    """JSON Schema of a quantity as text; the unit itself is checked by `planrunner check`, which knows units."""
+    """JSON Schema of a quantity that is written as a text. It does not check the unit; `planrunner check` does."""
     if takes_bare_number(dimension):
         pattern = BARE_OR_WITH_UNIT if uncertain else rf"(?:{_PLAIN_BARE}|{PLAIN})"
         return {"type": ["string", "number"], "maxLength": _MAX_TEXT, "pattern": anchored(pattern)}
@@ -457,12 +461,12 @@ def _rich_example(name: str, example: object, dimension: str | None) -> object:
 
 
 def sweep_schema() -> dict[str, object]:
-    """JSON Schema of values swept in one text such as '±300, ±150 deg/s'."""
+    """JSON Schema of a sweep that is written as one text, such as '±300, ±150 deg/s'."""
     pattern = rf"{_SPACE}(?:{_PIECE},{_SPACE_NEEDED})*{_SPACE}(?:{SIGNED}|{PLAIN})"
     description = "Values with a shared unit; ± gives both signs."
     return {"type": "string", "description": description, "maxLength": _MAX_SWEEP, "pattern": anchored(pattern)}
 
 
 def signed_schema() -> dict[str, object]:
-    """JSON Schema of one value with both signs."""
+    """JSON Schema of one value with ± before it, which stands for both signs."""
     return {"type": "string", "maxLength": _MAX_TEXT, "pattern": anchored(SIGNED)}

@@ -1,6 +1,6 @@
 """Generates the reference of all keys, `docs/plan-keys.md`, from the record classes with which plans are read.
 
-`python -m planrunner.plan.reference docs` writes it. A test checks that the file is up to date.
+The command `python -m planrunner.plan.reference docs` writes the file. A test checks that the file is up to date.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ _SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
 
 
 def keys_reference() -> str:
-    """The whole page, with the keys of every installed estimator."""
+    """The whole page of the reference, with the keys of every installed estimator."""
     state = set(keys_of(model.State))
     parts = [_HEAD]
     for title, about, record in _SECTIONS:
@@ -84,7 +84,7 @@ def keys_reference() -> str:
 
 
 def section(title: str, about: str, fields: Mapping[str, dataclasses.Field[object]]) -> str:
-    """One record: its title, a text, and a table of its keys."""
+    """The section about one record: its title, a text, and a table of its keys."""
     if not fields:
         return f"## {title}\n\n{about}\n"
     lines = [f"## {title}", "", about, "", "| key | value | meaning | example |", "|---|---|---|---|"]
@@ -119,7 +119,7 @@ class Described(Protocol):
 
 
 def type_words(kind: Kind) -> str:
-    """Accepted values of a kind, in words."""
+    """The values that a kind accepts, in words."""
     match kind:
         case Text():
             return kind.what

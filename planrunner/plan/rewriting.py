@@ -29,7 +29,8 @@ class RewriteError(ValueError):
 
 @functools.cache
 def cardinal_orientations() -> tuple[Matrix, ...]:
-    """The 24 right-handed attitudes with axes parallel to the site's axes, rows in East-North-Up."""
+    """The 24 right-handed attitudes with axes parallel to the site's axes, as matrices whose rows are the sensor's axes in
+    East-North-Up."""
     found = []
     for first, second in itertools.permutations(CARDINAL.values(), 2):
         if np.dot(first, second) == 0:
@@ -40,8 +41,8 @@ def cardinal_orientations() -> tuple[Matrix, ...]:
 
 
 def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
-    """The orientation as written in a plan: words if the axes are cardinal, otherwise the nearest words and turns about x, y and z
-    in this order."""
+    """The orientation as a plan states it: in words if the axes are cardinal, otherwise in the nearest words with turns about x, y
+    and z in this order."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     turns = [
         f"{axis} {_degrees(angle, decimals)} deg"
@@ -54,7 +55,7 @@ def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
 
 
 def as_written(attitude: Matrix, decimals: int = DECIMALS) -> Matrix:
-    """The attitude described by `orientation_text`, including rounding."""
+    """The attitude that the text from `orientation_text` describes, with its rounded angles."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     result = start
     for axis, angle in enumerate(_turns(start, attitude)):
@@ -81,7 +82,8 @@ def _degrees(angle: float, decimals: int) -> str:
 
 
 def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) -> str:
-    """The text with the values at (line, column) replaced; both count from 1. Raises `RewriteError` if no orientation begins there."""
+    """The text with the orientations that begin at the given (line, column) replaced; lines and columns count from 1. Raises
+    `RewriteError` if no orientation begins at one of these places."""
     spans = []
     known = {(node.start_mark.line + 1, node.start_mark.column + 1): node for node in _mappings(yaml.compose(text))}
     for place, new in replacements.items():
@@ -100,8 +102,8 @@ def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) ->
 def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: Mapping[tuple[int, int], str]) -> str:
     """The text with sweeps over orientations split into separate segments, each with its dwell.
 
-    dwells, orientations: new values for the orientation that begins at (line, column); others stay. Raises `RewriteError` if an orientation
-    is written in another form.
+    dwells, orientations: (line, column) where an orientation begins → its new dwell, or the new orientation. All others stay
+    unchanged. Raises `RewriteError` if an orientation is written in another form.
     """
     left = dict(dwells)
     spans = []
@@ -138,7 +140,8 @@ def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: 
 
 
 def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
-    """The text with the list of moves that begins at (line, column), both from 1, replaced. Raises `RewriteError` if none begins there."""
+    """The text with new moves instead of the list of moves that begins at (line, column), which count from 1. Raises `RewriteError`
+    if no list of moves begins there."""
     for node in _sequences(yaml.compose(text)):
         if (node.start_mark.line + 1, node.start_mark.column + 1) == place and node.value:
             break
@@ -152,10 +155,10 @@ def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
 
 
 def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: Sequence[int] | None = None) -> str:
-    """The text with the sweep over rates that begins at (line, column), both from 1, replaced by others.
+    """The text with other rates in the sweep over rates that begins at (line, column), which count from 1.
 
-    turns: a dwell in whole turns for each rate; the segment with the sweep is then written once for each rate. Raises `RewriteError` if no
-    sweep begins there.
+    turns: for each rate, its dwell in whole turns; the segment with the sweep is then written once for each rate. Raises
+    `RewriteError` if no sweep begins there.
     """
     for item in _mappings(yaml.compose(text)):
         node = _child(_child(item, "for_each"), "rate")
@@ -181,7 +184,7 @@ def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: S
 
 
 def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
-    """The position and the text that append an item to a mapping or list."""
+    """The position at which an item is appended to a mapping or list, and the text to insert there."""
     begin = node.start_mark.index
     end = begin + len(text[begin : last.end_mark.index].rstrip())
     if node.flow_style:
@@ -190,7 +193,7 @@ def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, d
 
 
 def _changed(text: str, begin: int, end: int, changes: Sequence[tuple[yaml.Node, str]]) -> str:
-    """The part of the text from `begin` to `end` with some nodes in it replaced."""
+    """The part of the text from `begin` to `end`, with the nodes in `changes` replaced."""
     part = text[begin:end]
     for node, new in sorted(changes, key=lambda change: -change[0].start_mark.index):
         first, last = node.start_mark.index - begin, node.end_mark.index - begin
@@ -200,7 +203,7 @@ def _changed(text: str, begin: int, end: int, changes: Sequence[tuple[yaml.Node,
 
 
 def _with_key(part: str, entry: str, item: yaml.Node) -> str:
-    """A mapping's text with one more key."""
+    """The text of a mapping with one more key."""
     if isinstance(item, yaml.MappingNode) and item.flow_style:
         return part.rstrip().removesuffix("}").rstrip() + f", {entry}}}"
     return part + "\n" + " " * item.start_mark.column + entry
@@ -228,7 +231,7 @@ def _sequences(root: yaml.Node | None) -> Iterator[yaml.SequenceNode]:
 
 
 def _collections(root: yaml.Node | None) -> Iterator[yaml.Node]:
-    """Every mapping and sequence once, even if aliases refer to it."""
+    """Yields every mapping and every sequence once, even if aliases refer to it."""
     waiting, seen = [root], set()
     while waiting:
         node = waiting.pop()

@@ -1,4 +1,5 @@
-"""Run information that the plan requests (serial number, operator, ambient conditions …). `--set` or a file gives it."""
+"""Run information that the plan requests (serial number, operator, ambient conditions …). The user gives it with `--set` or in a
+file."""
 
 from __future__ import annotations
 
@@ -15,13 +16,13 @@ DEVICE = ("device_serial", "item_identification")
 
 
 def device_of(info: Mapping[str, object]) -> str:
-    """The device that run information names; empty if it names none."""
+    """The name of the device in the run information; empty if it states none."""
     return next((str(info[name]) for name in DEVICE if info.get(name)), "")
 
 
 def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, str]:
-    """All given run information; `--set name=value` takes precedence over the file. Raises `InputError` for missing, unknown or
-    unreadable items."""
+    """All run information that the user gives; `--set name=value` takes precedence over the file. Raises `InputError` for missing,
+    unknown or unreadable items."""
     log = Findings()
     given = _read(settings, file, log)
     _check(plan.record, "add it under record: in the plan", given, log)
@@ -38,7 +39,8 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
 
 
 def gather_for_issue(names: Collection[str], settings: Sequence[str], file: Path | None) -> dict[str, str]:
-    """Run information that is given when a report is issued after the run. names: the permitted items. Raises `InputError`."""
+    """The run information that the user gives when a report is issued after the run. names: the permitted items. Raises
+    `InputError`."""
     log = Findings()
     given = _read(settings, file, log)
     _check(names, "docs/certificates.md lists the names that a certificate uses", given, log)

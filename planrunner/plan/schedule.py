@@ -29,10 +29,11 @@ class Spin:
 
 @dataclass(frozen=True, slots=True)
 class Rock:
-    """angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad] on the table's rings, outermost first, for `duration` s.
+    """Sinusoidal rocking of the table's rings: angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad].
 
-    t: time since the record began, s. The rocking fades in over a period before `steady` and fades out over a period after `steady`
-    + `duration`. delay: time at rest at the beginning of the record, s; without it, the rocking fades in before the record begins.
+    It lasts `duration` s at full amplitude. The outermost ring is first. t: time since the record began, s. The rocking fades in
+    during one period before `steady`, and fades out during one period after `steady` + `duration`. delay: time at rest at the
+    beginning of the record, s; if it is zero, the rocking fades in before the record begins.
     """
 
     amplitude: float
@@ -73,7 +74,8 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """Turns and stops repeated during the dwell: stop for `stop` s at each position, then turn at `rate` rad/s."""
+    """Turns and stops that are repeated during the dwell: the table stops for `stop` s at each position, then turns at `rate`
+    rad/s."""
 
     positions: Mapping[str, float]
     moves: tuple[Move, ...]
@@ -83,12 +85,12 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMotion:
-    """A motion that no table was commanded to make. Channels of the recording show it.
+    """A motion that no table was commanded to make, and that channels of the recording show.
 
-    angle: the encoder of an axis along the site direction `about`, zero in the segment's orientation. attitude: four channels of a unit
-    quaternion from the sensor's axes to East-North-Up, real part first. rates, forces: three channels each, of angular rate and of specific
-    force along the sensor's x, y, z. At least one of these is stated. averaging: s, over which outputs and motion are averaged; 0 for the
-    samples as they are.
+    angle: channel of the encoder of an axis along the site direction `about`; the angle is zero in the segment's orientation.
+    attitude: the four channels of a unit quaternion from the sensor's axes to East-North-Up, real part first. rates, forces: three
+    channels of angular rate and three channels of specific force along the sensor's x, y, z. At least one of these is stated.
+    averaging: time over which outputs and motion are averaged, s; 0 if the samples are used as they are.
     """
 
     angle: str = ""
@@ -109,8 +111,9 @@ Motion = Rest | Spin | Rock | Cycle | RecordedMotion
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """When readings count as settled. limits: reading → largest value, SI, such as `temperature_drift` in K/s. duration:
-    uninterrupted time within the limits, s; patience: time after which the readings should have settled, s."""
+    """When readings count as settled. limits: reading → largest permitted value, SI, for example of `temperature_drift` in K/s.
+    duration: how long the readings must stay within the limits without interruption, s; patience: time after which the readings
+    should have settled, s."""
 
     limits: Mapping[str, float]
     duration: float
@@ -119,9 +122,9 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Conditions while a segment records. limits: as for `Stability`; lost, corrupt: permitted fraction of the frames, None for any;
-    doubts: whether an instrument's doubts about its samples count as an exceeded limit; retakes: how often the segment may be repeated
-    after a limit was exceeded."""
+    """Conditions that must hold while a segment records. limits: as for `Stability`. lost, corrupt: permitted fractions of lost and
+    of corrupt frames; None if any fraction is permitted. doubts: True if an instrument's doubts about its samples count as an
+    exceeded limit. retakes: how often the segment may be repeated after a limit was exceeded."""
 
     limits: Mapping[str, float] = field(default_factory=dict)
     lost: float | None = None
@@ -134,17 +137,17 @@ class Watch:
 class Segment:
     """One state to reach and hold while recording.
 
-    attitude: shape (3, 3), rows are the sensor's x, y, z axes in site East-North-Up, so v_sensor = attitude @ v_site; at the start
-        of the motion; None if the plan says `unknown`.
+    attitude: attitude at the start of the motion, shape (3, 3); its rows are the sensor's x, y, z axes in East-North-Up of the site, so
+        v_sensor = attitude @ v_site; None if the plan says `unknown`.
     temperature, ramp_to: K; `temperature` is None for a ramp. kept_temperature: temperature [K] at which the chamber has kept the sensor
-        since an earlier segment. None before the first such segment, and on a bench that plays back a recording.
-    supply_voltage: V; ambient_pressure: Pa; None if the plan does not state them.
-    soak, settle, dwell, transition, start: s. `dwell` is None for the length of the recording; `transition` is the planned time to
-        reach the state (moves, spin-up, temperature); `start` is the planned beginning of the dwell since the run began.
-    sample_rate: Hz, None for the sensor's own rate.
-    mode: of the sensor; None if the plan does not set it.
+        since an earlier segment; None if no earlier segment states a temperature, and on a bench that plays back a recording.
+    supply_voltage: V; ambient_pressure: Pa; each is None if the plan does not state it.
+    soak, settle, dwell, transition, start: s. `dwell` is None if it is the length of the recording; `transition` is the planned time to
+        reach the state (moves, spin-up, temperature); `start` is the planned time from the beginning of the run to that of the dwell.
+    sample_rate: Hz; None for the sensor's own rate.
+    mode: operating mode of the sensor; None if the plan does not set it.
     on_break: what happens to a segment interrupted by a crash: 'retake' repeats it, 'keep' keeps the recorded part.
-    stable: readings that must be steady before `settle` ends; soaked: the same for `soak`; empty if the time alone decides. watch:
+    stable, soaked: readings that must be steady before the waits `settle` and `soak` end; None for a wait of fixed length. watch:
         conditions during the dwell. prompts: prompts to the operator before the segment.
     marks: places of the keys in the plan, for messages.
     """
@@ -175,7 +178,7 @@ class Segment:
 
     @property
     def waiting(self) -> float:
-        """Planned time between the state being reached and the dwell, s."""
+        """Planned time from reaching the state to the beginning of the dwell, s."""
         return self.soak + self.settle
 
     @property
@@ -185,8 +188,8 @@ class Segment:
 
     @property
     def begins_at(self) -> float | None:
-        """Temperature [K] at the beginning of the dwell: the stated one, otherwise the one that the chamber keeps; None if it is
-        not known."""
+        """Temperature [K] at the beginning of the dwell: the stated temperature, otherwise the temperature at which the chamber
+        keeps the sensor; None if neither is known."""
         return self.kept_temperature if self.temperature is None else self.temperature
 
     @property

@@ -272,8 +272,8 @@ class Ramp(Record):
 class State(Record):
     """A state to reach and hold. Nested steps inherit the keys that they do not set.
 
-    A new key is declared here, with its traits: schema, reading, inheritance, sweeps, labels and the reference of keys follow. The
-    behaviour of the bench is defined in the schedule.
+    A new key is declared only here, with its traits; the schema, reading, inheritance, sweeps, labels and the reference of keys
+    follow from this. The behaviour of the bench is defined in the schedule.
     """
 
     orientation: Orientation | None = optional(
@@ -370,7 +370,7 @@ class State(Record):
 
 
 class SegmentKind:
-    """A segment. Its steps are segments too."""
+    """The kind of value of a segment. The steps of a segment are segments too."""
 
     def read(self, node: source.Node, log: Findings) -> SegmentSpec | None:
         before = log.raised

@@ -1,4 +1,4 @@
-"""Choosing segments for an estimate: by label patterns, or by finding spans in the data."""
+"""Selects the segments for an estimate: by patterns of their labels, or by detecting spans in the data."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Detection(Record):
 
 
 class SelectionKind:
-    """`P*`, `[P*, V1]` or `{detect: still, …}`."""
+    """The kind of value of a selection: `P*`, `[P*, V1]` or `{detect: still, …}`."""
 
     def read(self, node: source.Node, log: Findings) -> tuple[str, ...] | Detection | None:
         if isinstance(node, source.Mapping):
@@ -53,14 +53,15 @@ class SelectionKind:
 
 
 def matches(label: str, pattern: str) -> bool:
-    """Whether a pattern matches a label. A pattern with '/' is compared with the whole label, others with each of its parts."""
+    """Whether a pattern matches a label. A pattern with '/' is compared with the whole label; any other pattern is compared with
+    each part of the label."""
     if "/" in pattern:
         return fnmatchcase(label, pattern)
     return any(fnmatchcase(part, pattern) for part in label.split("/"))
 
 
 def select(labels: Sequence[str], patterns: Sequence[str]) -> list[int]:
-    """Indices of the labels that match any pattern, in the order of the labels."""
+    """Indices of the labels that match at least one pattern, in the order of the labels."""
     return list(_selected(tuple(labels), tuple(patterns)))
 
 
@@ -71,15 +72,15 @@ def _selected(labels: tuple[str, ...], patterns: tuple[str, ...]) -> tuple[int, 
 
 
 def spelt_alike(recorded: str, planned: str) -> bool:
-    """Whether a recorded label equals the planned label, or was made from the same value by an older rule for signs in labels."""
+    """Whether a recorded label equals the planned label apart from plus signs, which labels made by an older rule lack."""
     return recorded == planned or recorded.replace("+", "") == planned.replace("+", "")
 
 
 def closest_label(label: str, known: Iterable[str]) -> str:
-    """A hint with the known label or pattern that a label or pattern probably means.
+    """A hint with the known label or pattern that was probably meant.
 
-    Labels that differ only in plus signs are closest. The table of a recording, or a plan written for another rule, may lack the
-    sign of a sweep's label. Such labels are suggested, not matched.
+    Labels that differ only in plus signs are closest. The table of a recording, or a plan written for an older rule, may lack the
+    plus sign in the label of a sweep. Such a label is only suggested; it does not count as a match.
     """
     names = list(known)
     bare = label.replace("+", "")

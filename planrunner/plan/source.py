@@ -46,14 +46,14 @@ _SPECIAL = {
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A text as it was written. file: its name in findings."""
+    """A text with the name of its file. file: the file name that findings state."""
 
     file: str
     text: str | None = None
 
 
 class Position(Protocol):
-    """A place in a text in the form of the parser's marks. Lines and columns count from 0."""
+    """A place in a text, with the fields of a mark of the YAML parser. Lines and columns count from 0."""
 
     @property
     def line(self) -> int: ...
@@ -63,7 +63,7 @@ class Position(Protocol):
 
 
 class _Placed:
-    """A part of a text. begin, end: None for a part that was never written.
+    """A part of a text. begin, end: the places where the part begins and ends; None for a part that was made in code.
 
     Its `mark` is made only on request, because a plan has hundreds of nodes and few of them are named in a finding.
     """
@@ -88,7 +88,8 @@ class _Placed:
 
 
 class Scalar(_Placed):
-    """A scalar: `text` as written, `value` by YAML 1.2 core meaning (a quoted scalar is always a string)."""
+    """A scalar: `text` is the text as written, `value` is its value in the core schema of YAML 1.2 (a quoted scalar is always a
+    string)."""
 
     __slots__ = ("text", "value")
 
@@ -150,7 +151,7 @@ def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> 
 
 
 def refused_input(refused: RefusedFileError, name: str) -> InputError:
-    """The finding about a file that is refused. name: file name in the finding."""
+    """The finding about a file that is refused. name: file name that the finding states."""
     mark, message, hint = Mark(name), str(refused), refused.hint
     match refused.kind:
         case "missing":
@@ -167,7 +168,7 @@ def refused_input(refused: RefusedFileError, name: str) -> InputError:
 
 
 def decode(data: bytes, name: str) -> str:
-    """The text of a UTF-8 file, with or without a byte-order mark. Raises `InputError`. name: file name in findings."""
+    """Decodes a UTF-8 file, with or without a byte-order mark. Raises `InputError`. name: file name that findings state."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -184,14 +185,14 @@ def read_text(path: Path, shown: str | None = None) -> str:
 
 
 def load(path: Path, shown: str | None = None, log: Findings | None = None) -> Mapping:
-    """The mapping in a file. Raises `InputError` with `file:line:column` if it cannot be read (see `parse`)."""
+    """Reads the mapping in a file. Raises `InputError` with `file:line:column` if it cannot be read (see `parse`)."""
     return parse(read_text(path, shown), shown or str(path), log)
 
 
 def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
-    """The mapping in `text`. file: file name in findings.
+    """Parses the mapping in `text`. file: file name that findings state.
 
-    Raises `InputError`. With `log`, faults such as duplicate keys, after which the rest is still readable, are added to it instead.
+    Raises `InputError`. If `log` is given, faults that leave the rest readable, such as duplicate keys, are added to it instead.
     """
     if forbidden := _forbidden(text):
         raise _not_allowed(forbidden[0], _mark_at(text, forbidden.start(), file))
@@ -223,7 +224,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
 
 
 def _forbidden(text: str) -> re.Match[str] | None:
-    """The first character that is not allowed in the text of a file, nor as an escape; None if there is none."""
+    """The first character in the text that a file must not contain, directly or as an escape; None if there is none."""
     return _FORBIDDEN.search(text) or MISLEADING.search(text)
 
 
@@ -284,8 +285,8 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
 
 @dataclass(slots=True)
 class _Open:
-    """A sequence or mapping that is not complete yet. around: the preceding nodes of the collection that contains it; before:
-    number of all preceding nodes, counting aliases in full."""
+    """A sequence or mapping that is not complete yet. around: the nodes that precede it in the collection that contains it; before:
+    number of all nodes that precede it in the file, where an alias counts as all the nodes that it stands for."""
 
     start: yaml.CollectionStartEvent
     around: list[Node]
@@ -379,8 +380,8 @@ class _Builder:
         self._put(node, None, size)
 
     def _put(self, node: Node, anchor: str | None, size: int, inside: int = 0) -> None:
-        """Adds a node to the open collection. size: number of nodes that it adds, counting aliases in full; inside: number of its
-        nodes that are already counted."""
+        """Adds a node to the open collection. size: number of nodes that it adds, where an alias counts as all the nodes that it
+        stands for; inside: number of nodes within it that have already been counted."""
         self._nodes += 1
         self._written_out += size
         if self._nodes > MAX_NODES:
@@ -424,7 +425,7 @@ class _Builder:
 
 
 def _sound(pairs: tuple[tuple[Node, Node], ...]) -> TypeGuard[tuple[tuple[Scalar, Node], ...]]:
-    """Whether the keys of a mapping are different texts, and none is a merge key."""
+    """Whether all keys of a mapping are scalars with different texts, and none of them is a merge key."""
     names = {key.text for key, _ in pairs if type(key) is Scalar}
     return len(names) == len(pairs) and "<<" not in names
 
@@ -442,7 +443,7 @@ def _resolve(text: str) -> str | int | float | bool | None:
 
 
 def plain(node: Node) -> Json:
-    """The node as plain Python data for a JSON Schema validator."""
+    """A node as plain Python data, for a JSON Schema validator."""
     if isinstance(node, Scalar):
         return node.value
     if isinstance(node, Sequence):

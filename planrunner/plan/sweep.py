@@ -1,11 +1,11 @@
-"""`for_each`: sweeps over states. Several keys multiply, the first changing slowest.
+"""`for_each`: sweeps over states. Several keys give all combinations of their values; the first key changes slowest.
 
 for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
 for_each: {temperature: [-40 degC, 20 degC]}
 for_each: {orientation: {P1: {x: up, y: north}, …}}     names become labels
 
-A label depends only on its value, never on the other values, so that adding, removing or splitting values renames no segment. References to
-labels, tables of recordings and plans written by a design stay valid. This gives one rule for signs:
+A label depends only on its value, never on the other values, so that adding, removing or splitting values renames no segment.
+References to labels, tables of recordings and plans written by a design stay valid. Signs therefore follow one rule:
 
 - a rate always has its sign, for it is the sense of rotation (`R+10`, `R-10`);
 - any other quantity has a sign below zero only, as engineers write it (`20degC`, `-40degC`);
@@ -42,7 +42,8 @@ from planrunner.plan.quantity import (
 
 @dataclass(frozen=True, slots=True)
 class SweepValue:
-    """One value of a sweep. name: its part of the label; short: text that replaces a label's {placeholder}."""
+    """One value of a sweep. name: the part of a label that the value gives; short: the text that replaces a {placeholder} in a
+    label."""
 
     name: str
     short: str
@@ -69,7 +70,7 @@ class Sweep:
         return size
 
     def combinations(self, order: str, seed: int) -> Iterator[tuple[SweepValue, ...]]:
-        """Every combination, one value per axis, in the given order."""
+        """Every combination of the values, with one value for each swept key, in the given order."""
         rows = list(_product(self.axes, serpentine=order == "serpentine"))
         if order == "reversed":
             rows.reverse()
@@ -94,10 +95,10 @@ def _product(axes: tuple[SweepAxis, ...], serpentine: bool) -> Iterator[tuple[Sw
 class StateTraits:
     """Properties of a key of a state in addition to its value.
 
-    swept: whether `for_each` accepts it. directed: whether the sign of its quantity is a direction, so that labels show + as well
-    as −. decisive: whether the rest of the segment cannot be checked if its value cannot be read. replaces: the key that states the
-    same thing in another form. A segment has only one of the two, and setting one replaces an inherited value of the other.
-    sweep_example: an example of a sweep, if the example of one value does not show it.
+    swept: True if `for_each` accepts the key. directed: True if the sign of the quantity is a direction, so that labels show + as
+    well as −. decisive: True if a value that could not be read prevents the checks of the rest of the segment. replaces: the key
+    that states the same thing in another form. A segment has only one of these two keys, and setting this key removes an inherited
+    value of the other key. sweep_example: an example of a sweep, if the example of one value does not show how to write a sweep.
     """
 
     swept: bool = False
@@ -108,13 +109,13 @@ class StateTraits:
 
 
 def traits_of(state: type[Record]) -> dict[str, StateTraits]:
-    """Key → traits, in the order of declaration."""
+    """The traits of each key of a state, in the order of declaration."""
     return {name: item.metadata["traits"] or StateTraits() for name, item in keys_of(state).items()}
 
 
 @dataclass(frozen=True, slots=True)
 class SweptKey:
-    """A key of a state that `for_each` accepts. quantity: kind of its quantity; None if it is not a quantity."""
+    """A key of a state that `for_each` accepts. quantity: kind of the values if they are quantities; otherwise None."""
 
     name: str
     kind: Kind
@@ -241,7 +242,7 @@ def _values(key: SweptKey, node: source.Node, log: Findings) -> tuple[SweepValue
 
 
 def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[object, Mark]]:
-    """The values of one entry of a list: two for a quantity with both signs."""
+    """The values that one entry of a list gives: two for a quantity with both signs; none after a finding was added."""
     if (
         key.quantity is not None
         and isinstance(item, source.Scalar)
@@ -261,14 +262,15 @@ def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[object
 
 
 def _quantity_kind(kind: Kind) -> QuantityOf | None:
-    """The kind of quantity of a swept key."""
+    """The kind of quantity in the kind of a swept key; None if the values are not quantities."""
     scalar = kind.other if isinstance(kind, WordOr) else kind
     inner = scalar.scalar if isinstance(scalar, ByShape) else scalar
     return inner if isinstance(inner, QuantityOf) else None
 
 
 def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Findings) -> bool:
-    """Whether no value of a sweep states an uncertainty. If one does, it adds a finding, because the uncertainty would not be used."""
+    """Whether no value of a sweep states an uncertainty. If a value states one, a finding is added, because the uncertainty would
+    not be used."""
     piece = uncertain_piece(text)
     if piece is not None:
         refuse_uncertainty(piece, quantity.elsewhere, node.mark, log)
@@ -278,7 +280,8 @@ def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Finding
 def _check_signs(
     key: SweptKey, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
-    """The values that the swept key accepts. For example, a dwell cannot be negative."""
+    """The values with labels, if the swept key accepts their signs; None after a finding was added. For example, a dwell cannot be
+    negative."""
     sign: Sign = "any" if key.quantity is None else key.quantity.sign
     if not all(has_sign(quantity, sign, node.mark, log, key.name) for quantity in quantities):
         return None
@@ -305,7 +308,7 @@ def _named(kind: Kind, node: source.Mapping, log: Findings) -> tuple[SweepValue,
 
 
 def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepValue, ...]:
-    """The values with labels made from their numbers and units. Repeated values get numbers."""
+    """The values with labels made from their numbers and units. The labels of repeated values get numbers."""
     rows: list[SweepValue] = []
     for index, (value, mark) in enumerate(values, start=1):
         if isinstance(value, Quantity):
@@ -323,7 +326,7 @@ def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepVa
 
 
 def _figure(key: SweptKey, quantity: Quantity) -> str:
-    """The number of a swept quantity for its label, in the unit as written. For signs see the docstring of the module."""
+    """The number of a swept quantity for its label, in the unit as written. For signs, see the docstring of the module."""
     figure = f"{quantity.unit.from_si(quantity.value):.9g}"
     if float(figure) == 0:
         return "0"

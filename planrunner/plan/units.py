@@ -1,4 +1,4 @@
-"""Units: interpretation of unit texts by pint with the project's definitions.
+"""Units: pint interprets the texts of units, with the project's own definitions.
 
 The project has its own definitions for three reasons: in this field `g` is standard gravity, not gram; an angle is a dimension, so
 that a frequency in Hz differs from a rate in deg/s; and outputs are in pulses. Common units are listed in `_DAILY`, so that
@@ -293,7 +293,7 @@ def convert(value: float, from_unit: str, to_unit: str) -> float:
 
 
 def dimension_name(dimension: Dimension) -> str:
-    """The usual name of a dimension, or its exponents."""
+    """The usual name of a dimension; if it has none, its base units with their exponents."""
     for name, known in DIMENSIONS.items():
         if known == dimension:
             return name
