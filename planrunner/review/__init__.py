@@ -1,1 +1,1 @@
-"""Review of plans, benches and runs: their meaning, and the difference between two of them."""
+"""Review of plans, benches and runs: the meaning of each, and the difference between two of them."""

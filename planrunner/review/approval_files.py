@@ -9,8 +9,8 @@ Each approval has its own file, so that several reviewers can work in branches. 
 renamed, so that it exists completely or not at all. Names of files come only from the time and the digest, never from a stated
 text.
 
-A run folder contains in `approvals.json` the approvals that counted when the run began, with the canonical meanings that they
-cover.
+The file `approvals.json` of a run folder contains the approvals that counted when the run began, with the canonical meanings that
+they cover.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def approvals_folder(plan: Path) -> Path:
 
 
 def read_approvals(folder: Path) -> tuple[ApprovalRecord, ...]:
-    """Reads all approvals and withdrawals in a folder; none if there is no such folder. Other files in it are ignored.
+    """Reads all approvals and withdrawals in a folder; returns none if the folder does not exist. Other files in it are ignored.
 
-    A file that cannot be read is damaged. Raises `InputError` if the folder itself cannot be read.
+    A file that cannot be read becomes a `DamagedApproval`. Raises `InputError` if the folder itself cannot be read.
     """
     try:
         opened = GuardedFolder.open(folder)
@@ -79,7 +79,8 @@ def _read(folder: GuardedFolder, name: str) -> ApprovalRecord:
 
 
 def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
-    """The plan as it was approved, if its text is available. The caller must compare its digest with that of the approval."""
+    """The plan as it was approved, if its text is available. The caller must compare the digest of its meaning with the digest in
+    the approval."""
     name = approval.file.removesuffix(_ENVELOPE) + _PLAN
     try:
         return GuardedFolder.open(folder).read(name, MOST_GIVEN)
@@ -90,8 +91,8 @@ def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
 def write_envelope(
     plan: Path, envelope: Envelope, signed: str, text: bytes | None = None, storage: Storage | None = None
 ) -> str:
-    """Writes an approval or withdrawal next to a plan; returns the name of its file. signed: the time in it, ISO 8601; text: the
-    plan as it was approved. Raises `InputError` if it cannot be written."""
+    """Writes an approval or withdrawal next to a plan; returns the name of its file. signed: the time of signing that the envelope
+    states, ISO 8601; text: the plan as it was approved. Raises `InputError` if it cannot be written."""
     storage = storage or Storage()
     folder = approvals_folder(plan)
     stem = f"{re.sub(r'[^0-9T]', '', signed[:19])}Z-{payload_digest(envelope)[:16]}"
@@ -122,8 +123,9 @@ def _unreadable(folder: Path, error: Exception) -> InputError:
 class KeptApprovals:
     """The approval data in a run folder.
 
-    plan, bench: canonical JSON of the meanings that they cover; ring: text of the key ring at the beginning of the run; day: the
-    date at that time; approvals: those that counted; keys, folder: places where the key ring and the approvals were found.
+    plan, bench: canonical JSON of the meanings that the approvals cover; ring: text of the key ring at the beginning of the run;
+    day: the date of the beginning of the run; approvals: those that counted; keys, folder: the places where the key ring and the
+    approvals were found.
     """
 
     plan: str
@@ -143,8 +145,8 @@ class KeptApprovals:
         return hashlib.sha256(self.bench.encode()).hexdigest()
 
     def to_bytes(self, runs: Path) -> bytes:
-        """The content of `approvals.json`. runs: the folder of the runs. Paths are relative to it, so that the file names no folder
-        above the common folder of the runs and the approvals."""
+        """The content of `approvals.json`. runs: the folder that contains the run folders. Paths are relative to this folder, so
+        that the file names no folder above the one that the runs and the approvals have in common."""
         given = [entry_of(one) for one in self.approvals]
         return to_bytes(
             {
@@ -160,7 +162,7 @@ class KeptApprovals:
 
 
 def _relative(path: str, runs: Path) -> str:
-    """A path relative to the folder of the runs; only the name if they are on different drives."""
+    """A path relative to the folder of the runs; only the file name if both are on different drives."""
     try:
         found = os.path.relpath(os.path.realpath(path), os.path.realpath(runs))
     except ValueError:
@@ -174,7 +176,7 @@ def entry_of(approval: StatedApproval) -> JsonObject:
 
 
 def entries_of(given: Iterable[Mapping[str, Json]]) -> tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]:
-    """The approvals in entries of a run, and the entries that are not approvals."""
+    """Converts entries in the files of a run to approvals; also returns the entries that are not approvals."""
     read = [read_stated(str(one["file"]), str(one["envelope"]).encode()) for one in given]
     good = tuple(one for one in read if isinstance(one, StatedApproval))
     bad = tuple(
@@ -188,14 +190,14 @@ def entries_of(given: Iterable[Mapping[str, Json]]) -> tuple[tuple[StatedApprova
 def keep(
     plan: Meaning, bench: Meaning, ring: str, day: date, counted: Iterable[StatedApproval], keys: Path, folder: Path
 ) -> KeptApprovals:
-    """The approval data that the run folder must contain."""
+    """The approval data that the run folder will contain."""
     texts = plan.canonical().decode(), bench.canonical().decode()
     return KeptApprovals(*texts, ring, day, tuple(counted), str(keys.absolute()), str(folder.absolute()))
 
 
 def kept_approvals(data: bytes, run: Path) -> tuple[KeptApprovals, tuple[DamagedApproval, ...]]:
-    """The content of `approvals.json` of a run folder, and the entries that are not approvals. Raises `IntegrityError` for other
-    content."""
+    """The content of `approvals.json` of a run folder, and the entries that are not approvals. Raises `IntegrityError` for a file
+    with any other content."""
     value = parse_json(data, run / APPROVALS, "approvals", "planrunner_approvals", FORMAT)
     good, bad = entries_of(value["approvals"])
     try:

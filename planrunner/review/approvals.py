@@ -5,8 +5,8 @@ of the canonical meaning of the plan apart from its bench (`procedure_of`). Its 
 meanings apart from the approvals that they require (`equipment_of`). A withdrawal is a statement of the same form about earlier
 approvals.
 
-`judged` determines for every approval whether it counts under the rule of a bench, and the reason if it does not. It reads no file
-and needs no private key.
+`judged` determines for every approval whether it counts under the rule of a bench, and why it does not. It reads no file and needs
+no private key.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class ApprovedBench:
 
 @dataclass(frozen=True, slots=True)
 class Approved:
-    """The approved items. plan: digest of its meaning apart from its bench; title and author as the plan states them. until: last
-    day."""
+    """What an approval covers. plan: digest of the meaning of the plan apart from its bench; title, author: as the plan states
+    them. until: last day on which the approval is valid; None without a limit."""
 
     plan: str
     title: str
@@ -75,9 +75,10 @@ class Approved:
 
 @dataclass(frozen=True, slots=True)
 class StatedApproval:
-    """A file with an approval. digest: SHA-256 of its payload. All values are claims of the signer until `judged` has checked them.
+    """An approval as a file states it. digest: SHA-256 of the payload of its envelope. All values are claims of the signer until
+    `judged` has checked them.
 
-    name: of the reviewer; signed: UTC; version: of planrunner.
+    name: name of the reviewer; signed: time of signing, UTC; version: version of planrunner.
     """
 
     file: str
@@ -92,7 +93,7 @@ class StatedApproval:
 
 @dataclass(frozen=True, slots=True)
 class StatedWithdrawal:
-    """A file with a withdrawal. withdrawn: digests of the payloads of the approvals."""
+    """A withdrawal of approvals as a file states it. withdrawn: digests of the payloads of the approvals that it withdraws."""
 
     file: str
     envelope: Envelope
@@ -114,7 +115,7 @@ ApprovalRecord = StatedApproval | StatedWithdrawal | DamagedApproval
 
 
 def approval_envelope(what: Approved, name: str, statement: str, signer: Signer, signed: str) -> Envelope:
-    """Signs an approval. signed: the time, UTC in ISO 8601."""
+    """Signs an approval. signed: time of signing, UTC in ISO 8601."""
     predicate = {
         "title": what.title,
         "author": list(what.author),
@@ -126,7 +127,7 @@ def approval_envelope(what: Approved, name: str, statement: str, signer: Signer,
 
 
 def withdrawal_envelope(withdrawn: Mapping[str, str], name: str, why: str, signer: Signer, signed: str) -> Envelope:
-    """Signs the withdrawal of approvals. They are given as file → digest of its payload."""
+    """Signs the withdrawal of approvals. withdrawn: file of an approval → digest of its payload."""
     return _signed(WITHDRAWAL, withdrawn, _told(name, why, signed), signer)
 
 
@@ -250,8 +251,8 @@ def _moment(value: Json) -> datetime:
 
 @dataclass(frozen=True, slots=True)
 class JudgedApproval:
-    """An approval with the result of its check. why: the reason in words, empty if it counts. key: as the key ring knows it, None
-    if it does not."""
+    """An approval with the result of its check. why: the reason, in words, why it does not count; empty if it counts. key: the
+    signing key as the key ring knows it; None if the ring does not contain it."""
 
     stated: StatedApproval | DamagedApproval
     standing: ApprovalStanding
@@ -291,10 +292,10 @@ class JudgedApproval:
 
 @dataclass(frozen=True, slots=True)
 class ApprovalRequest:
-    """The plan, the benches and the time for which approvals are checked. plan, bench: digests of `procedure_of` and
-    `equipment_of`; author: as the plan states it.
+    """The plan, the bench and the time for which approvals are checked. plan, bench: digests of the meanings from `procedure_of`
+    and `equipment_of`; author: the authors that the plan states.
 
-    moment: time at which the plan is to run, with a time zone; day: the date at that time, in the time zone of the bench.
+    moment: time at which the plan is to run, with a time zone; day: the date at this moment in the time zone of the bench.
     """
 
     plan: str
@@ -307,9 +308,10 @@ class ApprovalRequest:
 def judged(
     stated: Iterable[ApprovalRecord], rule: ApprovalRule, ring: KeyRing, asked: ApprovalRequest
 ) -> tuple[tuple[JudgedApproval, ...], bool]:
-    """Checks every approval, in the order of the time of signing, and whether as many persons approved as the rule requires.
+    """Checks every approval in the order of the times of signing; also returns whether the rule of the bench is met.
 
-    A rule under which the author may not approve is not met if the author is not stated, or is not in the key ring.
+    It is met if as many persons approved as it requires. If the rule excludes approvals by the author, each author must be stated
+    and be in the key ring.
     """
     files = list(stated)
     gone = set(rule.withdrawn) | _withdrawn(files, ring)
@@ -332,13 +334,13 @@ def judged(
 
 
 def unknown_authors(author: Sequence[str], ring: KeyRing) -> tuple[str, ...]:
-    """Authors whom the key ring does not contain, so that it cannot be determined whether they approved; an empty name if none is
-    stated."""
+    """Authors that are not in the key ring, so that it cannot be determined whether they approved; one empty name if the plan
+    states no author."""
     return tuple(name for name in author if ring.person(name) is None) if author else ("",)
 
 
 def _withdrawn(stated: Iterable[ApprovalRecord], ring: KeyRing) -> set[str]:
-    """Digests of approvals that were withdrawn with the keys that gave them."""
+    """Digests of the approvals that are withdrawn by the same key that signed them."""
     files = list(stated)
     given = {one.digest: one.envelope.key for one in files if isinstance(one, StatedApproval)}
     found = set()
@@ -357,8 +359,8 @@ def _standing(
     asked: ApprovalRequest,
     gone: set[str],
 ) -> tuple[ApprovalStanding, str]:
-    """The result of the check of one approval. Faults of the key and the signature come first, because without a valid signature
-    all other values are only claims."""
+    """The result of the check of one approval. Faults of the key and of the signature are checked first, because without a valid
+    signature all other values are only claims."""
     what, day = one.what, asked.day
     if known is None:
         return "unknown key", f"its key {one.envelope.key} is not in the key ring"

@@ -16,7 +16,7 @@ ComparedKind = Literal["plan", "bench", "run"]
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """Something about two runs that may explain a difference: its name, and its value in each."""
+    """A fact about two runs that may explain a difference: its name, and its value in each run."""
 
     name: str
     before: str
@@ -25,11 +25,11 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """Both sides and their difference.
+    """Both sides of a comparison and their difference.
 
-    names: of both sides, as given. meanings: of both sides; for a run, that of its plan on its bench. schedules: of the plans, if
-    they could be made. unforeseen: the reason why consequences are missing. facts: facts of runs that differ; conditions: measured
-    conditions that differ.
+    names: names of both sides, as the user gives them. meanings: the meaning of each side; for a run, the meaning of its plan on
+    its bench. schedules: the schedule of each plan, or None if it could not be made. unforeseen: the reason why the consequences
+    are missing. facts: facts that differ between two runs; conditions: measured conditions that differ between two runs.
     """
 
     kind: ComparedKind
@@ -46,12 +46,14 @@ class Compared:
 
     @property
     def digests(self) -> tuple[str, str]:
-        """SHA-256 of both meanings. Computing it takes longer than the comparison, so it is computed only when it is shown."""
+        """SHA-256 of both meanings. Computing the digests takes longer than the comparison, so they are computed only when they are
+        shown."""
         return self.meanings[0].digest(), self.meanings[1].digest()
 
     @property
     def different(self) -> bool:
-        """Whether the meanings differ. Runs differ if the results or the plans do; two recordings always have differences of noise."""
+        """Whether the meanings differ. Two runs differ if their coefficients or their plans differ, so two recordings always differ
+        because of noise."""
         if self.runs is not None:
             apart = any(item.difference for item in self.runs.coefficients) or any(self.runs.only)
             return apart or not self.meaning.empty

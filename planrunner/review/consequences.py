@@ -21,7 +21,7 @@ from planrunner.plan.schedule import Cycle, Rock, Schedule, Spin
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """The result of a check of one plan on its bench. findings: those that are shown. schedule: None if the plan has errors."""
+    """The result of a check of one plan on its bench. findings: the findings to show. schedule: None if the plan has errors."""
 
     schedule: Schedule | None = None
     designs: Mapping[str, Design] = field(default_factory=dict)
@@ -33,7 +33,8 @@ class Forecast:
 
 @dataclass(frozen=True, slots=True)
 class PredictedChange:
-    """The predicted standard uncertainty of one coefficient, in `unit`, in both plans; None if a plan does not predict it."""
+    """The predicted standard uncertainty of one coefficient, in `unit`, before and after a change; None if the plan does not
+    predict it."""
 
     estimate: str
     coefficient: str
@@ -44,7 +45,7 @@ class PredictedChange:
 
 @dataclass(frozen=True, slots=True)
 class Undetermined:
-    """Terms that the planned segments cannot determine for one output of an estimate."""
+    """Terms that the planned segments cannot determine, for one output of an estimate."""
 
     estimate: str
     output: str
@@ -53,8 +54,9 @@ class Undetermined:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """Demands of a plan on the bench. before, after: the extreme value that each plan commands; limits: what each bench can do; all
-    in `unit`, None if there is none. lowest: whether the limit is a lower limit."""
+    """One demand of two plans on their benches, for example the largest rate. before, after: the extreme value that each plan
+    commands; limits: what the bench of each plan can do. All values are in `unit`; None if there is no such value. lowest: True if
+    the limit is a lower limit."""
 
     name: str
     unit: str
@@ -65,7 +67,7 @@ class Demand:
 
     @property
     def newly_reached(self) -> bool:
-        """Whether the second plan reaches the limit of its bench and the first does not."""
+        """Whether the second plan reaches the limit of its bench although the first plan does not."""
         return self._reached(self.after, self.limits[1]) and not self._reached(self.before, self.limits[0])
 
     def _reached(self, value: float | None, limit: float | None) -> bool:
@@ -79,9 +81,9 @@ class Demand:
 class Consequences:
     """The consequences of a change.
 
-    total: planned time of both plans, s, None if there is no schedule. predicted: coefficients whose prediction differs. lost, won:
-    terms that can no longer be determined, and terms that can now be determined. demands: those that differ. new, gone: new and
-    removed findings, compared without their places.
+    total: planned time before and after the change, s; None without a schedule. predicted: coefficients whose predicted uncertainty
+    differs. lost: terms that can no longer be determined; won: terms that can be determined only now. demands: demands on the bench
+    that differ. new, gone: findings that appear and disappear, compared without their places.
     """
 
     total: tuple[float | None, float | None]
@@ -126,14 +128,14 @@ def _uncertainties(forecast: Forecast) -> dict[tuple[str, str, str], float]:
 
 
 def _sound_terms(forecast: Forecast) -> dict[tuple[str, str], frozenset[str]]:
-    """Maps (estimate, output) to the terms that cannot be determined."""
+    """Maps (estimate, output) to the terms that the planned segments cannot determine."""
     return {
         (name, one.output): frozenset(one.unidentifiable) for name, judged in forecast.judged.items() for one in judged
     }
 
 
 def _undetermined(forecast: Forecast, known: Mapping[tuple[str, str], frozenset[str]]) -> Iterator[Undetermined]:
-    """Terms that this plan cannot determine although the other plan estimates the same outputs and determines them."""
+    """Terms that this plan cannot determine, although the other plan estimates the same outputs and can determine them."""
     for name, judged in forecast.judged.items():
         for one in judged:
             other = known.get((name, one.output))
@@ -193,8 +195,8 @@ _EXTREMES = {"rate": _rate, "hottest": _hottest, "coldest": _coldest}
 
 
 def _findings(before: Sequence[Finding], after: Sequence[Finding]) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
-    """Findings that are only in the second list, and those that are only in the first, compared by severity, code and message.
-    Places are ignored, because they move in the files."""
+    """Findings that are only in `after`, and findings that are only in `before`, compared by severity, code and message. Places are
+    ignored, because an edit elsewhere in a file moves them."""
     old, new = (
         Counter[tuple[str, str, str]]((one.severity, one.code, one.message) for one in findings)
         for findings in (before, after)

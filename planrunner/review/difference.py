@@ -1,8 +1,8 @@
 """The difference of two plans or two benches by meaning, as data.
 
-Segments are matched by their labels, then by their content (a renamed segment), then by their place between matched neighbours if
-little of their content differs. Matched segments that are not in the longest common order are moved. The computing time is
-proportional to the number of segments, apart from the longest increasing subsequence (n·log n).
+Segments are matched by their labels. The remaining ones are matched by their content (renamed segments), then by their place
+between matched neighbours if little of their content differs. Matched segments that are outside the longest common order count as
+moved. The computing time is proportional to the number of segments, except that of the longest increasing subsequence (n·log n).
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ Tendency = Literal["loosened", "tightened", "both", ""]
 
 @dataclass(frozen=True, slots=True)
 class PartChange:
-    """One part that differs. before, after: its canonical content, None if the part is absent; shown: both as the files write them,
-    empty if absent. gained, lost: added and removed values, if both parts are lists of values."""
+    """One part of a plan or bench that differs. before, after: canonical content of the part in each file, None if the part is
+    absent; shown: the part as each file writes it, empty if absent. gained, lost: added and removed values, if the part is a list
+    of values in both files."""
 
     place: KeyPath
     before: Json
@@ -42,7 +43,8 @@ class PartChange:
 
 @dataclass(frozen=True, slots=True)
 class SegmentChange:
-    """One segment that differs. before, after: its label, None if the segment is added or removed; positions count from 1."""
+    """One segment that differs. before, after: label of the segment in each plan, None if the plan lacks it; positions: its place
+    in each plan, counted from 1."""
 
     before: str | None
     after: str | None
@@ -59,8 +61,8 @@ class SegmentChange:
 class MeaningDifference:
     """The difference of two plans or benches.
 
-    parts: everything outside the segments. texts: changed texts for readers; they do not count as a difference. rounded: quantities
-    in different units that are equal within the written digits; they do not count as a difference either.
+    parts: all differences outside the segments and limits. texts: changed texts for readers, which do not count as a difference.
+    rounded: quantities in different units that agree within the written digits, which do not count as a difference either.
     """
 
     kind: str
@@ -81,8 +83,8 @@ class MeaningDifference:
 def difference(
     before: Meaning, after: Meaning, bench_before: Meaning | None = None, bench_after: Meaning | None = None
 ) -> MeaningDifference:
-    """Compares two meanings of one kind. bench_before, bench_after: the benches of two plans. If they are given, their differences
-    are listed too."""
+    """Compares two meanings of the same kind. bench_before, bench_after: the benches of two plans; if they are given, their
+    differences are listed too."""
     rounded: list[PartChange] = []
     texts = tuple(
         PartChange(("texts", name), text, after.texts.get(name, ""), (text, after.texts.get(name, "")))
@@ -142,7 +144,8 @@ _NEAR = 20
 
 
 def matched(a: Sequence[Segment_], b: Sequence[Segment_]) -> list[tuple[int | None, int | None]]:
-    """Pairs of indices in the order of b. Each unmatched segment of a follows the segment that it follows in a."""
+    """Pairs of indices (in a, in b), in the order of b. An unmatched segment of a is placed after the matched segment that precedes
+    it in a."""
     there = {_label(item): j for j, item in enumerate(b)}
     partner = {i: there[_label(item)] for i, item in enumerate(a) if _label(item) in there}
     taken = set(partner.values())
@@ -175,7 +178,8 @@ def _content(segment: Segment_) -> str:
 
 
 def _match_in_gaps(a: Sequence[Segment_], b: Sequence[Segment_], partner: dict[int, int], taken: set[int]) -> None:
-    """Matches unmatched segments between the same matched neighbours, in order, if few of their keys differ."""
+    """Matches segments that have no match yet, if they lie between the same matched neighbours and few of their keys differ. The
+    order of the segments is kept."""
     before_b: dict[int, deque[int]] = defaultdict(deque)  # unmatched of b by their matched predecessor, -1 for none
     last = -1
     for j in range(len(b)):
@@ -228,7 +232,7 @@ def _segment_changes(
 
 
 def _stated(segment: Segment_, removed: bool) -> Iterator[PartChange]:
-    """The keys of an added or removed segment that have a value."""
+    """The keys of an added or removed segment that have a value, each as a change."""
     for name, part in segment.items():
         text = in_words(part)
         if name != "label" and plain(part) not in (None, [], False) and text:
@@ -241,7 +245,7 @@ def _stated(segment: Segment_, removed: bool) -> Iterator[PartChange]:
 
 
 def _moved(order: Sequence[int]) -> set[int]:
-    """The members of a sequence that are outside its longest increasing subsequence (Fredman, Discrete Mathematics 11, 1975)."""
+    """The members of a sequence that are not in its longest increasing subsequence (Fredman, Discrete Mathematics 11, 1975)."""
     tails: list[int] = []
     places: list[int] = []
     previous: list[int] = []
@@ -262,7 +266,8 @@ def _moved(order: Sequence[int]) -> set[int]:
 
 
 def _renamed(content: dict[str, Branch], names: Mapping[str, str], all_labels: Sequence[str]) -> dict[str, Branch]:
-    """Estimates and diagnosis with the new names of their segments. A selection of all segments is stated as such."""
+    """A plan's content in which estimates and diagnosis select segments by the new names of these segments. A selection of all
+    segments is stated as a selection of all."""
     made = dict(content)
     estimates = content["estimates"]
     assert isinstance(estimates, dict)
@@ -294,7 +299,7 @@ def _relabelled(chosen: Branch, names: Mapping[str, str], all_labels: Sequence[s
 
 
 def _limits(a: Sequence[Branch], b: Sequence[Branch], rounded: list[PartChange]) -> Iterator[PartChange]:
-    """The changed limits. Limits are matched by their quantity; several limits of one quantity are matched in order."""
+    """The changed limits. Limits are matched by their quantity; several limits of the same quantity are matched in order."""
     old, new = _by_quantity(a), _by_quantity(b)
     for name in dict.fromkeys([*old, *new]):
         before, after = old.get(name, []), new.get(name, [])
@@ -325,7 +330,7 @@ def _by_quantity(limits: Sequence[Branch]) -> dict[str, list[dict[str, Branch]]]
 
 
 def _limit_in_words(limit: dict[str, Branch] | None, other: dict[str, Branch] | None) -> str:
-    """The bounds of a limit in words, and other differences from the other limit."""
+    """The bounds of a limit in words, and its other properties if they differ from those of the other limit."""
     if limit is None:
         return ""
     low, high = limit["at_least"], limit["at_most"]
@@ -345,10 +350,11 @@ _RULE = ("rule", "guard_band", "coverage", "prior")
 
 
 def tendency(before: Mapping[str, Branch] | None, after: Mapping[str, Branch] | None) -> Tendency:
-    """Whether a change of a limit lets more values pass or fewer. Adding a limit tightens, and removing a limit loosens.
+    """Whether a change of a limit tightens it, so that fewer values pass, or loosens it. An added limit counts as tightened, a
+    removed limit as loosened.
 
     Bounds, rule, guard band and coverage are compared. A guarded limit accepts fewer values than a simple one. A wider guard band
-    and a higher coverage also accept fewer values (JCGM 106:2012, 8.3).
+    or a higher coverage also accepts fewer values (JCGM 106:2012, 8.3).
     """
     if before is None or after is None:
         return "tightened" if before is None else "loosened"
@@ -382,7 +388,8 @@ def _bound(branch: Branch, absent: float) -> float:
 
 
 def _changes(place: KeyPath, a: Branch, b: Branch, rounded: list[PartChange]) -> Iterator[PartChange]:
-    """The parts in which two branches differ. They are compared as deep as both have the same form."""
+    """The parts in which two branches of a meaning differ. The comparison goes down to the level at which the two branches no
+    longer have the same form."""
     if isinstance(a, StatedValue) and isinstance(b, StatedValue):
         if a.content == b.content:
             return
@@ -432,7 +439,7 @@ LARGEST_ROUNDING = 1e-4
 
 
 def equal_to_rounding(a: Quantity | None, b: Quantity | None) -> bool:
-    """Whether two quantities in different units are equal within half a unit of the last digit of both, as they are written.
+    """Whether two quantities in different units are equal within half a unit of the last written digit of each.
 
     For example, 30 deg/s and 0.5236 rad/s are equal; 30 deg/s and 0.52 rad/s are not (0.7 %). In the same unit, every difference
     counts.
@@ -453,7 +460,7 @@ def _half_digit(quantity: Quantity) -> float:
 
 
 def in_words(branch: Branch) -> str:
-    """A part as one line for readers; empty if nothing is stated."""
+    """A part of a meaning as one line for readers; empty if the part states nothing."""
     if isinstance(branch, StatedValue):
         return "" if branch.content is None else branch.shown
     if isinstance(branch, dict):

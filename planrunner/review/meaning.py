@@ -1,9 +1,9 @@
 """The meaning of a plan and of a bench: everything that changes what is done or measured, and nothing else.
 
-The meaning is the result of reading and expansion: one entry for each segment, with inherited and default keys filled in, and
-quantities in SI-coherent units. Comments, formatting, the order of keys, the way in which a sweep is written, units, and texts for
-readers (title, description) are not part of it. Two files with the same meaning have the same canonical JSON (RFC 8785) and the
-same SHA-256 digest.
+The meaning is made by reading and expanding the file: it has one entry for each segment, with inherited and default keys filled in,
+and with quantities in SI-coherent units. Comments, formatting, the order of keys, the way in which a sweep is written, units, and
+texts for readers (title, description) are not part of it. Two files with the same meaning have the same canonical JSON (RFC 8785)
+and the same SHA-256 digest.
 
 Numbers are rounded to 12 significant digits, so that the conversion of units does not change them. Labels are part of the meaning,
 because recordings and estimates refer to segments by labels.
@@ -45,8 +45,8 @@ DIGITS = 12
 
 @dataclass(frozen=True, slots=True)
 class StatedValue:
-    """One value. content: its canonical form, for digests; shown: the value as the file writes it, for readers. quantity: with the unit
-    as written, if the value is a quantity."""
+    """One value. content: its canonical form, for digests; shown: the value as the file writes it, for readers. quantity: the
+    quantity with its unit as written, if the value is a quantity; otherwise None."""
 
     content: Json
     shown: str
@@ -59,8 +59,8 @@ Branch = StatedValue | dict[str, "Branch"] | list["Branch"]
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """The meaning of a file. kind: `plan` or `bench`. content: the meaning by key. texts: texts for readers, which are not part of
-    the meaning."""
+    """The meaning of a file. kind: `plan` or `bench`. content: the parts of the meaning by key. texts: texts for readers, which are
+    not part of the meaning."""
 
     kind: str
     content: dict[str, Branch]
@@ -79,7 +79,7 @@ class Meaning:
         return hashlib.sha256(self.canonical()).hexdigest()
 
     def lines(self) -> Iterator[str]:
-        """The meaning line by line, for programs that compare lines of text. Each line has a path and one value."""
+        """The meaning line by line, for programs that compare lines of text. Each line contains the path of a value and the value."""
         yield f"{self.kind} {VERSION}"
         yield from _lines("", self.content)
 
@@ -92,10 +92,10 @@ def canonical_json(value: Json) -> bytes:
 
 
 def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
-    """SHA-256 of a plan's meaning, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
+    """SHA-256 of the meaning of a plan, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
 
-    bench: the bench on which the plan runs, whose meaning is then part of the digest. Without it, the digest covers only the name
-    of the bench.
+    bench: the bench on which the plan runs; its meaning then enters the digest too. Without a bench, the digest covers only the
+    name of the plan's bench.
     """
     return meaning_of_plan(plan, bench).digest()
 
@@ -151,15 +151,14 @@ def procedure_of(plan: Plan) -> Meaning:
 
 
 def equipment_of(bench: Bench) -> Meaning:
-    """The meaning of a bench apart from the approvals that it requires. A change of these rules therefore does not change what was
-    approved."""
+    """The meaning of a bench apart from the approvals that it requires. Changed requirements for approvals therefore do not change
+    what was approved."""
     meaning = meaning_of_bench(bench)
     return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "approvals"})
 
 
 def plain(branch: Branch) -> Json:
-    """The canonical content of a part of a meaning, as JSON. Keys without a value are omitted, so that the digest of a file stays
-    the same if a later version adds keys that this file does not use."""
+    """The canonical content of a part of a meaning, as JSON data."""
     if isinstance(branch, StatedValue):
         return branch.content
     if isinstance(branch, dict):
@@ -216,7 +215,7 @@ _REST = StatedValue("rest", "rest")
 
 
 def _motion(state: State, marks: Mapping[str, Mark], log: Findings) -> Branch:
-    """The motion as the table executes it. A rate is a spin about the vertical, and clockwise angles are negative."""
+    """The motion as the table executes it. A rate becomes a spin about the vertical, and clockwise angles become negative."""
     dwell = state.dwell.value if isinstance(state.dwell, Quantity) else None
     motion = motion_of(state, marks, dwell, log)
     if motion is None or isinstance(motion, Rest):
@@ -279,7 +278,7 @@ def _estimate(spec: EstimateSpec, labels: Labels, names: Sequence[str]) -> dict[
 
 
 def _selecting(spec: EstimateSpec | DiagnosisSpec, labels: Labels, names: Sequence[str]) -> dict[str, Branch]:
-    """A record that selects segments. Patterns are replaced by the labels that they select."""
+    """The meaning of a record that selects segments. Patterns are replaced by the labels that they select."""
     parts = _record(spec)
     if isinstance(spec.segments, Detection):
         found = _record(spec.segments)
@@ -308,7 +307,7 @@ def _limit(limit: Limit) -> dict[str, Branch]:
 
 
 def _in_order(parts: Sequence[Branch]) -> list[Branch]:
-    """A list whose order has no meaning, sorted by its canonical forms."""
+    """Sorts a list whose order has no meaning, by the canonical forms of its parts."""
     return sorted(parts, key=lambda part: canonical_json(plain(part)))
 
 
@@ -318,7 +317,7 @@ _NOTHING = StatedValue(None, "none")
 
 
 def _of(value: object) -> Branch:
-    """The meaning of a value that a kind of the language has read. Raises `InputError` for a value of a plug-in that has no JSON
+    """The meaning of a value that a kind of the language has read. Raises `InputError` for a value from a plug-in that has no JSON
     form."""
     match value:
         case None:
@@ -354,7 +353,8 @@ def _of(value: object) -> Branch:
 
 
 def _record(record: Record) -> dict[str, Branch]:
-    """Every key of a record with its value. Keys of a plug-in are next to the common ones, as in the file."""
+    """The meaning of a record: every key with its value. The keys of a plug-in are at the same level as the common keys, as in the
+    file."""
     parts: dict[str, Branch] = {}
     for name, item in keys_of(type(record)).items():
         value = getattr(record, item.name)
@@ -371,7 +371,7 @@ def _record(record: Record) -> dict[str, Branch]:
 
 @lru_cache(maxsize=4096)
 def _stated_quantity(quantity: Quantity) -> StatedValue:
-    """The meaning of a quantity. It is cached, because plans repeat their quantities."""
+    """The meaning of a quantity. Results are cached, because plans repeat their quantities."""
     return StatedValue(_quantity(quantity), str(quantity), quantity)
 
 
@@ -387,8 +387,8 @@ def _quantity(quantity: Quantity) -> JsonObject:
 
 @lru_cache(maxsize=1024)
 def _matrix(orientation: Orientation) -> Json:
-    """A matrix rounded to 12 decimals, because components of unit vectors have one scale. Rows are the sensor's axes in
-    East-North-Up."""
+    """The meaning of an orientation: its matrix rounded to 12 decimals, because components of unit vectors have one scale. Rows are
+    the sensor's axes in East-North-Up."""
     if orientation.matrix is None:
         return "unknown"
     return [[round(part, DIGITS) + 0.0 for part in row] for row in orientation.matrix]

@@ -23,7 +23,8 @@ OVERRIDE = "urn:planrunner:check-standard-override:v1"
 
 @dataclass(frozen=True, slots=True)
 class Overridden:
-    """The overridden bench and check standard. bench: digest of its meaning; device: the check standard. until: last day."""
+    """What an override covers. bench: digest of the meaning of the bench; device: the check standard; why: the reason. until: last
+    day on which the override is valid."""
 
     bench: str
     device: str
@@ -33,7 +34,8 @@ class Overridden:
 
 @dataclass(frozen=True, slots=True)
 class StatedOverride:
-    """A file with an override. All values are claims of the signer until `objection` has checked them. signed: UTC."""
+    """An override as a file states it. All values are claims of the signer until `objection` has checked them. signed: time of
+    signing, UTC."""
 
     envelope: Envelope
     what: Overridden
@@ -41,7 +43,7 @@ class StatedOverride:
 
 
 def override_envelope(what: Overridden, signer: Signer, signed: datetime) -> Envelope:
-    """Signs an override. signed: now, UTC."""
+    """Signs an override. signed: time of signing, UTC."""
     predicate = {
         "device": what.device,
         "why": what.why,
@@ -75,9 +77,10 @@ def read_override(data: bytes) -> StatedOverride | None:
 def objection(
     one: StatedOverride, ring: KeyRing, by: str, what: Overridden, moment: datetime, day: date | None = None
 ) -> str:
-    """The reason why an override does not count; empty if it counts. by: the person who is stated to have given it, by the name in
-    the key ring. what: the present bench and check standard, and the stated reason; its `until` is not used. moment: with a time
-    zone; day: the date at that time, by default in this time zone."""
+    """The reason why an override does not count; empty if it counts. by: the person who is said to have given the override, named
+    as in the key ring. what: the present bench and check standard, and the reason that must be the same; its `until` is not used.
+    moment: time for which the override is checked, with a time zone; day: date in the time zone of the bench, by default the date
+    of `moment`."""
     known, day = ring.find(one.envelope.key), day or moment.date()
     if known is None:
         return f"its key {one.envelope.key} is not in the key ring"
@@ -101,8 +104,9 @@ def objection(
 def kept_objection(
     given: JsonObject, ring: KeyRing, bench: str | None, device: str, moment: datetime, day: date
 ) -> str:
-    """The same as `objection`, for an override that a run keeps with its signature. bench: digest of its meaning at that time, None
-    if it is not compared; moment, day: when the override was used."""
+    """The same as `objection`, for an override that a run folder keeps together with its signature. bench: digest of the meaning of
+    the bench when the override was used; None if it is not to be compared. moment, day: time and date at which the override was
+    used."""
     stated = read_override(to_bytes(given["signature"]))
     if stated is None:
         return "it is damaged"

@@ -1,9 +1,9 @@
 """The difference of the results of two runs: every coefficient with the significance of its difference.
 
-The two results of a coefficient have their own random errors and, on the same bench, common errors. For example, an azimuth of the
-site that is wrong by an arc minute is wrong in both runs. A common input contributes to the difference in proportion to the
-difference of its sensitivities. Let cᵢuᵢ be the contributions of common inputs in runs 1 and 2. The standard uncertainty of the
-difference is then
+Each of the two results of a coefficient has its own random errors. On the same bench, they also have common errors. For example, an
+azimuth of the site that is wrong by an arc minute is wrong in both runs. A common input contributes to the difference in proportion
+to the difference of its two sensitivity coefficients. Let c₁ᵢuᵢ and c₂ᵢuᵢ be the contributions of the common input i in runs 1 and
+2. The standard uncertainty of the difference is then
 
     u² = u₁² + u₂² − 2·Σ (c₁ᵢuᵢ)(c₂ᵢuᵢ)                 (JCGM 100:2008, 5.2.2, equation 16, with r = 1)
 
@@ -26,9 +26,9 @@ from planrunner.uncertainty.influences import BudgetLine
 
 @dataclass(frozen=True, slots=True)
 class CoefficientDifference:
-    """One coefficient of two runs, in `unit`. difference: second minus first. common: correlated fraction of the variances, 2·Σ
-    (c₁u)(c₂u)/(u₁² + u₂²). p: NaN if it cannot be computed, for example for a standard deviation; holm: p corrected for all
-    coefficients compared."""
+    """The difference of one coefficient between two runs, in `unit`. difference: value in the second run minus value in the first.
+    common: the correlated fraction of the variances, 2·Σ (c₁u)(c₂u)/(u₁² + u₂²). p: probability as in the docstring of the module,
+    NaN if it cannot be computed, for example for a standard deviation; holm: p corrected for the number of coefficients compared."""
 
     estimate: str
     coefficient: str
@@ -45,16 +45,16 @@ class CoefficientDifference:
 
 @dataclass(frozen=True, slots=True)
 class RunDifference:
-    """The difference between two runs. coefficients: those that both runs have. only: names that only one of the runs has, as
-    (first, second)."""
+    """The difference between two runs. coefficients: the coefficients that both runs have. only: names of the coefficients that
+    only the first run has, and of those that only the second has."""
 
     coefficients: tuple[CoefficientDifference, ...]
     only: tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def run_difference(before: Mapping[str, Estimate], after: Mapping[str, Estimate], same_bench: bool) -> RunDifference:
-    """The differences of the coefficients of two runs. same_bench: whether the declared errors of the bench belong to the same
-    instruments."""
+    """The differences of all coefficients between two runs. same_bench: True if the declared errors of the bench belong to the same
+    instruments in both runs."""
     found = []
     only: tuple[list[str], list[str]] = ([], [])
     for name in dict.fromkeys([*before, *after]):
@@ -79,7 +79,8 @@ Lines = Mapping[tuple[object, ...], BudgetLine]
 
 
 def _lines(estimate: Estimate, coefficient: str) -> Lines:
-    """The type B rows of a coefficient's budget for single inputs. The keys identify the same input in two runs."""
+    """The type B rows of a coefficient's budget, each for a single input. A row has the same key in two runs if its input is the
+    same."""
     return {
         (line.quantity, line.value, line.unit, line.standard_uncertainty, line.distribution, line.source): line
         for budget in estimate.budgets
@@ -120,7 +121,8 @@ def _difference(name: str, one: Coefficient, other: Coefficient, lines: tuple[Li
 
 
 def _effective(variances: Sequence[float], freedoms: Sequence[float], total: float) -> float:
-    """Effective degrees of freedom by Welch-Satterthwaite: ν = u⁴/Σ uᵢ⁴/νᵢ; infinite if no part has finite degrees of freedom."""
+    """Effective degrees of freedom by the Welch-Satterthwaite formula, ν = u⁴/Σ uᵢ⁴/νᵢ; infinite if no part has finite degrees of
+    freedom."""
     parts = [v**2 / nu for v, nu in zip(variances, freedoms, strict=True) if nu > 0 and math.isfinite(nu)]
     below = math.fsum(parts)
     return total**2 / below if below > 0 and math.isfinite(total) else math.inf

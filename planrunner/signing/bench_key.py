@@ -1,7 +1,7 @@
 """The private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent holds.
 
-Runs may end when nobody is present, so the program never asks for a passphrase. The key file has no passphrase and only its owner
-may read it (like the host keys of SSH), or its passphrase is in the environment.
+Runs may end when nobody is present, so the program never asks for a passphrase. Therefore the key file either has no passphrase and
+can be read only by its owner (like the host keys of SSH), or its passphrase is in the environment.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def keys_folder() -> Path:
 
 
 def bench_signer(public: PublicKey) -> Signer:
-    """The private key with this public key: from the folder of signing keys, otherwise from the ssh-agent. Nothing is signed, and
-    the user is not asked. Raises `BenchKeyError` if neither contains it."""
+    """The private key that belongs to this public key: from the folder of signing keys, otherwise from the ssh-agent. Nothing is
+    signed, and the user is not asked. Raises `BenchKeyError` if neither of them has the key."""
     found, why = _of_files(public)
     if found is not None:
         return found
@@ -71,7 +71,7 @@ def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
 
 
 def _of_files(public: PublicKey) -> tuple[PrivateKey | None, str]:
-    """The key from a file next to its `.pub`; None and the reason if no key can be used."""
+    """The private key from the file beside the `.pub` file of this public key; None and the reason if there is no usable file."""
     folder = keys_folder()
     why = f"it is not in {folder}"
     try:

@@ -1,4 +1,4 @@
-"""Keys of the bench file of a run, read without validation, so that a run can be verified even if this file is not valid."""
+"""Reads keys of the bench file of a run without validation, so that the run can be verified even if this file is not valid."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from planrunner.plan import source
 
 
 def declared(bench: bytes | None, key: str) -> Json:
-    """The value of a key in the text of a bench file; None if the key is absent, or if the file cannot be read."""
+    """The value of a key in the text of a bench file; None if the key is absent or the file cannot be read."""
     if bench is None:
         return None
     try:

@@ -1,7 +1,7 @@
 """DSSE envelopes: signed payloads with a type (https://github.com/secure-systems-lab/dsse, v1).
 
-The signature covers the pre-authentication encoding (PAE) of type and payload, so that a payload cannot be presented as a payload
-of another type. One envelope has exactly one signature.
+The signature covers the pre-authentication encoding (PAE) of type and payload, so that nobody can present the payload as one of
+another type. One envelope has exactly one signature.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ class EnvelopeError(ValueError):
 
 
 def pae(kind: str, payload: bytes) -> bytes:
-    """The bytes that are signed: `DSSEv1 <length> <type> <length> <payload>`."""
+    """The pre-authentication encoding, which is signed: `DSSEv1 <length> <type> <length> <payload>`."""
     name = kind.encode()
     return b"DSSEv1 %d %b %d %b" % (len(name), name, len(payload), payload)
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """An envelope. key: fingerprint of the claimed signing key; `signed_by` checks the signature."""
+    """An envelope. key: fingerprint of the key that is said to have signed; `signed_by` checks this."""
 
     kind: str
     payload: bytes
@@ -35,7 +35,7 @@ class Envelope:
     signature: bytes
 
     def signed_by(self, key: PublicKey) -> bool:
-        """Whether this key signed this payload with this type."""
+        """Whether this key made the signature of this payload and its type."""
         return self.key == key.fingerprint and key.signed(self.signature, pae(self.kind, self.payload))
 
     def to_bytes(self) -> bytes:
@@ -50,7 +50,7 @@ def seal_envelope(kind: str, payload: bytes, signer: Signer) -> Envelope:
 
 
 def parse_envelope(data: bytes, kind: str) -> Envelope:
-    """The envelope in a file. kind: the only accepted type of the payload. Raises `EnvelopeError`."""
+    """Reads the envelope in a file. kind: the only accepted type of the payload. Raises `EnvelopeError`."""
     try:
         value = from_bytes(data)
     except ValueError:

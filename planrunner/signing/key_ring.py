@@ -62,7 +62,8 @@ class KeyRingFile(Record):
 
 @dataclass(frozen=True, slots=True)
 class KnownKey:
-    """A key of the ring with its owner. Dates are None if the ring gives none. owner: the person, if it is not the name of the key."""
+    """A key of the ring with its owner. Dates are None if the ring does not state them. owner: the person who owns the key; empty
+    if the name of the key is the name of the person."""
 
     name: str
     public: PublicKey
@@ -80,8 +81,8 @@ class KnownKey:
     def objection(self, day: date) -> str:
         """The reason why a signature with this date does not count; empty if it counts.
 
-        The date in a signature comes from the signer's clock. It therefore cannot show that a signature is older than the
-        revocation.
+        The date of a signature comes from the signer's clock. It therefore cannot show that a signature was made before the key was
+        revoked, so no signature of a revoked key counts.
         """
         if self.revoked is not None:
             return f"the key was revoked on {self.revoked}"
@@ -102,18 +103,18 @@ class KeyRing:
         return self.keys.get(fingerprint)
 
     def person(self, name: str) -> str | None:
-        """The person with this name, or with a key of this name; None if the ring has neither."""
+        """The person who has this name or whose key has this name; None if the ring has no such person."""
         named = {one.name: one.person for one in self.keys.values()}
         return named.get(name, name if name in named.values() else None)
 
 
 def read_ring(path: Path) -> KeyRing:
-    """The key ring in a file. Raises `InputError` with all faults, among them keys that occur twice."""
+    """Reads a key ring from a file. Raises `InputError` with all faults, including keys that occur twice."""
     return parse_ring(source.read_text(path), str(path))
 
 
 def parse_ring(text: str, shown: str) -> KeyRing:
-    """The key ring in a text. shown: name of the file in findings. Raises `InputError`."""
+    """Reads a key ring from a text. shown: file name that findings state. Raises `InputError`."""
     log = Findings()
     file = RecordOf(KeyRingFile).read(source.parse(text, shown), log)
     if file is None or log.errors:
@@ -149,7 +150,7 @@ def _day(entry: KeyEntry, name: str, log: Findings) -> date | None:
 
 
 def entry_text(name: str, public: PublicKey, roles: tuple[str, ...], until: str | None) -> str:
-    """The entry of a key, as it is written under `keys:` in the file of a ring."""
+    """The entry for a key, as the file of a ring contains it under `keys:`."""
     lines = [f"  {name}:", f"    public: {public.line}"]
     if roles:
         lines.append(f"    roles: [{', '.join(roles)}]")

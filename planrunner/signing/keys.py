@@ -1,4 +1,4 @@
-"""Ed25519 keys (RFC 8032): private keys in files with a passphrase, public keys as lines of OpenSSH.
+"""Ed25519 keys (RFC 8032): private keys in files with a passphrase, public keys as lines in OpenSSH format.
 
 Ed25519 is the only algorithm, so that nobody can choose a weaker one for a signature. A public key is written as in `~/.ssh/id_ed25519.pub`
 and named by its fingerprint, as `ssh-keygen -l` shows it.
@@ -46,11 +46,11 @@ class PublicKey:
 
     @property
     def line(self) -> str:
-        """The key as a line of OpenSSH, without a comment."""
+        """The key as a line in OpenSSH format, without a comment."""
         return f"{ALGORITHM} {base64.b64encode(self.blob).decode()}"
 
     def signed(self, signature: bytes, message: bytes) -> bool:
-        """Whether this key made the signature of the message."""
+        """Whether this key made this signature of this message."""
         try:
             Ed25519PublicKey.from_public_bytes(self.raw).verify(signature, message)
         except (InvalidSignature, ValueError):
@@ -84,7 +84,7 @@ class PrivateKey:
         return self._key.sign(message)
 
     def pem(self, passphrase: bytes | None) -> bytes:
-        """The key as PKCS #8 PEM, encrypted with the passphrase if there is one."""
+        """The key as PKCS #8 PEM; encrypted if a passphrase is given."""
         encryption = (
             serialization.NoEncryption() if passphrase is None else serialization.BestAvailableEncryption(passphrase)
         )
@@ -92,12 +92,12 @@ class PrivateKey:
 
 
 def generate() -> PrivateKey:
-    """Makes a new key from the random numbers of the operating system."""
+    """Makes a new key from random numbers of the operating system."""
     return PrivateKey(Ed25519PrivateKey.generate())
 
 
 def write_private(path: Path, key: PrivateKey, passphrase: bytes) -> None:
-    """Writes a new file that only its owner may read. Raises `InputError` if the file exists or cannot be written."""
+    """Writes a private key to a new file that only its owner may read. Raises `InputError` if the file exists or cannot be written."""
     if len(passphrase) < FEWEST_LETTERS:
         message = f"the passphrase has fewer than {FEWEST_LETTERS} characters"
         raise InputError.at(Mark(str(path)), "key-passphrase", message, "choose a longer passphrase")
@@ -105,8 +105,8 @@ def write_private(path: Path, key: PrivateKey, passphrase: bytes) -> None:
 
 
 def write_unencrypted(path: Path, key: PrivateKey) -> None:
-    """Writes a new key file without a passphrase that only its owner may read, for a bench that signs when nobody is present.
-    Raises `InputError` like `write_private`."""
+    """Writes a private key without a passphrase to a new file that only its owner may read, for a bench that signs when nobody is
+    present. Raises `InputError` like `write_private`."""
     _write_new(path, key.pem(None))
 
 
@@ -141,7 +141,7 @@ def is_encrypted(path: Path) -> bool:
 
 
 def read_private(path: Path, passphrase: bytes | None) -> PrivateKey:
-    """A private key in PEM (PKCS #8) or in the format of OpenSSH. Raises `InputError`."""
+    """Reads a private key in PEM (PKCS #8) or in the format of OpenSSH."""
     data = _read(path)
     try:
         key = _load(data, passphrase or None)
@@ -163,15 +163,15 @@ def read_private(path: Path, passphrase: bytes | None) -> PrivateKey:
 
 
 def _load(data: bytes, passphrase: bytes | None) -> object:
-    """Loads a private key. Raises TypeError if a passphrase is missing or not needed, and ValueError or UnsupportedAlgorithm for
-    any other data."""
+    """Loads a private key. Raises TypeError if a passphrase is missing or superfluous, and ValueError or UnsupportedAlgorithm for
+    any other unusable data."""
     if data.startswith(b"-----BEGIN OPENSSH PRIVATE KEY-----"):
         return serialization.load_ssh_private_key(data, passphrase)
     return serialization.load_pem_private_key(data, passphrase)
 
 
 def read_public(path: Path) -> PublicKey:
-    """The public key in a file of OpenSSH. Raises `InputError`."""
+    """Reads the public key in a file of OpenSSH."""
     data = _read(path)
     try:
         return parse_public(data.decode("ascii"))
@@ -181,7 +181,7 @@ def read_public(path: Path) -> PublicKey:
 
 
 def parse_public(line: str) -> PublicKey:
-    """The public key in a line `ssh-ed25519 AAAA… comment`. Raises ValueError."""
+    """Reads the public key in a line `ssh-ed25519 AAAA… comment`. Raises ValueError."""
     words = line.split(None, 2)
     if len(words) < 2 or words[0] != ALGORITHM or "\n" in line.strip():
         raise ValueError(f"this is not a public key of the form `{ALGORITHM} AAAA…`")
@@ -220,5 +220,5 @@ def _read(path: Path) -> bytes:
 
 
 def _text(data: bytes) -> bytes:
-    """Encodes a `string` of SSH (RFC 4251, 5)."""
+    """Encodes bytes as a `string` of SSH (RFC 4251, 5)."""
     return len(data).to_bytes(4, "big") + data

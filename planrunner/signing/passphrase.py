@@ -1,5 +1,5 @@
-"""The passphrase of private keys in the environment. The module is small, so that a command line can use it without importing the
-code for keys."""
+"""The passphrase of private keys, from the environment. The module is small, so that commands can use it without importing the code
+for keys."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
 """Electronic signatures of sealed runs: `signatures/<number>-<meaning>.dsse.json` in the run folder.
 
 A signature is a DSSE envelope with an in-toto Statement v1 whose predicate is a test result
-(https://in-toto.io/attestation/test-result/v0.1). Its subjects are the digests of the seal, the files that the run was given, the journal,
-the lists of digests of analyses, and the signatures before it. The seal and these lists contain the digests of everything else.
+(https://in-toto.io/attestation/test-result/v0.1). Its subjects are files, each with its digest: the seal, the files that the run
+was given, the journal, the lists of digests of analyses, and the earlier signatures. The seal and these lists contain the digests
+of everything else.
 
-Persons sign what they examined (`PersonMeaning`), with everything that exists at that time. A bench signs what it made (`BenchMeaning`)
-with its own key: the seal when it recorded a run, and each analysis when it evaluated the run.
+Persons sign what they examined (`PersonMeaning`), with all files that exist at that time. A bench signs what it made
+(`BenchMeaning`) with its own key: the seal when it has recorded a run, and each analysis when it has evaluated the run.
 """
 
 from __future__ import annotations
@@ -57,8 +58,8 @@ _FILE = re.compile(rf"([0-9]{{4}})-({'|'.join((*MEANINGS, *BENCH_MEANINGS))})\.d
 
 @dataclass(frozen=True, slots=True)
 class BenchSigning:
-    """The statements of a run about signatures of its bench. key: public key that the bench file names; None if it names none.
-    name: of the bench. earlier_seals: SHA-256 of the seals before the run was opened again, according to its journal."""
+    """What a run states about the signatures of its bench. key: public key in the bench file; None if the file names none. name:
+    name of the bench. earlier_seals: SHA-256 of the seals that existed before the run was opened again, according to its journal."""
 
     key: PublicKey | None = None
     name: str = ""
@@ -66,7 +67,7 @@ class BenchSigning:
 
 
 def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> BenchSigning:
-    """The statements of a run about its bench's signatures. bench: text of the bench file of the run; earlier_seals: as in
+    """Reads what a run states about the signatures of its bench. bench: text of the bench file of the run; earlier_seals: as in
     `BenchSigning`."""
     stated, name = declared(bench, "signing"), declared(bench, "name")
     text = stated.get("key") if isinstance(stated, dict) else None
@@ -78,7 +79,7 @@ def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> Ben
 
 
 def signing_of(found: Examined) -> BenchSigning:
-    """The statements of an examined run about its bench's signatures."""
+    """Reads what an examined run states about the signatures of its bench."""
     return bench_signing(found.given.get(BENCH), () if found.state is None else found.state.earlier_seals)
 
 
@@ -86,10 +87,11 @@ def signing_of(found: Examined) -> BenchSigning:
 class RunSignature:
     """One signature of a run.
 
-    file: its name in `signatures/`. standing: `unknown key` if no key ring was given or the key is not in it; the other values are
-    then only claims. why: the reason if it is not valid. owner: the name of the key in the ring. name, signed, comment, result: as
-    stated by the signer; signed is UTC, ISO 8601. analyses: numbers of the analyses that the signature covers. current: whether it
-    covers the present seal; a bench's signature of a seal that existed before the run was opened again does not.
+    file: name of the file in `signatures/`. standing: `unknown key` if no key ring was given or the ring lacks the key; all other
+    values are then only claims. why: the reason if the signature is not valid. owner: the name of the key in the ring. name,
+    signed, comment, result: as the signer states them; `signed` is UTC, ISO 8601. analyses: numbers of the analyses that the
+    signature covers. current: True if it covers the present seal, False for a bench's signature of a seal from before the run was
+    opened again.
     """
 
     file: str
@@ -116,7 +118,7 @@ class RunSignature:
 def statement(
     run: str, subjects: Mapping[str, str], result: TestResult, meaning: SignatureMeaning, name: str, comment: str
 ) -> JsonObject:
-    """The in-toto statement of a signature made now. subjects: file in the run folder → SHA-256."""
+    """The in-toto statement of a signature that is made now. subjects: file in the run folder → SHA-256 of the file."""
     given = [{"name": file, "digest": {"sha256": subjects[file]}} for file in (PLAN, BENCH)]
     return {
         "_type": STATEMENT,
@@ -145,8 +147,8 @@ def sign_run(
     """Signs a run that was verified as sealed and unchanged; returns the name of the new file. The caller must hold the lock of the
     folder.
 
-    run: its name; analyses: numbers of the analyses that the signature covers, by default all. Raises `InputError` for a name or comment
-    that cannot be printed, or a key that does not sign, and `OSError`.
+    run: name of the run; analyses: numbers of the analyses that the signature covers, by default all. Raises `InputError` if the
+    name or comment cannot be printed or the key cannot sign, and `OSError`.
     """
     require_line(str(folder.path), "name", name, 1)
     require_line(str(folder.path), "comment", comment)
@@ -168,14 +170,14 @@ def signatures_of(
 ) -> tuple[RunSignature, ...]:
     """All signatures of a run in the order of their numbers, each checked against the key ring and the present files.
 
-    bench: statements of the run about signatures of its bench; by default read from its folder. Raises `OSError`.
+    bench: what the run states about the signatures of its bench; by default read from the run folder. Raises `OSError`.
     """
     bench = bench or bench_signing(folder.read(BENCH, MOST_GIVEN))
     return tuple(_examined(folder, file, ring, bench) for file in _files(folder))
 
 
 def signature_faults(folder: GuardedFolder) -> Iterator[str]:
-    """Entries of `signatures/` that are not signatures, and gaps in their numbers. Raises `OSError`."""
+    """Entries of `signatures/` that are not signatures, and gaps in the numbers of the signatures. Raises `OSError`."""
     numbers = []
     if folder.entry(SIGNATURES) is None:
         return
@@ -228,8 +230,8 @@ def _examined(folder: GuardedFolder, file: str, ring: KeyRing | None, bench: Ben
 
 
 def _other_signer(claimed: RunSignature, known: KnownKey | None, *, own: bool) -> str:
-    """The reason why this key cannot make a signature of this meaning; empty if it can. own: whether it is the key that the bench
-    file names."""
+    """The reason why this key is not permitted to make a signature of this meaning; empty if it is permitted. own: True if the key
+    is the one in the bench file."""
     bench = known is not None and BENCH_ROLE in known.roles
     if not claimed.by_bench:
         return "a person must sign it, but the key is that of a bench" if own or bench else ""
@@ -251,12 +253,13 @@ def lacking_signatures(
     analyses: Iterable[int],
     ring: KeyRing | None,
 ) -> Iterator[tuple[str, str]]:
-    """Missing signatures of a sealed run that its bench must make, each as code and message.
+    """The signatures of a sealed run that its bench must make but that are missing, each as code and message.
 
     The bench file requires signatures if it names a key. The key ring also requires them if it contains a key of the bench that is
     valid on the day of the run. Neither a changed bench file nor the revocation of the key can therefore remove the requirement.
-    made: when the run began; analyses: their numbers. An analysis may instead be covered by the signature of a person, who may
-    evaluate a run elsewhere; with a key ring, the person must be in it.
+    made: time when the run began; analyses: numbers of the analyses of the run. A person's signature of an analysis can replace
+    that of the bench, because a person may evaluate a run elsewhere; if a key ring is given, it must contain the key of this
+    person.
     """
     day = made.date()
     expected = [one for one in ([] if ring is None else _benches(ring)) if one.person == bench.name]
@@ -315,11 +318,11 @@ def _read(file: str, envelope: Envelope) -> tuple[dict[str, str], RunSignature, 
 
 
 def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], run: str, *, earlier: bool) -> str:
-    """Differences between the signed digests and the present files; empty if there are none. Later analyses and signatures may
-    exist.
+    """The first difference between the signed digests and the present files, in words; empty if there is none. Analyses and
+    signatures that were added later are not a difference.
 
-    earlier: whether it covers a seal from before the run was opened again. The journal contains the digest of this seal, so that
-    seal and journal then need not be the present ones.
+    earlier: True if the signature covers a seal from before the run was opened again. The journal contains the digest of that seal,
+    so the present seal and journal may then differ from the signed ones.
     """
     try:
         present = _subjects(folder, before=file)
@@ -344,8 +347,8 @@ def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], r
 def _subjects(
     folder: GuardedFolder, before: str | None = None, analyses: Iterable[int] | None = None
 ) -> dict[str, str]:
-    """Maps each file that a signature covers to its SHA-256 digest. before: this signature and all later ones are omitted;
-    analyses: their numbers, by default all. Raises `OSError`."""
+    """Maps each file that a signature covers to its SHA-256 digest. before: file of a signature; it and all later signatures are
+    omitted. analyses: numbers of the analyses, by default all. Raises `OSError`."""
     limits = {
         RUN: MOST_GIVEN,
         PLAN: MOST_GIVEN,

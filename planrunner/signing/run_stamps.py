@@ -1,8 +1,9 @@
-"""Verifies the time stamps of a run: what they stamp, whose certificate they use, and whether the times of the journal agree with
-them.
+"""Verifies the time stamps of a run: which data they stamp, which certificate verifies them, and whether the times in the journal
+agree with them.
 
-A stamp shows that the stamped events existed at its time. The event `stamped` that follows contains the digest of the stamp, so it and all
-later events were written after that time. Between two stamps, the times of the events are therefore bounded on both sides.
+A time stamp proves that the stamped events existed at the time of the stamp. The following event `stamped` contains the digest of
+the stamp. It and all later events were therefore written after the stamp. The times of events between two stamps thus have an upper
+and a lower bound.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ StampStanding = Literal["valid", "unknown authority", "invalid"]
 
 @dataclass(frozen=True, slots=True)
 class RunStamp:
-    """One time stamp of a run. events: number of events in the stamped journal; None for a stamp of the seal. time: time of the
-    authority, UTC, ISO 8601; empty if it cannot be read. standing: `unknown authority` if only the certificate in the run's own
-    bench file verifies it. why: the reason if it is not valid."""
+    """One time stamp of a run. events: number of events in the stamped part of the journal; None for a stamp of the seal. time:
+    time that the authority states, UTC, ISO 8601; empty if it cannot be read. standing: `unknown authority` if only the certificate
+    in the bench file of the run verifies the stamp. why: the reason if the stamp is not valid."""
 
     file: str
     events: int | None
@@ -47,7 +48,8 @@ class RunStamp:
 
 
 def declared_stamps(found: Examined) -> Mapping[str, Json] | None:
-    """The key `time_stamps` in the bench file of a run, as it is written; None if there is none, or if the file cannot be read."""
+    """The value of the key `time_stamps` in the bench file of a run, without validation; None if there is none, or if the file
+    cannot be read."""
     told = declared(found.given.get(BENCH), "time_stamps")
     return told if isinstance(told, dict) else None
 
@@ -63,8 +65,8 @@ def stamped_seals(folder: GuardedFolder) -> set[str]:
 
 
 def verify_stamps(found: Examined, given: StampAuthority | None) -> tuple[RunStamp, ...]:
-    """Verifies all time stamps of an examined run. Faults become findings of `found`. given: the authority that the verifier
-    trusts. Raises `OSError`."""
+    """Verifies all time stamps of an examined run. Faults are added to the findings of `found`. given: the authority that the
+    verifier trusts. Raises `OSError`."""
     mark, stated = Mark(str(found.folder.path)), declared_stamps(found)
     own = _stated_authority(stated)
     authority = given or own
@@ -100,7 +102,7 @@ def _stated_authority(stated: Mapping[str, Json] | None) -> StampAuthority | Non
 
 
 def _check_files(found: Examined, names: tuple[StampName, ...]) -> None:
-    """Reports entries of the folder that are not stamps, and gaps in their numbers."""
+    """Reports entries of the folder that are not time stamps, and gaps in the numbers of the stamps."""
     if found.folder.entry(FOLDER) is None:
         return
     within, known = found.folder.folder(FOLDER), {one.file for one in names}
@@ -139,7 +141,8 @@ def _verified(found: Examined, name: StampName, authority: StampAuthority | None
 
 
 def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str, str]:
-    """The fault of the digest in a stamp, as code and message; both are empty if there is none."""
+    """The fault if a stamp is not for the present journal or a seal of the run, as code and message; both are empty without a
+    fault."""
     if found.scan is None or found.state is None:
         return "", ""
     if name.events is None:
@@ -154,7 +157,7 @@ def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str,
 
 
 def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str, str]:
-    """The fault if the stamped data are dated after their stamp."""
+    """The fault if the stamped data have a later date than their stamp, as code and message; both are empty without a fault."""
     if found.scan is None:
         return "", ""
     stated = found.scan.times.get(name.events) if name.events is not None else None
@@ -166,7 +169,8 @@ def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str
 
 
 def _check_record(found: Examined, stamps: Mapping[str, RunStamp]) -> None:
-    """Checks the stamps that the journal names, and checks that no event after a stamp is dated before it."""
+    """Checks that the stamps that the journal names are present and unchanged, and that no event that records a stamp is dated
+    before this stamp."""
     assert found.state is not None
     for event in found.state.stamped:
         path, place = found.folder.path / FOLDER / event["file"], f"{found.folder.path / JOURNAL}:{event['seq']}"
@@ -188,7 +192,7 @@ def _check_record(found: Examined, stamps: Mapping[str, RunStamp]) -> None:
 
 
 def _check_seal(found: Examined, stamps: tuple[RunStamp, ...]) -> None:
-    """Checks whether the present seal is stamped, and when."""
+    """Checks that the present seal has a time stamp and was not stamped late."""
     assert found.state is not None
     mark = Mark(str(found.folder.path))
     if found.seal is None or not found.state.finished:

@@ -23,7 +23,7 @@ LISTING = 10.0
 
 @dataclass(frozen=True, slots=True)
 class AgentKey:
-    """A key that the agent at SSH_AUTH_SOCK holds."""
+    """A key that the agent at SSH_AUTH_SOCK has."""
 
     public: PublicKey
 
@@ -39,7 +39,7 @@ class AgentKey:
 
 
 def holds(key: PublicKey) -> bool:
-    """Whether the agent at SSH_AUTH_SOCK lists this key (section 3.5). It does not request a signature."""
+    """Whether the agent at SSH_AUTH_SOCK has this key in its list (section 3.5). It does not request a signature."""
     try:
         reply = _answer(bytes([LIST_REQUEST]), LISTING)
     except InputError:
@@ -48,7 +48,7 @@ def holds(key: PublicKey) -> bool:
 
 
 def _listed(data: bytes) -> Iterator[bytes]:
-    """The keys in a list of keys and their comments."""
+    """The keys in the agent's list, which contains keys and comments in turn."""
     strings = []
     while len(data) >= 4:
         size = int.from_bytes(data[:4], "big")
@@ -58,8 +58,8 @@ def _listed(data: bytes) -> Iterator[bytes]:
 
 
 def _answer(request: bytes, patience: float) -> bytes:
-    """The reply of the agent, without its length; empty if it is too long. Raises `InputError` if there is no agent or it does not
-    answer. patience: longest time to wait, s."""
+    """The reply of the agent, without the length that precedes it; empty if the reply is too long. Raises `InputError` if no agent
+    is running or the agent does not answer. patience: longest time to wait, s."""
     path = os.environ.get("SSH_AUTH_SOCK", "")
     if not path or sys.platform == "win32":
         hint = "start ssh-agent and add the key with ssh-add"

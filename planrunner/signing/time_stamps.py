@@ -38,14 +38,14 @@ class StampError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class StampAuthority:
-    """Certificates that verify stamps: those of the authority, or those of its root and of the intermediate authorities.
-    revocations: lists of revoked certificates, each signed by one of these certificates."""
+    """Certificates that verify time stamps: those of the authority itself, or those of the root and of the intermediate authorities
+    that certify it. revocations: lists of revoked certificates, each signed by one of these certificates."""
 
     certificates: tuple[x509.Certificate, ...]
     revocations: tuple[x509.CertificateRevocationList, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[[bytes, bytes], StampAuthority], tuple[bytes, bytes]]:
-        """Makes the object picklable, because certificates of the library cannot be sent to another process."""
+        """Makes the object picklable: the certificate objects of the library cannot be sent to another process."""
         certificates, lists = (
             b"".join(one.public_bytes(Encoding.PEM) for one in some) for some in (self.certificates, self.revocations)
         )
@@ -53,7 +53,7 @@ class StampAuthority:
 
 
 def parse_authority(pem: bytes, revocations: bytes = b"") -> StampAuthority:
-    """The certificates in a text in PEM, and the lists of revoked certificates (RFC 5280) in PEM or in DER. Raises ValueError."""
+    """Reads certificates in PEM, and lists of revoked certificates (RFC 5280) in PEM or DER."""
     try:
         found = tuple(x509.load_pem_x509_certificates(pem))
     except ValueError:
@@ -93,8 +93,8 @@ _NOT_COMPROMISED = (
 
 
 def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: StampAuthority) -> None:
-    """Raises `StampError` if the certificate of the signer, or a certificate that issued it, was revoked in a way that makes a
-    stamp of this time invalid."""
+    """Raises `StampError` if the signer's certificate, or one that certifies it, was revoked in a way that invalidates a stamp of
+    this time."""
     known = {*authority.certificates, *map(x509.load_der_x509_certificate, reply.signed_data.certificates)}
     signers = {(one.issuer, one.serial_number) for one in reply.signed_data.signer_infos}
     chain = [one for one in known if (one.issuer, one.serial_number) in signers]
@@ -120,7 +120,7 @@ def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: 
 
 
 def stamp_time(token: bytes, digest: str, authority: StampAuthority) -> datetime:
-    """The time, UTC, at which the authority stamped a SHA-256 digest (64 hexadecimal digits). Raises `StampError`."""
+    """The time (UTC) at which the authority stamped a SHA-256 digest (64 hexadecimal digits). Raises `StampError`."""
     reply = _decoded(token)
     _verify(VerifierBuilder(roots=list(authority.certificates)), reply, digest)
     moment = reply.tst_info.gen_time.astimezone(UTC)
@@ -137,8 +137,8 @@ def stamped_digest(token: bytes) -> str:
 
 
 def request_stamp(url: str, data: bytes, digest: str, authority: StampAuthority) -> tuple[bytes, datetime]:
-    """Requests a new time stamp of data with this SHA-256 digest. Returns the reply of the authority, verified, and its time.
-    Raises `StampError`."""
+    """Requests a new time stamp of `data`, whose SHA-256 digest is `digest`. Returns the verified reply of the authority, and the
+    time of the stamp. Raises `StampError`."""
     query = TimestampRequestBuilder().data(data).hash_algorithm(HashAlgorithm.SHA256).build()
     request = urllib.request.Request(url, data=query.as_bytes(), headers={"Content-Type": QUERY})
     try:

@@ -19,8 +19,8 @@ SIGNED = "head.dsse.json"
 
 @dataclass(frozen=True, slots=True)
 class RememberedHead:
-    """A tree head from a file. key: fingerprint of the claimed signing key, empty if it is not signed; owner: the name of this key
-    in the key ring if the signature is valid; why: the fault of the signature, empty if none is known."""
+    """A tree head from a file. key: fingerprint of the key that is said to have signed, empty without a signature; owner: the name
+    of this key in the key ring if the signature is valid; why: the fault of the signature, empty if none is known."""
 
     head: TreeHead
     key: str = ""
@@ -29,8 +29,8 @@ class RememberedHead:
 
 
 def sign_head(log: RunLog, signer: Signer) -> bytes:
-    """Signs the present head and stores the signature in the log; returns it. Raises `IntegrityError` for a log that was changed, and
-    `OSError`."""
+    """Signs the present tree head of a log and stores the signature in the log; returns the signature. Raises `IntegrityError` if
+    the log was changed, and `OSError`."""
     import rfc8785
 
     with log.locked():
@@ -42,14 +42,14 @@ def sign_head(log: RunLog, signer: Signer) -> bytes:
 
 
 def signed_head(log: RunLog, ring: KeyRing | None) -> RememberedHead | None:
-    """The signed head in a log; None if there is none. Raises `IntegrityError` and `OSError`."""
+    """The signed tree head in a log; None if there is none. Raises `IntegrityError` and `OSError`."""
     if log.folder.entry(SIGNED) is None:
         return None
     return remembered_head(log.folder.read(SIGNED, MOST_HEAD), log.path / SIGNED, ring)
 
 
 def remembered_head(data: bytes, path: Path, ring: KeyRing | None) -> RememberedHead:
-    """The tree head in a file, signed or not. Raises `IntegrityError` if the file does not contain a tree head."""
+    """Reads the tree head in a file, which may be signed. Raises `IntegrityError` if the file does not contain a tree head."""
     if b'"payloadType"' not in data:
         return RememberedHead(parse_head(data, path))
     try:
