@@ -26,8 +26,8 @@ MAY_DIFFER = ("estimates", "limits", "report", "diagnosis")
 
 @dataclass(frozen=True, slots=True)
 class Amendment:
-    """An amendment. by: who makes it; why: the reason; plan: a plan with other estimates or limits, or None for those of the run.
-    amends: the analysis to amend, by default the newest."""
+    """An amendment. by: the person who makes the amendment; why: the reason; plan: a plan with other estimates or limits, or None
+    to use those of the run. amends: number of the analysis to amend, by default the newest."""
 
     by: str
     why: str
@@ -47,7 +47,8 @@ class Amendment:
 
 
 def checked_amendment(amendment: Amendment) -> Amendment:
-    """The amendment without surrounding spaces. Raises `InputError` if who or why is missing or not one plain line."""
+    """The amendment without leading and trailing spaces. Raises `InputError` if the person or the reason is missing, or is not one
+    line of plain text."""
     told = {"--by": amendment.by.strip(), "--why": amendment.why.strip()}
     for option, text in told.items():
         if not text or len(text) > MOST_TEXT or not text.isprintable() or MISLEADING.search(text):
@@ -68,8 +69,8 @@ def amended_analysis(reader: RunReader, amendment: Amendment) -> StoredAnalysis:
 
 
 def require_same_measurement(run: Sound, evaluated: Sound) -> None:
-    """Raises `InputError` if another plan differs in more than its evaluation, because the samples were recorded with the plan of
-    the run."""
+    """Raises `InputError` if the plan of an amendment differs in more than its evaluation, because the samples were recorded with
+    the plan of the run."""
     differ = [name for name, meaning in _measured(evaluated.plan).items() if meaning != _measured(run.plan).get(name)]
     if differ:
         message = f"this plan differs from that of the run in: {', '.join(differ)}"

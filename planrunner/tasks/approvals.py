@@ -1,7 +1,6 @@
-"""Checks whether a plan has the approvals that a bench requires: before it runs, when a run is resumed, and afterwards.
+"""Checks whether a plan has the approvals that a bench requires: before the plan runs, when a run is resumed, and afterwards.
 
-On a bench that requires approvals, nothing else runs: `running.start` executes only plans for which `required_approvals` found
-enough approvals.
+On such a bench, only approved plans run: `running.start` executes a plan only if `required_approvals` found enough approvals.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ from planrunner.signing.key_ring import KeyRing, parse_ring
 
 @dataclass(frozen=True, slots=True)
 class RingFile:
-    """A key ring with the text that it was read from."""
+    """A key ring, with the text from which it was read."""
 
     path: Path
     text: str
@@ -62,13 +61,14 @@ class RingFile:
 
 
 def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
-    """The key ring that a bench names. Raises `InputError` if it cannot be read, or if `by` or a key does not fit the rule."""
+    """The key ring that a bench names. Raises `InputError` if the ring cannot be read, or if a person in `by` or a key does not fit
+    the rule for approvals."""
     return _ring(rule, bench_file.parent / rule.keys)
 
 
 def ring_of_run(rule: ApprovalRule, kept: KeptApprovals, bench_file: Path | None) -> RingFile:
-    """The key ring with which a run is continued. The bench names it; it is not in the run folder. bench_file: of a bench that
-    replaces the one in the folder. Raises `InputError` like `ring_of`."""
+    """The key ring with which a run is continued. The bench names this ring; it is not in the run folder. bench_file: file of a
+    bench that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
     return _ring(rule, Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys)
 
 
@@ -94,8 +94,8 @@ def _ring(rule: ApprovalRule, path: Path) -> RingFile:
 
 @dataclass(frozen=True, slots=True)
 class _Reason:
-    """How a finding reports that an approval does not count. code: of the finding; hint: what to do; key: of the rule that it
-    concerns, if any."""
+    """How a finding reports that an approval does not count. code: code of the finding; hint: what to do; key: key of the rule for
+    approvals that the reason concerns, if any."""
 
     code: str
     hint: str
@@ -124,11 +124,11 @@ _REASONS: dict[ApprovalStanding, _Reason] = {
 def required_approvals(
     plan_file: Path, plan_bytes: bytes, plan: Plan, bench: Bench, moment: datetime, log: Findings
 ) -> KeptApprovals | None:
-    """The approval data that the run folder must keep, if the plan has the approvals that its bench requires; otherwise None, and
-    findings give the reasons.
+    """The approval data that the run folder must keep. None if the bench requires no approvals, or if approvals are missing;
+    findings then give the reasons.
 
-    The approvals are beside the plan, and the key ring is beside the bench file. moment: time at which the plan is to run, with a
-    time zone.
+    The approvals are read beside the plan file, and the key ring beside the bench file. moment: time at which the plan is to run,
+    with a time zone.
     """
     rule = bench.approvals
     if rule is None:
@@ -170,7 +170,7 @@ class _Differences:
     data: bytes
 
     def words(self, approval: StatedApproval) -> str:
-        """The difference from the approved plan, if this plan is at hand and has the approved meaning."""
+        """The difference from an approved plan in words, if the text of that plan is available and still has the approved meaning."""
         data = approved_text(self.folder, approval)
         if data is None:
             return ""
@@ -195,8 +195,8 @@ def _tell(
     differences: _Differences | None = None,
     remedy: str = "",
 ) -> None:
-    """Adds one error, and for each key a further error with the reason why its newest approval does not count. remedy: text of the
-    remedy, by default to approve the plan."""
+    """Adds one error about missing approvals, and for each key a further error with the reason why the newest approval with that
+    key does not count. remedy: text of the hint, by default to approve the plan."""
     persons = sorted({one.person for one in found if one.standing == "counts"})
     counted = (
         f"only the approval by {persons[0]} counts"
@@ -230,12 +230,12 @@ def _tell(
 def still_approved(
     reader: RunReader, plan: Plan, bench: Bench, bench_file: Path | None, further: Path | None = None
 ) -> tuple[JsonObject, ...]:
-    """Further approvals under which a run is to continue, as entries for its journal. Raises `InputError` if too few of them count
-    today.
+    """The further approvals with which a run can be continued, as entries for its journal. Raises `InputError` if too few approvals
+    count today.
 
-    bench_file: of a bench that replaces the one in the folder. further: plan file next to which approvals are that were given after
-    the run began. Without it, only the approvals count with which it began or was continued. Approvals that have expired or been
-    withdrawn since then, and keys that have been revoked, no longer count.
+    bench_file: file of a bench that replaces the one in the run folder. further: plan file beside which there are approvals that
+    were given after the run began. Without it, only the approvals with which the run began or was continued can count. An approval
+    does not count if it has expired or was withdrawn since then, or if its key was revoked.
     """
     rule = bench.approvals
     if rule is None:
@@ -272,7 +272,8 @@ def still_approved(
 def _renewals(
     state: JournalState,
 ) -> list[tuple[datetime, tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]]]:
-    """The times at which a run was continued with further approvals, and these approvals; also the entries that are not approvals."""
+    """For each time at which a run was continued with further approvals: the time, these approvals, and the entries that are not
+    approvals."""
     return [(datetime.fromisoformat(at), entries_of(given)) for at, given in state.renewals]
 
 
@@ -281,14 +282,14 @@ def _renewals(
 
 @dataclass(frozen=True, slots=True)
 class RunApproval:
-    """An approval under which a plan ran. verified: whether a key ring was given to verify it. If not, it was checked with the ring
-    in the run folder, which proves nothing about the owner of the key."""
+    """An approval under which a plan ran. verified: True if the user gave a key ring to verify the approval. Otherwise, the
+    approval was checked with the ring in the run folder, which proves nothing about the owner of the key."""
 
     judged: JudgedApproval
     verified: bool
 
     def words(self) -> str:
-        """Who approved, when, until when, and with which key, in words."""
+        """Who approved the plan, when, until when, and with which key, in words."""
         stated = self.judged.stated
         if not isinstance(stated, StatedApproval):
             return stated.file
@@ -297,7 +298,8 @@ class RunApproval:
 
 
 def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, ...]:
-    """The approvals of a run, checked for the moment when the run began. Faults become findings. ring: the known keys."""
+    """The approvals of a run, checked for the moment when the run began. Faults become findings. ring: key ring with the keys that
+    the user knows."""
     path = found.folder.path
     if not {PLAN, BENCH} <= found.given.keys() or not found.run:
         return ()
@@ -350,7 +352,7 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
 
 
 def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None:
-    """Checks whether the signed overrides of the check standard were valid when the run began or was continued with them."""
+    """Checks whether each signed override of the check standard was valid when the run began or was continued with it."""
     begun = found.run.get("check_standard", {})
     created = datetime.fromisoformat(str(found.run["created"]))
     judged_then = [(RUN, created, kept.day, begun)]
@@ -371,7 +373,7 @@ def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None
 def _tell_invalid(
     found: Examined, where: Path, seen: Sequence[JudgedApproval], outdated: Sequence[ApprovalStanding], *, met: bool
 ) -> None:
-    """Reports approvals that do not count, except if later approvals replace them. met: whether enough approvals count."""
+    """Reports approvals that do not count, except those that later approvals replace. met: True if enough approvals count."""
     why = "; ".join(f"{_name(one)}: {one.why}" for one in seen if one.standing not in ("counts", *outdated))
     if not met or why:
         lacking = "the approvals that the bench requires are not all valid"
@@ -379,7 +381,8 @@ def _tell_invalid(
 
 
 def _author(found: Examined, kept: KeptApprovals, bench: Bench) -> tuple[str, ...]:
-    """The author that the plan in the folder states. Also checks that plan and bench have the meanings that were approved."""
+    """The authors that the plan in the run folder states. Also checks that this plan and the bench have the meanings that were
+    approved."""
     path = found.folder.path
     plan, _ = parse_plan(source.decode(found.given[PLAN], str(path / PLAN)), str(path / PLAN))
     if plan is None:
@@ -416,8 +419,8 @@ def _name(one: JudgedApproval) -> str:
 
 
 def approved_by(reader: RunReader) -> Iterator[tuple[str, str]]:
-    """The name of each person whose approval the run keeps, and the text that reports print about it. They were verified when the
-    run began or was continued with further approvals."""
+    """The name of each person whose approval the run folder keeps, and the text that reports print about this approval. The
+    approvals were verified when the run began or was continued with further ones."""
     if reader.approvals is None:
         return
     kept, _ = kept_approvals(reader.approvals, reader.path)

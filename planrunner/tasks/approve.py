@@ -47,8 +47,8 @@ _ANYBODY = ApprovalRule(keys="", author_may_approve=True)
 
 @dataclass(frozen=True, slots=True)
 class PreparedApproval:
-    """The content of an approval before it is signed. sound: the plan on each bench; last: the newest approval of a plan with
-    another meaning, with the difference from the present plan if that plan is at hand."""
+    """The content of an approval before it is signed. sound: the checked plan on each bench; last: the newest approval of a plan with
+    another meaning whose text is available, with the difference from the present plan; None if there is no such approval."""
 
     plan: Path
     what: Approved
@@ -58,8 +58,8 @@ class PreparedApproval:
 
 @dataclass(frozen=True, slots=True)
 class BenchApprovals:
-    """The approvals of a plan on one bench. rule: rule of the bench, None if it requires no approvals; met: whether there are
-    enough."""
+    """The approvals of a plan on one bench. rule: the rule of the bench for approvals, None if it requires none; met: True if the
+    approvals meet the rule."""
 
     bench: str
     rule: ApprovalRule | None
@@ -70,10 +70,11 @@ class BenchApprovals:
 def prepare(
     plan: Path, benches: Sequence[str] = (), until: date | None = None, *, foresee: bool = True
 ) -> PreparedApproval:
-    """Prepares an approval of a plan. benches: shipped names or files, by default the bench of the plan; until: last day.
+    """Prepares an approval of a plan. benches: names of shipped benches or bench files, by default the bench that the plan names;
+    until: last day of the approval.
 
-    foresee: whether the difference to the last approved version contains the consequences. Raises `InputError` for a plan that does not
-    pass its checks on every bench, or a day in the past.
+    foresee: True if the difference from the last approved version includes the consequences. Raises `InputError` for a plan that
+    does not pass its checks on every bench, and for a day in the past.
     """
     document = Document(source.read_bytes(plan), str(plan))
     sound = tuple(check_plan(document, bench).sound() for bench in benches or (None,))
@@ -118,7 +119,8 @@ def approve(
 
 
 def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage | None = None) -> tuple[str, int]:
-    """Withdraws all approvals of a plan that a key gave; returns the name of the new file and their number. Raises `InputError`."""
+    """Withdraws all approvals of a plan that were signed with this key; returns the name of the new file and the number of these
+    approvals. Raises `InputError`."""
     require_line(str(plan), "name", name, 1)
     require_line(str(plan), "statement", why, 1)
     stated = read_approvals(approvals_folder(plan))

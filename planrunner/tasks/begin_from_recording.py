@@ -1,4 +1,4 @@
-"""Makes a first bench and plan from a recording that has no description yet."""
+"""Makes a first bench and a first plan from a recording that has no description yet."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ STILL = 0.9
 
 
 def _quoted(text: str) -> str:
-    """A text as a YAML value."""
+    """A text as a value in YAML, with quotes if it needs them."""
     return text if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./]*", text) else "'" + text.replace("'", "''") + "'"
 
 
 def bench_of(look: Look, name: str) -> str:
-    """A bench file that plays the recording back. name: of the bench."""
+    """The text of a bench file that plays the recording back. name: name of the bench."""
     lines = [
         "planrunner_bench: 1",
         f"name: {name}",
@@ -68,7 +68,7 @@ def bench_of(look: Look, name: str) -> str:
 
 
 def plan_of(look: Look, name: str) -> str:
-    """A plan to begin with. name: of its bench."""
+    """The text of a first plan. name: name of the bench that the plan uses."""
     outputs = [one.name for one in look.channels if one.sensed in ("gyro", "accel")]
     lines = [
         "planrunner: 1",

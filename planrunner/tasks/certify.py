@@ -1,4 +1,4 @@
-"""Issues a calibration certificate of a run: its contents, and the obstacles to issuing it."""
+"""Issues the calibration certificate of a run: determines its contents, and the obstacles to issuing it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def facts(
     before: Mapping[str, Estimate] | None = None,
     before_run: str = "",
 ) -> CertificateFacts:
-    """Contents of a certificate of this run. given: run information given at the issue; it takes precedence over that of the run."""
+    """The contents of a certificate for this run. given: run information that is given when the certificate is issued; it takes
+    precedence over that of the run."""
     recorded = recorded_information(reader)
     segments = tuple(recording)
     bench = sound.bench
@@ -74,7 +75,7 @@ _SHOWN = ("name", "address", "location", "contact", "accreditation", "traceabili
 
 
 def recorded_information(reader: RunReader) -> dict[str, str]:
-    """Run information in the run folder."""
+    """The run information that the run folder contains."""
     return {name: str(value) for name, value in reader.run["info"].items()}
 
 
@@ -130,7 +131,7 @@ def _events(reader: RunReader) -> Iterable[tuple[str, str, str]]:
 
 
 def obstacles(reader: RunReader, sound: Sound, results: Results, shown: CertificateFacts) -> list[Finding]:
-    """All obstacles to issuing a certificate of this run."""
+    """All obstacles to issuing a certificate for this run."""
     log = Findings()
     mark = Mark(str(reader.path))
     told = {name for name, text in shown.told.items() if text}
@@ -191,8 +192,8 @@ def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Fin
 
 
 def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
-    """Checks ISO/IEC 17025, 7.8.8: an issued certificate is replaced by a new one with a different number that names the replaced
-    certificate and the reason."""
+    """Checks ISO/IEC 17025, 7.8.8: an issued certificate may only be replaced by a new one with a different number, which names the
+    replaced certificate and the reason."""
     told = shown.told
     earlier = [one for one in reader.analyses if any(map(is_certificate, one.files))]
     numbers = [_number_of(one) for one in earlier]
@@ -217,7 +218,7 @@ def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log
 
 
 def issued_as(shown: CertificateFacts) -> JsonObject:
-    """Data stored with a certificate, so that later ones can be checked against it."""
+    """Data that are stored with a certificate, so that later certificates can be checked against them."""
     kept = {name: shown.told.get(name, "") for name in ("certificate_number", "amends", "amendment_reason")}
     return {"planrunner_issued": 1, **{name: text for name, text in kept.items() if text}, "issued": shown.issued}
 
@@ -231,7 +232,8 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
-    """Obstacles to using a run as the run before the adjustment: it is the certified run itself, or was made on another item."""
+    """The obstacle if a run cannot serve as the run before the adjustment: it is the certified run itself, or was made with another
+    item."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"
         hint = "give the run of the same item before its adjustment"
@@ -247,5 +249,5 @@ def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader)
 
 
 def names() -> list[str]:
-    """Names of the run information that certificates use."""
+    """The names of the run information that certificates use."""
     return [item.name for item in ASKED]

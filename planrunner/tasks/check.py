@@ -1,4 +1,4 @@
-"""The checks of a plan on a bench, all in one run: form, meaning, physics.
+"""All checks of a plan on a bench at once: of its form, its meaning and its physics.
 
 checked = check_plan(Path("plans/x.yaml")) checked.findings       all findings, with file:line:column checked.schedule       the planned
 steps, with times checked.designs        the expected results of each estimate, with predicted uncertainties
@@ -48,8 +48,8 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes read, including the values given for
-    parameters. approvals: the approvals that the bench requires, if the plan has them."""
+    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes that were read, with the values given
+    for parameters entered. approvals: the approvals that the bench requires; None if it requires none or the plan lacks them."""
 
     file: str
     findings: Findings
@@ -71,7 +71,7 @@ class Checked:
 
     @property
     def setup(self) -> Setup:
-        """The test set-up, as far as plan and bench state it."""
+        """The test set-up, as far as the plan and the bench state it."""
         if self.plan is None or self.models is None or self.bench is None:
             return Setup()
         return Setup(
@@ -87,8 +87,9 @@ class Checked:
 
     @property
     def portable(self) -> bool:
-        """Whether another computer would have the same result on this day. Another computer has no signing key, may have other runs
-        and another time, and may lack files."""
+        """Whether another computer would get the same result today. Another computer has no signing key, may have other runs and
+        another time, and may lack files. The result is therefore not portable if the bench signs its runs, has a check standard or
+        requires approvals, or if the check found an error."""
         bench = self.bench
         if bench is None or not self.ok:
             return False
@@ -124,8 +125,9 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A plan that passed its checks (warnings may remain in `findings`). parameters: values that were given for parameters.
-    approvals: the approvals that the bench requires. On such a bench, a plan without approvals does not run."""
+    """A plan that passed its checks (warnings may remain in `findings`). parameters: the values that the user gave for parameters.
+    approvals: the approvals that the bench requires; None if there are none. A bench that requires approvals does not run a plan
+    without them."""
 
     file: str
     findings: Findings
@@ -161,13 +163,13 @@ def check_plan(
     today: date | None = None,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Checked:
-    """All checks of a plan before it runs. Never raises because of the content of the files.
+    """Makes all checks of a plan before it runs. No content of the files makes it raise an error.
 
-    plan_file: path of the plan, or the plan itself. For a plan itself, the bench is searched relative to the shown name. Approvals
-    are searched only next to a path. A plan without path for a bench that requires approvals passes, but does not run. bench: bench
-    that replaces the plan's bench: a shipped name, a file relative to the working folder (exactly this path), or the bench itself.
-    today: the day on which calibrations must be valid, by default the current day. parameters: values for parameters of the plan.
-    Findings about such a value name the place where it was given.
+    plan_file: path of the plan file, or its contents as a `Document`. For a `Document`, the bench is searched relative to the name
+    that it shows. Approvals are searched only beside a path. If the bench requires approvals, a `Document` therefore passes the
+    checks but does not run. bench: bench that replaces the one in the plan: the name of a shipped bench, a path relative to the
+    working folder, or a `Document`. today: the day on which calibrations must be valid, by default the current day. parameters:
+    values for parameters of the plan. Findings about such a value state the place where the value was given.
     """
     file = plan_file.shown if isinstance(plan_file, Document) else str(plan_file)
     checked = Checked(file, Findings(), {name: given.value for name, given in parameters.items()})
@@ -191,7 +193,7 @@ def check_plan(
 
 
 def _where_given(finding: Finding, parameters: Mapping[str, Given], places: Mapping[str, Mark]) -> Finding:
-    """A finding about the value of a parameter, at the place where the value was given."""
+    """A finding about the value of a parameter, moved to the place where the value was given."""
     for name, place in places.items():
         if place.covers(finding.mark):
             given = parameters[name]
@@ -231,7 +233,7 @@ def _check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
 
 
 def _check_approvals(checked: Checked, plan_file: Path, plan: Plan, bench: Bench, today: date | None) -> None:
-    """Checks the approvals of a plan without errors. A plan with errors cannot run, and correcting it may change its meaning."""
+    """Checks the approvals of a plan that has no errors. A plan with errors cannot run, and correcting it may change its meaning."""
     if bench.approvals is None or checked.findings.errors:
         return
     from planrunner.tasks.approvals import required_approvals
@@ -364,7 +366,7 @@ def _check_estimate(
 
 
 def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
-    """Groups of outputs with the same finding, each group in order."""
+    """Groups of outputs with the same finding; the outputs in each group keep their order."""
     groups: dict[tuple[object, ...], list[Identifiability]] = {}
     for one in judged:
         what = (one.rank, one.columns, f"{one.condition:.3g}", one.unidentifiable, one.explanation)
@@ -373,7 +375,7 @@ def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
 
 
 def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findings) -> None:
-    """One finding for a group of outputs with the same result, if a finding is necessary."""
+    """Adds one finding for a group of outputs with the same result, if this result requires one."""
     judged, names = alike[0], [one.output for one in alike]
     outputs = f"output {names[0]}" if len(names) == 1 else f"outputs {', '.join(names[:-1])} and {names[-1]}"
     if not judged.sound:
@@ -435,7 +437,7 @@ def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findi
 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
-    """Warns about a guarded limit that is narrower than the expected uncertainty, because no value could pass it."""
+    """Warns about a guarded limit that is narrower than the expected uncertainty, because then no value can pass it."""
     if limit.rule != "guarded":
         return
     try:

@@ -1,6 +1,6 @@
-"""Checks of the recording of a plan before the run: the whole file, then a trial of every estimate.
+"""Checks the recording of a plan before the run: reads the whole file, then tries every estimate.
 
-Findings are added to those of the plan. No value is kept. The check only shows whether a run would complete.
+Findings are added to those of the plan. No results are kept. The check only shows whether a run would complete.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from planrunner.tasks.check import Checked, Sound
 
 
 def check_recording(checked: Checked, data_root: Path, notice: Announce | None = None) -> None:
-    """Adds findings about the recording that a plan's bench plays back. For other benches it does nothing. notice: receives the
-    progress. Never raises because of the content of the files."""
+    """Adds findings about the recording that the bench of a plan plays back. For other benches it does nothing. notice: receives
+    the progress. No content of the files makes it raise an error."""
     bench, models, log = checked.bench, checked.models, checked.findings
     if bench is None or models is None:
         return
@@ -44,7 +44,7 @@ def check_recording(checked: Checked, data_root: Path, notice: Announce | None =
 
 
 def _try_estimates(sound: Sound, player: RecordingPlayer | SummaryPlayer, notice: Announce | None) -> None:
-    """Tries every estimate of a plan on the recording. An estimate that fails is an error."""
+    """Tries every estimate of a plan on the recording. An estimate that fails becomes an error."""
     estimates = {name: replace(spec, validate=None) for name, spec in sound.plan.estimates.items()}
     try:
         recording = played(player, sound.schedule.segments)

@@ -1,4 +1,4 @@
-"""The check standard of a bench before a run: its state according to the archive, and whether the run may begin."""
+"""The check standard of a bench before a run: its state according to the archive, and whether the run may begin in this state."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ CODE = "bench-check-standard"
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """The decision of a person to let a run begin although the check standard is not in control, with the reason."""
+    """A person's decision to let a run begin although the check standard is not in control, with the reason."""
 
     by: str
     why: str
 
 
 def override_file(bench_file: Path) -> Path:
-    """Path of the signed override of a bench, next to its file."""
+    """The path of the signed override of a bench, which is beside the bench file."""
     return bench_file.with_name(f"{bench_file.stem}.override.json")
 
 
 def sign_override(bench: Bench, override: Override, until: date, signer: Signer) -> Path:
-    """Signs an override of the check standard of a bench and writes it next to the bench file. It replaces an earlier one. Raises
-    `InputError` unless it is valid for runs now."""
+    """Signs an override of the check standard of a bench and writes it next to the bench file. It replaces an earlier override.
+    Raises `InputError` unless the override is valid for runs now."""
     rule = bench.check_standard
     if rule is None or bench.approvals is None:
         message = f"bench '{bench.name}' needs `check_standard`, and `approvals` with a key ring, for a signed override"
@@ -79,8 +79,8 @@ def sign_override(bench: Bench, override: Override, until: date, signer: Signer)
 
 
 def signature_of(bench: Bench, override: Override) -> JsonObject | None:
-    """The signed statement of an override; None if the bench has no key ring, so that its author cannot be authenticated. Raises
-    `InputError` if the bench has a key ring and no valid signed override is next to its file."""
+    """The signed statement of an override; None if the bench has no key ring, because the person cannot be authenticated then.
+    Raises `InputError` if the bench has a key ring but there is no valid signed override beside the bench file."""
     rule = bench.check_standard
     if rule is None or bench.approvals is None:
         return None
@@ -111,14 +111,14 @@ def _require_named(bench: Bench, rule: CheckStandardRule, override: Override) ->
 
 
 def shown_name(override: JsonObject) -> str:
-    """The author of an override in run.json, and whether this name is authenticated."""
+    """The person who gave an override, as run.json names them, and whether this name is authenticated."""
     name = str(override["by"])
     return name if "signature" in override else f"{name} (name not authenticated)"
 
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """Permission for a run to begin. record: data about the check standard that run.json keeps. findings: warnings."""
+    """Permission for a run to begin. record: data about the check standard for run.json. findings: warnings for the user."""
 
     record: JsonObject | None = None
     findings: tuple[Finding, ...] = ()
@@ -132,8 +132,8 @@ def control_state(
     now: datetime | None = None,
     fresh: Freshness = Freshness(),  # noqa: B008 - frozen
 ) -> ControlState | None:
-    """The state of the check standard of a bench according to the runs of an archive; None if the bench has none. now: by default the
-    current time. Raises `InputError` if the index cannot be used."""
+    """The state of the check standard of a bench according to the runs in an archive; None if the bench has no check standard. now:
+    time for which the state is determined, by default the current time. Raises `InputError` if the index cannot be used."""
     rule = bench.check_standard
     if rule is None:
         return None
@@ -145,7 +145,8 @@ def control_state(
 
 
 def check_in_control(bench: Bench, state: ControlState, log: Findings) -> None:
-    """Adds a finding at the rule in the bench file if the check standard is not in control, and one for folders that are omitted."""
+    """Adds a finding at the rule in the bench file if the check standard is not in control, and a warning about folders that cannot
+    be read."""
     rule = bench.check_standard
     if rule is None:
         return
@@ -193,9 +194,9 @@ def admit(
     notice: Announce | None = None,
     signature: JsonObject | None = None,
 ) -> Admission:
-    """Checks whether a run may begin on a bench. Raises `InputError` if its check standard is not in control and no authorised
-    person lets the run begin, or if an override does not apply. signature: signature of the override, if it was verified when the
-    run began."""
+    """Checks whether a run may begin on a bench. Raises `InputError` if the check standard of the bench is not in control and no
+    authorised person lets the run begin, or if an override is given but cannot be used. signature: signature of the override, if it
+    has been verified for the time when the run began."""
     rule = bench.check_standard
     if rule is None:
         if override is not None:
@@ -235,9 +236,9 @@ def admit_again(
     notice: Announce | None = None,
     bench_file: Path | None = None,
 ) -> Admission:
-    """Checks whether a run may be continued. The state of the check standard is its present state in the archive of the run. An
-    override with which the run began applies to the whole run. bench: the bench on which it is continued; bench_file: its file, if
-    it replaces the file in the run folder. Raises `InputError` like `admit`."""
+    """Checks whether a run may be continued. The state of the check standard is its present state, according to the archive that
+    contains the run. An override with which the run began stays valid for the whole run. bench: the bench on which the run is
+    continued; bench_file: the file of this bench, if it replaces the file in the run folder. Raises `InputError` like `admit`."""
     signature: JsonObject | None = None
     rule, began = bench.check_standard, run.run.get("check_standard", {}).get("override")
     own = None if began is None else Override(str(began["by"]), str(began["why"]))
@@ -253,8 +254,8 @@ def admit_again(
 
 
 def _signature_kept(bench: Bench, run: RunReader, began: JsonObject, bench_file: Path | None) -> JsonObject | None:
-    """The signature of the override with which a run began. Raises `InputError` if the signature was not valid then. None without a
-    key ring or a signature."""
+    """The signature of the override with which a run began. Raises `InputError` if the signature was not valid when the run began.
+    None if the bench has no key ring, or the override no signature."""
     if bench.approvals is None or run.approvals is None or "signature" not in began:
         return None
     kept, created = kept_approvals(run.approvals, run.path)[0], datetime.fromisoformat(str(run.run["created"]))
@@ -269,7 +270,8 @@ def _signature_kept(bench: Bench, run: RunReader, began: JsonObject, bench_file:
 
 
 def state_after(run: Path) -> ControlState | None:
-    """The state of the check standard after a run that measured it, from the archive of the run; None after any other run."""
+    """The state of the check standard after a run that measured it, according to the archive that contains the run; None for any
+    other run."""
     reader = RunReader.open(run)
     bench = bench_of(reader.bench_bytes, str(reader.path / "bench.yaml"))
     rule = bench.check_standard

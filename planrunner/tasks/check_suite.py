@@ -1,4 +1,4 @@
-"""The checks of a suite, all in one run: its own form and names, every plan on every bench on which it will run, and the timetable."""
+"""All checks of a suite at once: its own form and names, every plan on every bench on which it will run, and the timetable."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ from planrunner.tasks.check import Checked, Document, check_plan
 
 @dataclass(frozen=True, slots=True)
 class PlanOnBench:
-    """Result of the check of a plan on a bench. seconds: planned duration; None if the length of a recording determines it. size:
-    largest number of bytes of the run. asks: run information that the plan asks for, and for each item whether it is required."""
+    """The result of the check of a plan on a bench. seconds: planned duration, s; None if the length of a recording determines the
+    duration. size: largest size of the run folder, bytes. asks: for each item of run information in the plan, its name and whether
+    it is required."""
 
     findings: tuple[Finding, ...]
     ok: bool
@@ -41,7 +42,7 @@ class PlanOnBench:
 
 @dataclass(slots=True)
 class CheckedSuite:
-    """A suite as far as it could be read and checked. virtual: whether all benches have simulated time."""
+    """A suite as far as it could be read and checked. virtual: True if all benches have simulated time."""
 
     file: str
     findings: Findings
@@ -59,7 +60,7 @@ class CheckedSuite:
 
     @property
     def durations(self) -> tuple[float | None, ...]:
-        """Planned duration of each test, s."""
+        """The planned duration of each test, s."""
         return tuple(self.plans[test.measurement].seconds for test in self.tests)
 
     def sound(self) -> SoundSuite:
@@ -75,8 +76,8 @@ class CheckedSuite:
 
 @dataclass(frozen=True, slots=True)
 class SoundSuite:
-    """A suite that passed its checks (warnings may remain in `findings`). asks: for each test, the run information that its plan asks for.
-    size: largest number of bytes of all runs."""
+    """A suite that passed its checks (warnings may remain in `findings`). asks: for each test, the run information that its plan
+    requests. size: largest total size of all run folders, bytes."""
 
     file: str
     findings: Findings
@@ -91,12 +92,12 @@ class SoundSuite:
     size: int
 
     def bench_of(self, test: PlannedTest) -> str:
-        """The bench of a test in the form of `planrunner run --bench`."""
+        """The bench of a test, in the form that `planrunner run --bench` accepts."""
         return bench_file(self.suite, self.file, test.bench)
 
 
 def is_suite(file: Path) -> bool:
-    """Whether a file is a suite, by its key `planrunner_suite`. False for a file that cannot be read."""
+    """Whether a file is a suite, which has the key `planrunner_suite`. False for a file that cannot be read."""
     try:
         data = source.read_bytes(file)
         # The whole text is parsed only if it contains the key.
@@ -108,7 +109,8 @@ def is_suite(file: Path) -> bool:
 
 
 def bench_file(suite: Suite, file: str, name: str) -> str:
-    """A bench of a suite as a shipped name, or as a path. A bare word is a shipped name, as in a plan."""
+    """A bench of a suite, as the name of a shipped bench or as a path. A name without a folder or an ending means a shipped bench,
+    as in a plan."""
     written = suite.benches[name].bench
     return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
 
@@ -116,11 +118,11 @@ def bench_file(suite: Suite, file: str, name: str) -> str:
 def check_suite(
     file: Path | Document, *, at: str | None = None, workers: Workers | None = None, archive: Path | None = None
 ) -> CheckedSuite:
-    """All checks of a suite before a night. Never raises because of the content of the files.
+    """Makes all checks of a suite before a night. No content of the files makes it raise an error.
 
-    at: the local time from which the night may begin, in the zone of the suite (ISO 8601), by default now. workers: processes that
-    share the plans, by default on this machine. archive: contains the runs of the check standards of the benches; without it, their
-    state is not checked.
+    at: the local time from which the night may begin, in the time zone of the suite (ISO 8601), by default now. workers: processes
+    that share the checks of the plans, by default on this computer. archive: folder with the runs of the check standards; without
+    it, the state of the check standards is not checked.
     """
     checked = CheckedSuite(file.shown if isinstance(file, Document) else str(file), Findings())
     log = checked.findings
@@ -160,8 +162,8 @@ def check_suite(
 
 
 def _rules(suite: Suite, file: str) -> dict[str, tuple[Bench, Path]]:
-    """For each bench of the suite that has a check standard: the bench, and the folder of its file. Faults of a bench are reported
-    with its plans."""
+    """Each bench of the suite that has a check standard, with the folder of its bench file, by the name in the suite. Faults of a
+    bench are reported when its plans are checked."""
     found = {}
     for name in suite.benches:
         written = bench_file(suite, file, name)
@@ -175,7 +177,7 @@ def _rules(suite: Suite, file: str) -> dict[str, tuple[Bench, Path]]:
 
 
 def _standards(suite: Suite, rules: Mapping[str, tuple[Bench, Path]], log: Findings) -> dict[str, StandardFirst]:
-    """The check standards that the suite measures first."""
+    """The check standards that the suite measures before other tests."""
     found = {}
     for name, about in suite.benches.items():
         rule = rules[name][0].check_standard if name in rules else None
@@ -211,8 +213,8 @@ def _standards(suite: Suite, rules: Mapping[str, tuple[Bench, Path]], log: Findi
 def _check_standards(
     checked: CheckedSuite, suite: Suite, rules: Mapping[str, tuple[Bench, Path]], archive: Path | None
 ) -> None:
-    """Checks that the plan of a check standard states which device it measures. Also checks that a check standard that no test of
-    the suite measures is in control now."""
+    """Checks that each plan that measures a check standard states which device it measures. If no test of the suite measures a
+    check standard, also checks that it is in control now."""
     log = checked.findings
     for name, (bench, _) in rules.items():
         rule, own = bench.check_standard, [test for test in checked.tests if test.bench == name]
@@ -238,7 +240,7 @@ def _check_standards(
 
 
 def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
-    """Checks every plan on every bench with every combination of its parameters. Each case is checked once."""
+    """Checks every plan with every combination of its parameters on every bench. Each different case is checked once."""
     log = checked.findings
     first: dict[Measurement, PlannedTest] = {}
     for test in checked.tests:
@@ -271,7 +273,7 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
 
 
 def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
-    """A finding in a plan that occurs only with some values of its parameters."""
+    """A finding about a plan, with the values of its parameters, because the finding does not occur with other values."""
     values = ", ".join(f"{name} = {value}" for name, value in test.parameter_values.items())
     return replace(finding, message=f"{finding.message} (with {values})")
 
@@ -286,8 +288,8 @@ _Item = tuple[Path, str, Mapping[str, Given]]
 
 
 def _look_elsewhere(today: date, given: tuple[_Item, Path, Path]) -> PlanOnBench | None:
-    """Checks a plan on a worker of a cluster. Returns None if the result depends on the computer. given: the item, and its plan and
-    bench as paths."""
+    """Checks a plan on a worker of a cluster. Returns None if the result depends on the computer. given: the case to check, the
+    path of its plan, and the path of its bench."""
     file, bench, parameters = given[0]
     found = check_plan(file, bench, today=today, parameters=parameters)
     return _seen(found) if found.portable else None
@@ -317,7 +319,7 @@ def _seen(found: Checked) -> PlanOnBench:
 
 
 def _check_information(checked: CheckedSuite, suite: Suite) -> None:
-    """Checks that the run information that the plans ask for is given, and that no other information is given."""
+    """Checks that the suite gives the run information that its plans request, and no other information."""
     log = checked.findings
     asked: set[str] = set()
     for test in checked.tests:
@@ -352,7 +354,7 @@ def _check_information(checked: CheckedSuite, suite: Suite) -> None:
 
 
 def _check_devices(checked: CheckedSuite, suite: Suite) -> None:
-    """Checks that no device is on two real benches, because nobody moves it at night."""
+    """Checks that no device is on two real benches, because nobody can move it at night."""
     real = {bench for (_, bench, _), answer in checked.plans.items() if answer.ok and not answer.virtual}
     for name, device in suite.devices.items():
         places = sorted({test.bench for test in checked.tests if test.device == name} & real)

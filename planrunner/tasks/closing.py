@@ -1,8 +1,9 @@
-"""Closing the gap: the effects that a diagnosis finds are entered into the simulation, the plan is simulated again, and the recording is
-compared with the simulations without and with them. A recording that is played back is simulated at its recorded motion, without a bench.
+"""Closing the gap: enters the effects that a diagnosis finds into the simulation, simulates the plan again, and compares the
+recording with the simulations without and with these effects. A recording that is played back is simulated at its recorded motion,
+without a bench.
 
-`close` repeats this: the effects found are subtracted from the recording, which is diagnosed again, until no remaining effect has a
-name.
+`close` repeats this: it subtracts the effects found from the recording and diagnoses the rest again, until no remaining effect has
+a name.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class ClosingRound:
-    """One round of `close`: the diagnosis of the remaining gap, and the comparison after its effects are entered."""
+    """One round of `close`: the diagnosis of the remaining gap, and the comparison after the effects of this diagnosis were
+    entered."""
 
     made: Diagnosed
     comparison: GapComparison
@@ -64,8 +66,8 @@ class ClosingRound:
 
 @dataclass(frozen=True)
 class Closed:
-    """Result of `close`. first: diagnosis of the recording; last: diagnosis of the remaining gap. bench: text of the bench with all
-    effects entered; empty if there are no effects, or if no bench simulated the plan."""
+    """The result of `close`. first: diagnosis of the recording; last: diagnosis of the gap that remains. bench: text of the bench
+    file with all effects entered; empty if there are no effects, or if the simulations were computed without a bench."""
 
     first: Diagnosed
     rounds: tuple[ClosingRound, ...]
@@ -78,12 +80,13 @@ class Closed:
 def comparison(
     made: Diagnosed, stop: StopRequest, simulation: str | None = None, stated: Stated | None = None
 ) -> GapComparison:
-    """Compares the recording of a diagnosis with two simulations, without and with effects. simulation: the virtual bench that
-    simulates the plan, by name or file; by default that of the recording. A bench that plays recordings cannot simulate, so the
-    simulations are then computed for the recorded motion. stated: the effects in the form of the diagnosis; by default those of the
-    verdict.
+    """Compares the recording of a diagnosis with two simulations, without and with effects. simulation: virtual bench that
+    simulates the plan, by name or file; by default the bench of the recording. A bench that plays recordings back cannot simulate;
+    in that case, the simulations are computed for the recorded motion. stated: the effects with their parameters, in the form of
+    the diagnosis; by default those of its verdict.
 
-    The noise of both simulations is independent of that of the recording. Raises `InputError` if the bench cannot simulate the plan.
+    The noise of both simulations is independent of the noise of the recording. Raises `InputError` if the bench cannot simulate the
+    plan.
     """
     from planrunner.gap.answer.comparison import compare
     from planrunner.observation.refusals import ObservationError
@@ -101,12 +104,12 @@ def comparison(
 
 
 def computed_from_recording(recorded: Recorded, simulation: str | None) -> bool:
-    """Whether simulations are computed for the recorded motion, because the bench plays recordings and none other is named."""
+    """Whether simulations are computed for the recorded motion: the bench plays recordings back, and the user names no other bench."""
     return simulation is None and recorded.sound.models.replays
 
 
 def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: StopRequest) -> tuple[Observed, Observed]:
-    """The samples of the plan, run on the virtual bench without and with effects."""
+    """The samples from two runs of the plan on the virtual bench, one without and one with effects."""
     base, grounds = _base(made.recorded, simulation), made.diagnosis.grounds
     stated = as_planned(stated, grounds.weighing.observed, base.schedule.segments)
     absent, mark = _absent(grounds.nominal, stated), Mark(made.recorded.where)
@@ -119,9 +122,9 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 
 
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
-    """The samples of the nominal simulation at the recorded motion, without and with effects. Each has its own white noise, and is
-    rounded to the counts of the recording. The noise level is that of the recording. Noise and counts are the declared ones in the
-    simulation without an effect that changes them."""
+    """Two nominal simulations for the recorded motion, one without and one with effects. Each simulation has its own white noise
+    and is rounded to counts. The noise level and the counts are those of the recording. If an effect changes the noise or the
+    counts, the simulation without effects uses the declared values instead."""
     from planrunner.error_model.added import stuck
     from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
@@ -153,14 +156,14 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
 
 
 def _of_counts(seen: Observed, values: Array, counts: Array) -> Observed:
-    """A recording with other samples (N, K), whose channels have other counts (K,)."""
+    """A recording with these samples (N, K) instead of its own, and with these counts (K,) of its channels."""
     channels = zip(seen.channels, counts.tolist(), strict=True)
     return replace(seen, values=values, channels=tuple(replace(one, resolution=count) for one, count in channels))
 
 
 def _before_rounding(level: Array, counts: Array, declared: Array) -> Array:
-    """Standard deviation (K,) of the noise before the samples are rounded to counts. level: (K,), of the rounded samples. If a count is
-    so coarse that the samples do not show the noise, the declared level is used."""
+    """Standard deviation (K,) of the noise before the samples are rounded to counts (K,). level: standard deviation (K,) of the
+    rounded samples. If the counts are so coarse that the samples do not show the noise, the declared level is used."""
     from planrunner.gap.evidence.rounding import is_coarse
 
     left = np.sqrt(np.maximum(level**2 - counts**2 / 12, 0.0))
@@ -168,13 +171,14 @@ def _before_rounding(level: Array, counts: Array, declared: Array) -> Array:
 
 
 def _rounded(values: Array, counts: Array) -> Array:
-    """Samples (N, K), rounded to counts (K,). A channel with the count 0 remains unchanged."""
+    """Samples (N, K), rounded to counts (K,). A channel whose count is 0 stays unchanged."""
     whole = np.where(counts > 0, counts, 1.0)
     return np.where(counts > 0, np.round(values / whole) * whole, values)
 
 
 def _walk(observed: Observed, triad: str, density: float, draw: np.random.Generator) -> Array:
-    """A random walk (N, K) of each channel of a triad; zero in the other channels. density: SI unit of the triad divided by √s."""
+    """A random walk (N, K) in each channel of a triad; zero in the other channels. density: in the SI unit of the triad divided by
+    √s."""
     steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]).clip(0.0))
     walk = np.zeros((len(steps), len(observed.channels)))
     own = observed.of_kind(triad)
@@ -190,7 +194,8 @@ def close(
     rounds: int = ROUNDS,
     notice: Announce | None = None,
 ) -> Closed:
-    """Diagnoses, enters the effects found, simulates and compares, until no remaining effect has a name. Raises `InputError`."""
+    """Repeats four steps until no remaining effect has a name: diagnoses, enters the effects found, simulates, and compares. Raises
+    `InputError`."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
     computed = computed_from_recording(recorded, simulation)
@@ -235,7 +240,8 @@ def close(
 
 
 def _merged(entered: Stated, further: Stated) -> Stated | None:
-    """Combines effects. If a linear effect is named again, its amplitudes are added. None if a nonlinear effect is named again."""
+    """The effects entered so far together with further ones. If a linear effect is named again, its amplitudes are added. None if a
+    nonlinear effect, or an effect on the noise, is named again."""
     from planrunner.error_model.effects.interface import HasShape, effect_named
 
     merged = dict(entered)
@@ -250,13 +256,13 @@ def _merged(entered: Stated, further: Stated) -> Stated | None:
 
 
 def _sum(first: str | None, second: str) -> str:
-    """The sum of two values with the same unit."""
+    """The sum of two values in the same unit, as a text."""
     number, space, unit = second.partition(" ")
     return second if first is None else f"{float(first.partition(' ')[0]) + float(number):.9g}{space}{unit}"
 
 
 def _without(made: Diagnosed, stated: Stated) -> Observed:
-    """The samples of a diagnosis minus the effects, computed for the recorded motion."""
+    """The samples of a diagnosis minus the contribution of the effects, which is computed for the recorded motion."""
     weighing = made.diagnosis.grounds.weighing
     fitted = weighing.fitted()
     change = _plus(made, fitted, _additions(made, stated)) - fitted
@@ -264,8 +270,8 @@ def _without(made: Diagnosed, stated: Stated) -> Observed:
 
 
 def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
-    """The effects with all their parameters. A nominal simulation lacks the effects that every simulated world contains, so the
-    whole share of such an effect counts."""
+    """The effects, each with all its parameters. Every simulated world contains some effects that a nominal simulation may lack.
+    Such an effect is added with its whole share."""
     from planrunner.error_model.added import SHARE, addition
     from planrunner.error_model.effects.interface import InEveryWorld
 
@@ -281,7 +287,7 @@ def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
 
 
 def _plus(made: Diagnosed, fitted: Array, additions: Sequence[Addition]) -> Array:
-    """The output of the nominal simulation (N, K), SI, plus effects."""
+    """The output (N, K) of the nominal simulation plus effects, SI."""
     from planrunner.error_model.added import added
 
     return added(replace(made.diagnosis.grounds.weighing.declared, fitted=fitted), fitted, additions, 0)
@@ -295,7 +301,7 @@ def _on_noise(name: str) -> bool:
 
 
 def _base(recorded: Recorded, simulation: str | None) -> Sound:
-    """The plan on the virtual bench. Raises `InputError` for recordings whose schedule cannot be simulated."""
+    """The plan of a recording on the virtual bench. Raises `InputError` for a recording whose schedule cannot be simulated."""
     if recorded.several:
         message = "several runs are analysed together, and a comparison simulates one plan"
         raise InputError.at(Mark(recorded.where), "gap-compare", message, "compare each run separately, without --also")
@@ -307,7 +313,8 @@ def _base(recorded: Recorded, simulation: str | None) -> Sound:
 
 
 def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
-    """Removals of the effects that every simulated world contains but the nominal simulation of the diagnosis lacks."""
+    """Entries that remove effects: those that every simulated world contains but that the nominal simulation of the diagnosis
+    lacks."""
     from planrunner.error_model.effects.interface import InEveryWorld, effect_named
 
     known = {*nominal, *(name for name, _ in stated)}
@@ -319,7 +326,7 @@ def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
 
 
 def _with(base: Sound, stated: Stated, mark: Mark) -> Sound:
-    """The plan on the bench with the given effects."""
+    """The plan on its bench with the given effects added."""
     if not stated:
         return base
     shown = base.bench.origin.mark.file
@@ -328,7 +335,7 @@ def _with(base: Sound, stated: Stated, mark: Mark) -> Sound:
 
 
 def _simulated(sound: Sound, folder: Path, seed: int, nominal: Sequence[str], stop: StopRequest) -> Observed:
-    """The samples of a simulation of the plan."""
+    """The samples that a simulation of the plan gives."""
     info = gather(sound.plan, [f"{name}=simulated" for name, item in sound.plan.record.items() if item.required], None)
     run, outcome = running.start(
         sound,
