@@ -1,4 +1,4 @@
-"""Designing a plan on its bench: better positions, better rates or a better rotation cycle, depending on the plan.
+"""Designs a plan on its bench: finds better positions, better rates or a better rotation cycle, depending on the plan.
 
 study = design(Path("plans/x.yaml"), Asked())
 study.tables, study.data       what was found
@@ -31,9 +31,9 @@ def design(
     workers: Workers = ALONE,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Study:
-    """Makes the study for the plan and the options. It is a study of positions if an estimate uses segments at rest. workers: share
-    the search. parameters: values for parameters of the plan. Raises `InputError` with the plan's
-    findings, and `EstimationError` if there is nothing to design."""
+    """Makes the design study for the plan and the options. It studies positions if an estimate uses segments at rest. workers:
+    processes that share the search. parameters: values for parameters of the plan. Raises `InputError` with the findings about the
+    plan, and `EstimationError` if there is nothing to design."""
     checked = check_plan(plan, bench=bench, parameters=parameters)
     if asked.segment is None and (asked.rates or has_rates_alone(checked, asked.estimate)):
         return rates_study.study(design_rates(checked, asked, bench, workers), _subject(checked))
@@ -49,8 +49,8 @@ def _subject(checked: Checked) -> Subject:
 
 
 def write_plan(text: str, original: str, path: Path, bench: str | None = None) -> Checked:
-    """Writes a designed plan after it has passed its checks. original: file of the plan that the designed plan improves. Raises
-    `InputError` with the faults, and `EstimationError` if it would overwrite the original."""
+    """Writes a designed plan after it has passed its checks. original: file of the plan from which the designed plan was made.
+    Raises `InputError` with the faults of the designed plan, and `EstimationError` if it would overwrite the original."""
     if path.exists() and path.samefile(original):
         raise EstimationError(f"{path} is the plan itself: write to another file")
     data = text.encode()

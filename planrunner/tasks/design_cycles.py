@@ -1,7 +1,7 @@
-"""Designing the rotation cycle of a segment: the residual of a constant horizontal error for the planned cycle, and cycles with zero
-residual.
+"""Designs the rotation cycle of a segment: computes the residual of a constant horizontal error for the planned cycle, and finds
+cycles whose residual is zero.
 
-Angles and rotations of a study are positive in the sense of the plan, clockwise if the plan states it.
+Angles and rotations in a study are positive in the sense that the plan states, which may be clockwise.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ ORDERS = {"same": "same order", "free": "free order"}
 
 
 def has_cycle_alone(checked: Checked) -> bool:
-    """Whether a plan has a cycle, but no estimate whose positions could be designed."""
+    """Whether a plan has a cycle and no estimate whose positions could be designed."""
     cycles = checked.schedule is not None and any(isinstance(item.motion, Cycle) for item in checked.schedule.segments)
     return cycles and not any(design.blocks for design in checked.designs.values())
 
 
 def design_cycle(checked: Checked, asked: Asked, workers: Workers = ALONE) -> FoundCycles:
-    """Designs the rotation cycle of a plan. Raises `InputError` with the plan's findings, and `EstimationError` if there is no
-    cycle to design. workers: share the searches."""
+    """Designs the rotation cycle of a plan. Raises `InputError` with the findings about the plan, and `EstimationError` if there is
+    no cycle to design. workers: processes that share the searches."""
     if asked.time is not None:
         raise EstimationError("--time distributes dwell times; the length of a cycle follows from its turns and stops")
     if checked.findings.errors or checked.schedule is None or checked.models is None or checked.plan is None:
@@ -93,7 +93,7 @@ def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:
 
 
 def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: float) -> Cable:
-    """Reachable angles of the axis relative to the start of the cycle."""
+    """The angles that the axis can reach, relative to its angle at the start of the cycle."""
     start = 0.0
     if segment.attitude is not None:
         try:
@@ -104,19 +104,19 @@ def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: fl
 
 
 def _sense(plan: model.Plan, label: str) -> float:
-    """−1 if the plan counts angles clockwise, otherwise 1."""
+    """The sign of the plan's angles: −1 if the plan counts them clockwise, otherwise 1."""
     return -1.0 if _motion(plan, label).sense == "clockwise" else 1.0
 
 
 def _motion(plan: model.Plan, label: str) -> model.MotionSpec:
-    """The stated motion of a segment that has a cycle."""
+    """The motion of a segment with a cycle, as the plan states it."""
     motion = next(item.state.motion for item in expand(plan, Findings()) if item.label == label)
     assert isinstance(motion, model.MotionSpec)
     return motion
 
 
 def _moves(cycle: RotationCycle, motion: Cycle, sign: float) -> tuple[str, ...]:
-    """The moves of a cycle in the plan's sense, in the notation of the plan, with its names."""
+    """The moves of a cycle in the notation of the plan, with its position names and its sense of rotation."""
     first = motion.positions[motion.moves[0].start]
 
     def named(angle: float) -> str:

@@ -1,5 +1,5 @@
-"""Designs the positions of a plan on its bench: the information from the planned positions, that from the best set found, and the
-upper bound."""
+"""Designs the positions of a plan on its bench: compares the information from the planned positions, the information from the best
+set found, and an upper bound."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for
 def design_positions(
     checked: Checked, asked: Asked, progress: SearchProgress | None = None, workers: Workers = ALONE
 ) -> FoundPositions:
-    """Designs the positions of a plan. workers: processes that share the search over free orientations. Raises `InputError` with
-    the plan's findings, and `EstimationError` if there is nothing to design."""
+    """Designs the positions of a plan. workers: processes that share the search over freely chosen orientations. Raises
+    `InputError` with the findings about the plan, and `EstimationError` if there is nothing to design."""
     if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.restarts < 1 or asked.seed < 0:
@@ -61,7 +61,7 @@ def design_positions(
 
 
 def _rows_of(rows: direction_cosines.RowsAt, axes: tuple[TableAxis, ...], azimuth: float, settings: Array) -> Array:
-    """The design rows at a table's settings (m, k)."""
+    """The design rows at m settings of the table's k axes; settings: shape (m, k)."""
     return rows(positions.attitudes(axes, settings, azimuth))
 
 
@@ -153,7 +153,7 @@ class _Designer:
         )
 
     def _require_rank(self) -> None:
-        """Raises `EstimationError` if no set of orientations within the table's reach separates the terms."""
+        """Raises `EstimationError` if no set of orientations that the table can reach separates the terms."""
         seen = rank.look(np.concatenate([self.region_rows, self.sight.fixed]))
         if seen.rank < self.terms:
             blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
@@ -163,8 +163,8 @@ class _Designer:
             )
 
     def _require_time(self) -> None:
-        """Raises `EstimationError` before the search if the parts of the plan that do not depend on positions already use up the time
-        budget."""
+        """Raises `EstimationError` before the search if the parts of the plan that do not depend on the positions already exceed
+        the time budget."""
         if self.asked.time is None:
             return
         recorded = [segment for place in self.places for segment in place.segments]
@@ -177,7 +177,7 @@ class _Designer:
         self._left(others, "the other segments take")
 
     def _left(self, spent: float, what: str) -> float:
-        """Time [s] in the budget for each recording of all positions. Raises `EstimationError` if it is too short."""
+        """Time [s] that the budget leaves for recording at all positions once. Raises `EstimationError` if this time is too short."""
         assert self.asked.time is not None
         left = (self.asked.time - spent) / len(self.places[0].segments)
         if left < 10 * self.count:
@@ -188,7 +188,7 @@ class _Designer:
 
     @property
     def _decimals(self) -> int:
-        """Number of decimals of the angles [deg] in written orientations. It is two if the table reaches any attitude, and more if
+        """Number of decimals of the angles [deg] in written orientations. Two decimals if the table can reach any attitude. More if
         axes are missing or limited, because a rounded orientation might be out of reach."""
         anywhere = len(self.axes) == 3 and all(axis.continuous for axis in self.axes)
         return DECIMALS if anywhere else 7
@@ -203,7 +203,8 @@ class _Designer:
         return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
 
     def _weighting(self, criterion: str) -> Array | None:
-        """The linear criterion for the search. Sets for G are improved from those for D."""
+        """The matrix of the linear criterion for the search; None for D and G. A set for criterion G is found by improving a set
+        for criterion D."""
         if criterion in "DG":
             return None
         return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
@@ -219,7 +220,7 @@ class _Designer:
         return exchange.choose(rows, self.count, weighting, seed=self.asked.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
-        """For G, the choice after exchanges that reduce the largest variance; otherwise the choice itself."""
+        """The chosen rows. For criterion G, they are first exchanged to reduce the largest variance."""
         if self.asked.criterion != "G":
             return indices
         return worst_variance.exchange(
@@ -238,8 +239,8 @@ class _Designer:
     def _references(
         self, region: optimal.Region, cardinal_rows: Array, free: Array, found: Mapping[str, Sequence[Array]]
     ) -> tuple[dict[str, Merit], dict[str, Bounds]]:
-        """The best sets found and their bounds, over cardinal and over all reachable orientations. Each criterion has its own
-        search."""
+        """The best sets found and the bounds, for cardinal orientations and for all orientations that the table can reach. Each
+        criterion has a separate search."""
         merits = [self._merit(self.sight.rows(np.array(attitudes))) for attitudes in found.values()]
         continuous_ones = {}
         for number, criterion in enumerate(_WITH_BOUND):
@@ -322,7 +323,7 @@ class _Designer:
         )  # fmt: skip
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
-        """Dwells within the time budget, by place, and the D-efficiency of equal dwells relative to these."""
+        """The dwell at each position within the time budget, and the D-efficiency of equal dwells relative to these dwells."""
         if self.asked.time is None:
             return (), 1.0
         used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
@@ -344,8 +345,9 @@ class _Designer:
 
 
 def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
-    """The plan with other orientations, given as attitudes (3, 3) by their place in the plan. The result contains its schedule with
-    real transition times and the information for its estimates. Raises `EstimationError` if the bench cannot execute it."""
+    """The plan with other orientations, which are given as attitudes (3, 3) by their places in the plan. The result contains the
+    schedule of this plan, with real transition times, and the information for its estimates. Raises `EstimationError` if the bench
+    cannot execute this plan."""
     assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
     new = {
         place: Orientation(in_words(attitude), tuple(map(tuple, attitude.tolist())))
@@ -372,7 +374,7 @@ def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> 
 
 
 def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells: Mapping[_Mark, float]) -> str:
-    """The plan's text with other orientations and, if given, dwells [s]. Raises `EstimationError`."""
+    """The text of the plan with other orientations and, if given, other dwells [s]. Raises `EstimationError`."""
     text = source.decode(checked.plan_bytes, checked.file)
     try:
         if dwells:
@@ -383,7 +385,7 @@ def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells:
 
 
 def _best(merits: Sequence[Merit]) -> Merit:
-    """The best value of every criterion over all sets."""
+    """The best value of each criterion that any of the sets reaches."""
     one = merits[0]
     return Merit(
         one.observations, one.terms, one.terms, max(m.determinant for m in merits), min(m.trace for m in merits),

@@ -1,9 +1,9 @@
-"""Designs the rates of a plan: the pairs of rates with the most information about a scale factor, and their recording times within
-a time budget.
+"""Designs the rates of a plan: finds the pairs of rates that give the most information about a scale factor, and their recording
+times within a time budget.
 
-The estimator gives the information of each rate. Only one sweep of the plan is changed. For a straight line only the largest rates
-would be chosen. By default the columns |rate| and rate³ are therefore added to the estimator's terms, for asymmetry and
-nonlinearity, which a scale-factor test also reports.
+The estimator gives the information of each rate. The design changes only one sweep of the plan. For a straight line, only the
+largest rates would be chosen. By default, the columns |rate| and rate³ are therefore added to the estimator's terms. They stand for
+asymmetry and nonlinearity, which a scale-factor test also reports.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _COPY = "designed rate "
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
-    """Whether the rates of a plan are to be designed: its first estimate over several rates fits a straight line. The rates may form one
-    sweep, which can be designed, or several, which `design_rates` refuses with a hint."""
+    """Whether rates are what can be designed in a plan: its first estimate over several rates fits a straight line. The rates may
+    form one sweep, which can be designed, or several sweeps, which `design_rates` refuses with a hint."""
     if checked.schedule is None or checked.plan is None:
         return False
     for name in [estimate] if estimate is not None else checked.plan.estimates:
@@ -59,8 +59,8 @@ def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
 
 
 def design_rates(checked: Checked, asked: Asked, bench: str | None = None, workers: Workers = ALONE) -> FoundRates:
-    """Designs the rates of a plan. Raises `InputError` with the plan's findings, and `EstimationError` if there are no rates to
-    design. bench: as for `check_plan`. workers: share the starts of the search."""
+    """Designs the rates of a plan. Raises `InputError` with the findings about the plan, and `EstimationError` if there are no
+    rates to design. bench: as for `check_plan`. workers: processes that share the starting points of the search."""
     if checked.findings.errors or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.criterion not in ("D", "A"):
@@ -70,7 +70,7 @@ def design_rates(checked: Checked, asked: Asked, bench: str | None = None, worke
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """One sweep over rates: its segments, and all segments that the estimate uses. mark: (line, column) of the rates."""
+    """One sweep over rates: its segments, and all segments that its estimate uses. mark: (line, column) where the rates begin."""
 
     name: str
     mark: tuple[int, int]
@@ -165,7 +165,7 @@ class _RateDesigner:
     # -- information from a rate ---------------------------------------------------------------------------------------
 
     def _block(self, segments: Sequence[Segment]) -> DesignBlock:
-        """The block of the studied output."""
+        """The design block of the output that is studied."""
         return next(one for one in self._blocks(segments) if one.output == self.output)
 
     def _blocks(self, segments: Sequence[Segment]) -> Sequence[DesignBlock]:
@@ -186,7 +186,8 @@ class _RateDesigner:
         return design.blocks
 
     def _information(self, block: DesignBlock, kept: Sequence[bool], rate: float) -> Array:
-        """Information (p, p) from the kept rows of the block with their own noise, in units of one observation at the largest rate."""
+        """Information (p, p) from the rows of the block that `kept` selects, with their own noise, in units of one observation at
+        the largest rate."""
         mask = np.array(kept, dtype=bool)
         rows = np.asarray(block.matrix)[mask] / self.scale
         if len(self.terms) > rows.shape[1]:
@@ -196,8 +197,8 @@ class _RateDesigner:
         return np.asarray(weighted.T @ weighted)
 
     def _bundles(self, rates: Sequence[float], dwells: Sequence[float] | None = None) -> Array:
-        """Information (n, p, p) from all repeats of the pair at each rate. The rows are copies of the planned pair at the largest
-        rate, moved to these rates."""
+        """Information (n, p, p) at each of n rates, from all repeats of the pair of segments at this rate. The segments are copies
+        of the planned pair at the largest rate, with the rate changed."""
         copies = []
         for number, rate in enumerate(rates):
             seconds = self._dwell(rate) if dwells is None else dwells[number]
@@ -215,7 +216,7 @@ class _RateDesigner:
         )
 
     def _dwell(self, rate: float) -> float:
-        """The dwell that the plan states for its largest rate, converted to a different rate."""
+        """The dwell [s] at a rate, which follows from the dwell that the plan states for its largest rate."""
         stated = self.stated[self.pattern[0].label].dwell
         if isinstance(stated, Turns):
             period = 2 * math.pi / rate
@@ -226,7 +227,7 @@ class _RateDesigner:
         return self.pattern[0].dwell
 
     def _overhead(self, rate: float) -> float:
-        """Time [s] that one segment at a rate takes in addition to its dwell."""
+        """Time [s] of one segment at a rate, in addition to its dwell."""
         return 2 * spin_up_time(self.axis, rate) + self.pattern[0].settle
 
     # -- the study -----------------------------------------------------------------------------------------------------
@@ -294,7 +295,7 @@ class _RateDesigner:
         return math.exp((reference - loss) / len(self.terms)) if self.asked.criterion == "D" else reference / loss
 
     def _allotted(self, rates: Sequence[float]) -> tuple[float, ...] | None:
-        """Whole turns for each rate within the time budget, largest rate first; None without a budget."""
+        """The dwell [s] at each rate, a whole number of turns, within the time budget; None without a budget. rates: largest first."""
         if self.asked.time is None:
             return None
         assert self.checked.schedule is not None
@@ -335,7 +336,7 @@ class _RateDesigner:
             raise EstimationError(f"{self.checked.file}: {error}") from None
 
     def _with(self, text: str) -> Checked:
-        """The plan with other rates, checked on the same bench."""
+        """The plan with other rates, checked on its bench."""
         checked = check_plan(Document(text.encode(), self.checked.file), self.bench)
         if checked.schedule is None or self.sweep.name not in checked.designs:
             raise InputError(checked.findings)

@@ -1,9 +1,9 @@
-"""Diagnosing a recording from start to finish: check → read a run folder or a file → check the recording → diagnose.
+"""Diagnoses a recording from start to finish: check the plan → read a run folder or a file → check the recording → diagnose.
 
 The layers are independent of one another; they are combined here, for the command line and for programs.
 
-Recordings of one sensor that were made one after the other are joined to one recording, for example those of a plan and of the plan
-that was proposed after it.
+Recordings of one sensor that were made one after the other are joined to one recording: for example, the recording of a plan and
+that of the plan proposed after it.
 """
 
 from __future__ import annotations
@@ -52,8 +52,9 @@ DIAGNOSIS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording with its plan. where: the run folder or the file, for messages; bench: name or file of the bench, for use in
-    another plan. created: start of the run; remarks: notes on its folder. several: whether it is joined from several runs."""
+    """A recording with its plan. where: the run folder or the file, for messages; bench: name or file of the bench, in a form that
+    another plan can use. created: time when the run began; remarks: notes on the run folder. several: True if the recording is
+    joined from several runs."""
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
@@ -66,9 +67,9 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """A diagnosis with remarks on the recording, the recording itself, and the proposal what to measure next, None if nothing is
-    open. declarations: wrong declarations, which were corrected before the diagnosis. stated: parameters of effects that are known
-    to act, with their stated values; the key '' means the only parameter, or all amplitudes."""
+    """A diagnosis with its recording, remarks on the recording, and a proposal of what to measure next. The proposal is None if no
+    question is open. declarations: wrong declarations that were corrected before the diagnosis. stated: for each effect that is
+    known to act, the stated values of its parameters; the key '' stands for the only parameter, or for all amplitudes."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -78,7 +79,7 @@ class Diagnosed:
     stated: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def advice(self) -> list[Advice]:
-        """The remedy for each effect of the verdict."""
+        """The advice for each effect that the verdict names."""
         from planrunner.error_model.effects.interface import effect_named
         from planrunner.reporting.advice import advice
 
@@ -123,10 +124,10 @@ def diagnose_recorded(
     notice: Announce | None = None,
     given: Sequence[str] = (),
 ) -> Diagnosed:
-    """Diagnoses how a recording differs from its simulation. options: by default those of the plan; jobs: threads of the linear
-    algebra (more than one rarely helps, because the systems are small). notice: receives the progress of reading. given: effects
-    that are known to act, as `EFFECT` (fitted), `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` (subtracted). The remaining gap
-    is diagnosed. Raises `InputError` with all obstacles to a diagnosis."""
+    """Diagnoses how a recording differs from its simulation. options: options of the diagnosis, by default those of the plan; jobs:
+    threads for linear algebra (more than one rarely helps, because the systems are small). notice: receives the progress of
+    reading. given: effects that are known to act: `EFFECT` is fitted; `EFFECT=VALUE` and `EFFECT=NAME:VALUE,NAME:VALUE…` are
+    subtracted. The gap that remains is diagnosed. Raises `InputError` with all obstacles to a diagnosis."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=jobs, user_api="blas"):
@@ -156,7 +157,8 @@ GIVEN = "--given"
 
 
 def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
-    """Effects that are known to act: the names of those to be fitted, and the stated values of the others. Raises `InputError`."""
+    """The effects that are known to act: the names of those to fit, and the stated values of those to subtract. Raises
+    `InputError`."""
     from planrunner.tasks.simulate import parsed
 
     fitted: list[str] = []
@@ -177,7 +179,7 @@ def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]
 
 
 def _without(observed: Observed, stated: Mapping[str, Mapping[str, str]], nominal: tuple[str, ...]) -> Observed:
-    """The samples minus effects of known size. Raises `InputError`."""
+    """The samples minus the effects whose values are stated. Raises `InputError`."""
     if not stated:
         return observed
     from planrunner.error_model.added import added, addition
@@ -194,9 +196,10 @@ _CLEARLY = 2.0
 
 
 def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
-    """Warnings about values of the nominal terms outside the specification in the bench file, or outside the usual range of the
-    grade that the noise indicates. The values come from the simulation's fit or from the diagnosis. If the uncertainty of a value
-    is larger than the usual limit, the plan does not determine the value, and it gives no information about the sensor."""
+    """Warns about nominal terms whose values are outside the specification in the bench file, or outside the usual range of the
+    sensor's grade, which follows from its noise. The values come from the fit of the simulation or from the diagnosis. If the
+    uncertainty of a value is larger than the usual limit, the plan does not determine this value, so the value shows nothing about
+    the sensor."""
     from planrunner.bench.grades import SENSES, grade_of
     from planrunner.gap.answer.parameters import nominal_values
     from planrunner.reporting.rounding import rounded
@@ -226,8 +229,8 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
 
 
 def _noise(found: Diagnosis) -> dict[Sense, float]:
-    """White noise of gyros and accelerometers in the form of `Grade.quietest`: of the median channel, declared if there is a
-    declaration."""
+    """White noise of gyros and of accelerometers in the units of `Grade.quietest`: the median over the channels, each with its
+    declared noise or, without a declaration, the measured noise."""
     import math
 
     from planrunner.bench.grades import Sense
@@ -246,8 +249,8 @@ def _noise(found: Diagnosis) -> dict[Sense, float]:
 
 
 def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptions) -> Diagnosed:
-    """The diagnosis of the same recording after effects were subtracted from its samples. It contains no proposal what to measure
-    next. Raises `InputError`."""
+    """The diagnosis of the same recording after effects were subtracted from its samples. The new diagnosis contains no proposal of
+    what to measure next. Raises `InputError`."""
     from planrunner.gap.answer.diagnosis import diagnose
     from planrunner.observation.refusals import ObservationError
 
@@ -258,8 +261,8 @@ def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptio
 
 
 def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
-    """The proposal what to measure next, for recordings with planned orientations. If no plan can be proposed, the log reports it
-    and the diagnosis stays valid."""
+    """The proposal of what to measure next, for recordings with planned orientations. If no plan can be proposed, the log reports
+    this; the diagnosis stays valid."""
     from planrunner.tasks.propose import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))
@@ -287,15 +290,15 @@ def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | No
 
 
 def _lasting(item: RecordedSegment) -> RecordedSegment:
-    """The segment with its recorded length as the dwell, if the plan does not state the dwell."""
+    """The segment, with its recorded length as the dwell if the plan states no dwell."""
     if item.segment.dwell is not None:
         return item
     return replace(item, segment=replace(item.segment, dwell=item.statistics.duration))
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
-    """The samples with their planned states, and warnings. Wrong declarations are corrected. nominal: terms that the simulation
-    fits. Raises `InputError` with the obstacles to a diagnosis."""
+    """The samples with their planned states, and warnings. Wrong declarations are corrected. nominal: the terms that the simulation
+    fits. Raises `InputError` with all obstacles to a diagnosis."""
     seen, _, findings = corrected_observation(recorded, nominal)
     return seen, findings
 
@@ -303,7 +306,7 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
 def corrected_observation(
     recorded: Recorded, nominal: Sequence[str]
 ) -> tuple[Observed, tuple[WrongDeclaration, ...], Findings]:
-    """The same as `observe`, together with the wrong declarations that were corrected."""
+    """The same as `observe`, but also returns the wrong declarations that were corrected."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.hypotheses.declarations import corrected
     from planrunner.observation.poses import poses, unknown_orientations
@@ -373,8 +376,8 @@ def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
 
 
 def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:
-    """The recording without spikes and repeated samples, as estimates use it; the log names them. Bursts, clipped and stuck
-    stretches are kept, because the diagnosis explains them."""
+    """The recording without spikes and repeated samples, as estimates use it; the log names these samples. Bursts and stretches
+    with clipped or stuck samples are kept, because the diagnosis explains them."""
     from planrunner.observation.left_out import without_bad
     from planrunner.observation.screening import screened
 
@@ -399,7 +402,7 @@ def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> R
 
 
 def _outputs(plan: Plan) -> tuple[str, ...]:
-    """The outputs to analyse; empty for all. Raises `InputError` for an output that the plan's sensor does not have."""
+    """The outputs to analyse; empty to analyse all. Raises `InputError` for an output that the plan's sensor does not have."""
     spec, known = plan.diagnosis, plan.sensor.outputs
     if spec is None or not spec.outputs:
         return known
@@ -411,8 +414,8 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
 
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
-    """The segments that the plan's `diagnosis` selects, in the order of time: by their labels, or still spans that are found in
-    them."""
+    """The segments that the plan's `diagnosis` selects by their labels, or the still spans that are found in these segments, in the
+    order of time."""
     return in_time_order(_meant(recorded))
 
 
@@ -444,7 +447,7 @@ def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
 
 
 def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
-    """The samples of a segment within a span, as a separate segment."""
+    """The samples of a segment that lie within a span, as a separate segment."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         for block in item.blocks(channels):
@@ -468,7 +471,7 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 
 
 def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
-    """Reads a run folder. notice: receives the progress of reading. Raises `InputError` and `IntegrityError`."""
+    """Reads the recording in a run folder. notice: receives the progress of reading. Raises `InputError` and `IntegrityError`."""
     from planrunner.observation.screening import watch_of
 
     reader = RunReader.open(run)
@@ -489,9 +492,9 @@ def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
 def recorded_file(
     plan: Path, bench: str | None, recording: Path, segments: Path | None = None, notice: Announce | None = None
 ) -> Recorded:
-    """Reads a recording in a file. bench: maps its columns; by default the bench of the plan. segments: table of labels with
-    beginnings and ends; by default the table in the bench file, next to the recording. notice: receives the progress of reading.
-    Raises `InputError`."""
+    """Reads a recording in a file. bench: bench file that assigns the columns to channels; by default the bench of the plan.
+    segments: table with the label, the beginning and the end of each segment; by default the table that the bench file names,
+    beside the recording. notice: receives the progress of reading. Raises `InputError`."""
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     parameters = _parameters(sound.bench, sound.file)
     columns = parameters.segments
@@ -520,7 +523,8 @@ def recorded_file(
 
 
 def _bench_for_others(bench: str, plan: Path | None) -> str:
-    """The name of a bench for use in a plan in another folder. plan: the file that names it; by default the command line."""
+    """A bench in the form in which a plan in another folder can name it. plan: plan file that names the bench; None if the command
+    line names it."""
     path = Path(bench) if plan is None else plan.parent / bench
     return bench if bench in shipped_benches() else str(path.resolve())
 
@@ -538,24 +542,24 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
 
 
 def _with_axis(outputs: Sequence[str]) -> tuple[str, ...] | None:
-    """The outputs that the plan uses whose names give an axis; None if there are none."""
+    """The outputs of the plan whose names state an axis; None if there are none."""
     from planrunner.error_model.observed import axis_of
 
     return tuple(name for name in outputs if axis_of(name) is not None) or None
 
 
 def only_channel(units: Mapping[str, str], dimension: str) -> str | None:
-    """The only channel of a dimension; None if there is no channel or several."""
+    """The only channel of a dimension; None if the dimension has no channel or several channels."""
     found = [name for name, text in units.items() if unit(text).dimension == DIMENSIONS[dimension]]
     return found[0] if len(found) == 1 else None
 
 
 def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None) -> Recorded:
-    """Joins a recording and later runs of the same sensor, which stayed switched on between them.
+    """Joins a recording and later runs of the same sensor, which stayed switched on between the runs.
 
-    Times continue: a later run is delayed by the difference between the start times in the run folders, but never begins before the
-    end of the previous run. notice: receives the progress of reading. Raises `InputError` if a run has other channels or cannot be
-    read.
+    Times continue: a later run is delayed by the difference between the start times in the run folders, or by more if it would
+    otherwise begin before the end of the previous run. notice: receives the progress of reading. Raises `InputError` if a run has
+    other channels or cannot be read.
     """
     whole, origin = first, first.created
     for run in runs:
@@ -577,7 +581,7 @@ def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None
 
 
 def _moved(item: RecordedSegment, seconds: float, before: str) -> RecordedSegment:
-    """A segment delayed by the given time, under a label that no other run has."""
+    """The segment, delayed by the given time, with a label that occurs in no other run."""
     segment = replace(item.segment, label=before + item.label, start=item.segment.start + seconds)
     known = item.statistics
     statistics = replace(known, start=known.start + seconds, end=known.end + seconds)

@@ -1,5 +1,5 @@
-"""Diagnoses several runs together. Each run is diagnosed alone. Then all effects that any run names are fitted in every run.
-Finally every amplitude is attributed to device, bench or occasion.
+"""Diagnoses several runs together. First, each run is diagnosed alone. Then every effect that any run names is fitted in every run.
+Finally, every amplitude is attributed to the device, the bench or the occasion.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ _LEAST = 1e-12  # probability with which a run counts that gives an effect none
 
 @dataclass(frozen=True, slots=True)
 class RunOrigin:
-    """A run with the labels of its device, bench and occasion. created: time of the run, UTC, ISO 8601. lot: of the device, if
-    stated. seal: SHA-256 of the seal; empty for a run that is not sealed."""
+    """A run with the labels of its device, bench and occasion. created: time when the run began, UTC, ISO 8601. lot: production lot
+    of the device; empty if not stated. seal: SHA-256 of the seal; empty for a run that is not sealed."""
 
     run: Path
     labels: Mapping[Source, str]
@@ -64,9 +64,10 @@ class RunOrigin:
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:
-    """Diagnosis of one run. plan: its title; sensor: its kind. effects: effects that the verdict names; members: effects that the
-    plan cannot distinguish, sets as 'a+b'; probability: of every set of effects. shapes: effect → its best shape in its unit, and
-    the evidence for it in nats. origin: origin of the samples."""
+    """The diagnosis of one run. plan: title of the plan; sensor: kind of the sensor. effects: the effects that the verdict names;
+    members: the effects that the plan cannot distinguish, with a set of effects as 'a+b'; probability: set of effects → its
+    probability. shapes: effect → its best shape in the unit of the shape, and the evidence for this shape in nats. origin: origin
+    of the samples."""
 
     plan: str
     sensor: str
@@ -82,7 +83,8 @@ class RunVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Attributed:
-    """One amplitude. runs: indices of the runs that determine it (n); values, standard_uncertainties: (n,), in the unit of the key."""
+    """One amplitude with its attribution. runs: indices of the n runs that determine the amplitude; values, standard_uncertainties:
+    shape (n,), in the unit of `key`."""
 
     key: AmplitudeKey
     runs: tuple[int, ...]
@@ -94,8 +96,9 @@ class Attributed:
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """Diagnosis of a fleet. effects: effects that were fitted in every run in addition to the nominal terms; not_attributed:
-    effects that a run names but that are not attributed, with the reason. shared: lots whose devices have an amplitude in common."""
+    """The diagnosis of a fleet. effects: the effects that were fitted in every run in addition to the nominal terms;
+    not_attributed: effect that a run names → the reason why it is not attributed. shared: the lots whose devices have an amplitude
+    in common."""
 
     origins: tuple[RunOrigin, ...]
     verdicts: tuple[RunVerdict, ...]
@@ -107,7 +110,7 @@ class FleetDiagnosis:
 
     @property
     def origin(self) -> DataOrigin:
-        """Origin of the samples: simulated if the samples of any run are simulated."""
+        """Origin of the samples: simulated if the samples of at least one run are simulated."""
         found = {one.origin for one in self.verdicts}
         return next(one for one in ("simulated", "replayed", "measured") if one in found)
 
@@ -191,7 +194,7 @@ def _words(one: Contribution) -> tuple[str, ...]:
 
 
 def _plain(one: Contribution, devices: Sequence[str]) -> JsonObject:
-    """A result as plain JSON data. devices: devices of the runs (n)."""
+    """A contribution as plain JSON data. devices: the device of each run (n)."""
     return {
         "sources": list(_words(one)),
         "probability": one.probability,
@@ -229,12 +232,12 @@ def diagnose_fleet(
     skip: bool = False,
     kept: KeptDiagnoses | None = None,
 ) -> FleetDiagnosis:
-    """Diagnoses runs together. nominal: terms that the simulations fit, by default those of the plans; origins: a CSV table with
-    the device, bench or occasion of runs; workers: processes that share the runs, by default on this machine. notice: receives the
-    progress. skip: whether runs that cannot be diagnosed are omitted with a note instead of being an error. kept: stored results of
-    sealed runs from earlier diagnoses; they are used, and new results are added.
+    """Diagnoses several runs together. nominal: terms that the simulations fit, by default those of the plans; origins: CSV table
+    that states the device, bench or occasion of runs; workers: processes that share the runs, by default on this computer. notice:
+    receives the progress. skip: True to omit runs that cannot be diagnosed, with a note; if it is False, such a run is an error.
+    kept: stored results of sealed runs from earlier diagnoses. They are used again, and new results are added to them.
 
-    Raises `InputError` with all obstacles and, without `skip`, `IntegrityError`.
+    Raises `InputError` with all obstacles, and without `skip` also `IntegrityError`.
     """
     listed = _origins(runs, origins, skip=skip)
     labelled = [one for one in listed if isinstance(one, RunOrigin)]
@@ -307,8 +310,8 @@ def _from_kept(
     plain: Callable[[T], Json],
     of_plain: Callable[[Json], T],
 ) -> list[T]:
-    """The results for all keys: stored ones, and for the other keys those of `compute`, which are then stored. plain: converts a
-    result to JSON data; null for a result that is not stored."""
+    """The result for each key: a stored result if there is one, otherwise the result of `compute`, which is then stored. plain:
+    converts a result to JSON data; it returns null for a result that must not be stored."""
     found: dict[int, T] = {}
     for place, key in enumerate(keys):
         held = kept.get(key) if key else None
@@ -325,7 +328,8 @@ def _from_kept(
 
 
 def _verdict_plain(one: RunVerdict | Obstacles) -> Json:
-    """A verdict as JSON data. Obstacles are not stored because they may disappear, for example when a package is installed."""
+    """The verdict on a run as JSON data. Null for obstacles, which are not stored because they may disappear, for example when a
+    package is installed."""
     if not isinstance(one, RunVerdict):
         return None
     made: JsonObject = {item.name: getattr(one, item.name) for item in fields(one)}
@@ -392,7 +396,8 @@ def _fit_of(held: Json) -> list[AmplitudeEstimate]:
 
 @dataclass(frozen=True, slots=True)
 class _Opened:
-    """A run folder that passes the check. bench: its name; table: asset or serial number of its table, if known."""
+    """A run folder that has passed the check. bench: name of the bench; table: asset number or serial number of the bench's table,
+    if known."""
 
     run: JsonObject
     bench: str
@@ -413,8 +418,9 @@ def _opened(run: Path) -> _Opened:
 
 
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
-    """Every run with its labels from the run folder and from the table, which takes precedence; or the obstacles. skip: see
-    `_attempted`. Raises `InputError` for runs that are given twice and for a wrong table, and without `skip` for all obstacles."""
+    """Every run with its labels, or the obstacles. The labels come from the run folder and from the table, which takes precedence.
+    skip: see `_attempted`. Raises `InputError` for a run that is given twice and for a table with errors; without `skip`, also for
+    all obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):
@@ -441,7 +447,8 @@ def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[Ru
 
 
 def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several: Set[str]) -> RunOrigin | Obstacles:
-    """The runs with their labels. several: names of benches with different tables; their labels contain the table."""
+    """The run with its labels, or the obstacles. several: names of benches that have had different tables; their labels contain the
+    table."""
     info = opened.run.get("info", {})
     table = f" (table {opened.table or 'without a number'})" if opened.bench in several else ""
     device = stated.get(Source.DEVICE) or device_of(info)
@@ -458,7 +465,8 @@ def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several:
 
 
 def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[Source, str]]:
-    """Labels from a table with the columns run, device, bench, occasion; the last three are optional, and so are their entries."""
+    """The labels in a table with the columns run, device, bench and occasion. The last three columns are optional, and so are their
+    entries."""
     text = read_text(path)
     reader = csv.DictReader(text.splitlines(), strict=True)
     by_name = {run.resolve().name: run for run in runs}
@@ -497,8 +505,8 @@ def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[
 
 
 def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obstacles:
-    """The result of an operation on a run, or the obstacles to it. A changed run folder is an obstacle with `skip`, and an error
-    without it."""
+    """The result of an operation on a run, or the obstacles to it. A changed run folder is an obstacle if `skip` is True; otherwise
+    it raises an error."""
     from planrunner.observation.refusals import ObservationError
 
     try:
@@ -515,7 +523,7 @@ def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obsta
 
 
 def _verdict(nominal: tuple[str, ...] | None, skip: bool, run: Path) -> RunVerdict | Obstacles:
-    """The diagnosis of a run, or the obstacles to it."""
+    """The verdict on a run, or the obstacles to its diagnosis."""
     return _attempted(partial(_diagnosed, nominal), run, skip=skip)
 
 
@@ -556,7 +564,7 @@ def _shapes(made: Diagnosis) -> dict[str, tuple[float, float]]:
 def _fitted(
     nominal: tuple[str, ...], effects: tuple[tuple[str, float | None], ...], run: Path
 ) -> list[AmplitudeEstimate]:
-    """The amplitudes of the nominal terms and of effects in a run that has already been diagnosed."""
+    """The amplitudes of the nominal terms and of the given effects, fitted in a run that has already been diagnosed."""
     from threadpoolctl import threadpool_limits
 
     from planrunner.error_model.effects.interface import effect_named
@@ -578,7 +586,7 @@ def _require_all(obstacles: Iterable[Obstacles]) -> None:
 
 
 def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings) -> None:
-    """Raises `InputError` for runs that cannot be compared; the log names different plans."""
+    """Raises `InputError` for runs that cannot be compared; the log reports that plans differ."""
     first, wrong = verdicts[0], Findings()
     for run, one in zip(runs, verdicts, strict=True):
         if one.sensor != first.sensor:
@@ -600,8 +608,8 @@ def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings
 
 
 def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
-    """The effects named in any run. If the plan of a run cannot distinguish some effects, the effect is used that another run names
-    with certainty, otherwise the effect that is most probable according to all runs together."""
+    """The effects that any run names. If the plan of a run cannot distinguish several effects, one of them is used: the effect that
+    another run names with certainty, otherwise the effect with the highest probability over all runs together."""
     certain = {name for one in verdicts if not one.members for name in one.effects}
     chosen = set(certain)
     for one in verdicts:
@@ -631,7 +639,7 @@ def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, s
 
 
 def _shape(name: str, verdicts: Sequence[RunVerdict]) -> float | None:
-    """The shape of an effect in the run with the most evidence for it; None for an effect without one."""
+    """The shape of an effect in the run with the most evidence for this shape; None for an effect without a shape."""
     found = [one.shapes[name] for one in verdicts if name in one.shapes]
     return max(found, key=lambda item: item[1])[0] if found else None
 
@@ -653,8 +661,8 @@ def _attributed(
 def _one_attributed(
     origins: Sequence[RunOrigin], amplitudes_: int, given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
 ) -> Attributed:
-    """The attribution of one amplitude. amplitudes_: number of all amplitudes that are examined. After a change, a device or bench
-    counts as a different one."""
+    """The attribution of one amplitude. amplitudes_: number of all amplitudes that are examined, which the test for changes takes
+    into account. After a change, the device or the bench counts as another one."""
     from threadpoolctl import threadpool_limits
 
     key, listed = given

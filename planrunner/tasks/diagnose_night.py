@@ -1,5 +1,4 @@
-"""The diagnosis after a night: the runs of the night together with recent runs of the same plans. It shows how device and bench
-have changed."""
+"""Diagnoses the runs of a night together with recent runs of the same plans. The diagnosis shows how device and bench have changed."""
 
 from __future__ import annotations
 
@@ -26,10 +25,10 @@ LEAST = 4
 def diagnose_night(
     archive: Path, runs: Sequence[str], asked: NightDiagnosis, workers: Workers | None = None
 ) -> Iterator[tuple[JsonObject | None, str]]:
-    """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and the reason why there is none or which
-    runs are omitted. The last remarks name runs of the night without a device, and the damaged runs of the archive.
+    """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json) and a remark: why there is no diagnosis, or
+    which runs it omits. The last remarks name the runs of the night without a device, and the damaged runs in the archive.
 
-    runs: names of the folders of the night's runs. Raises `InputError` if the index cannot be used.
+    runs: names of the run folders of the night. Raises `InputError` if the index cannot be used.
     """
     since = (datetime.now(UTC) - timedelta(seconds=asked.within.value)).isoformat()
     with opened(archive, None, Freshness()) as index:

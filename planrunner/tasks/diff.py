@@ -36,9 +36,9 @@ def compare(
 ) -> Compared:
     """The difference between two files or folders of one kind: plans, benches (also by their shipped names) or run folders.
 
-    bench: for plans, the bench on which both are checked instead of their own. foresee: whether the plans are checked on their
-    benches, which takes as long as two runs of `check`. Raises `InputError` if a file cannot be read or has errors of form or
-    meaning, and `IntegrityError` for a run.
+    bench: for plans, the bench on which both are checked instead of their own. foresee: True if both plans are checked on their
+    benches to find the consequences, which takes as long as two runs of `check`. Raises `InputError` if a file cannot be read or
+    has errors of form or meaning, and `IntegrityError` for a damaged run.
     """
     kinds = kind_of(before), kind_of(after)
     if kinds[0] != kinds[1]:
@@ -84,7 +84,7 @@ def compare_plans(
 
 
 def kind_of(path: Path) -> ComparedKind:
-    """The kind of a file or folder. Raises `InputError` if it cannot be read."""
+    """The kind of a file or folder: plan, bench or run. Raises `InputError` if it cannot be read."""
     if path.is_dir():
         return "run"
     if _is_shipped(path):
@@ -94,7 +94,7 @@ def kind_of(path: Path) -> ComparedKind:
 
 
 def meaning_of_file(path: Path) -> Meaning:
-    """The meaning of a plan or bench file. A plan contains the name of its bench. Raises `InputError`."""
+    """The meaning of a plan or bench file. The meaning of a plan then contains only the name of its bench. Raises `InputError`."""
     if kind_of(path) == "bench":
         return meaning_of_bench(_bench(path))
     return meaning_of_plan(_plan(source.read_bytes(path), str(path)))
@@ -117,7 +117,7 @@ def _plan(data: bytes, shown: str) -> Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """A plan and its bench. missing: the reason why there is no bench."""
+    """One side of a comparison: a plan and its bench. missing: the reason why `bench` is None."""
 
     plan: Plan
     bench: Bench | None
@@ -205,8 +205,8 @@ def _facts(one: RunReader, other: RunReader) -> list[Fact]:
 
 
 def _conditions(one: Sequence[Mapping[str, object]], other: Sequence[Mapping[str, object]]) -> list[Fact]:
-    """Readings of the instruments that differ most between two runs: for each kind of reading, the segment with the largest
-    difference; and lost data."""
+    """Measured conditions that differ between two runs: for each kind of reading, the values in the segment with the largest
+    difference; also the lost data."""
     found = []
     pairs = {str(item["label"]): item for item in other}
     largest: dict[str, tuple[float, str, float, float]] = {}

@@ -1,5 +1,5 @@
 """Checks whether approvals cover the evaluation of an analysis. The approvals of the run cover the evaluation by the run's own
-plan. For an amendment with other estimates or limits, its analysis keeps approvals of the amended plan (`approvals.json`)."""
+plan. For an amendment with other estimates or limits, the analysis keeps the approvals of the amended plan (`approvals.json`)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from planrunner.tasks.approvals import ring_of
 
 @dataclass(frozen=True, slots=True)
 class EvaluationApproval:
-    """Coverage of one analysis. analysis: its number; covered: whether approvals cover its evaluation; words: who approved, or why
-    it is not covered; fault: what was changed."""
+    """Whether approvals cover the evaluation of one analysis. analysis: number of the analysis; covered: True if approvals cover
+    its evaluation; words: who approved it, or why it is not covered; fault: what was changed, or empty."""
 
     analysis: int
     covered: bool
@@ -36,10 +36,10 @@ class EvaluationApproval:
 
 
 def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path) -> bytes | None:
-    """The approval data that the analysis of an amended plan must keep; None if its bench requires no approvals, or if too few next
-    to the plan file are valid.
+    """The approval data that the analysis of an amended plan must keep. None if the bench requires no approvals, or if too few
+    approvals beside the plan file are valid.
 
-    Raises `InputError` if approvals or key ring cannot be read, and `IntegrityError`.
+    Raises `InputError` if the approvals or the key ring cannot be read, and `IntegrityError`.
     """
     rule = bench.approvals
     if rule is None or reader.approvals is None:
@@ -61,8 +61,8 @@ def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path
 
 
 def evaluation_approvals(found: Examined, ring: KeyRing | None) -> Iterator[EvaluationApproval]:
-    """The coverage of every analysis of a run whose bench requires approvals. ring: the known keys. Analyses that cannot be read
-    are omitted, because other checks report them."""
+    """Whether approvals cover the evaluation of each analysis, for a run whose bench requires approvals. ring: key ring with the
+    keys that the user knows. Analyses that cannot be read are omitted, because other checks report them."""
     data, path = found.given.get(APPROVALS), found.folder.path
     if data is None or BENCH not in found.given:
         return

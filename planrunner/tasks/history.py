@@ -1,4 +1,4 @@
-"""The history of an archive, for the commands `runs`, `history` and `compare` and for programs."""
+"""The history of an archive, for the commands `runs`, `history` and `compare` and for other programs."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ RUNS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class RunList:
-    """A list of runs. runs: those that pass the filter, the newest first; total: their number without the limit; faults: folders
-    that are not in the index."""
+    """A list of runs. runs: the runs that pass the filter, newest first; total: number of such runs, without the limit on the
+    length of the list; faults: folders that are not in the index."""
 
     runs: tuple[RunRow, ...]
     total: int
@@ -40,8 +40,8 @@ class RunList:
 
 @dataclass(frozen=True, slots=True)
 class Freshness:
-    """How an index is updated before it is queried. refresh: whether new and changed runs are read; rebuild: whether all runs are read.
-    workers: processes that read."""
+    """How an index is updated before it is queried. refresh: True to read new and changed runs; rebuild: True to read all runs
+    again. workers: processes that share the reading."""
 
     refresh: bool = True
     rebuild: bool = False
@@ -76,8 +76,8 @@ def coefficients_of(index: Index, device: str) -> list[str]:
 
 
 def trend_of(index: Index, device: str, quantity: str, tolerance: str | None = None, since: str = "") -> Trend:
-    """The trend of a coefficient of a device. tolerance: permissible deviation, such as `0.5 deg/h`. Raises `InputError` for an unknown
-    device or coefficient."""
+    """The trend of a coefficient of a device. tolerance: permitted deviation, such as `0.5 deg/h`. Raises `InputError` for an
+    unknown device or coefficient."""
     known = coefficients_of(index, device)
     if quantity not in known:
         message = f"no run of '{device}' has a coefficient '{quantity[:60]}'"
@@ -90,7 +90,8 @@ def trend_of(index: Index, device: str, quantity: str, tolerance: str | None = N
 
 
 def gauge_of(index: Index, quantity: str, wanted: RunFilter) -> tuple[GaugeStudy, str]:
-    """The gauge study of a coefficient in the runs that pass the filter, and its unit. Raises `InputError` if they do not fill a design."""
+    """The gauge study of a coefficient in the runs that pass the filter, and its unit. Raises `InputError` if these runs do not
+    fill the design of a gauge study."""
     points = [point for point in index.points(quantity, wanted) if math.isfinite(point.coefficient.value)]
     units = {point.coefficient.unit for point in points}
     hint = "choose runs with --device, --plan, --since and --until that have every combination at least twice"

@@ -1,7 +1,7 @@
-"""Stored results of diagnoses of sealed runs on this computer. The next night computes only new diagnoses.
+"""Results of diagnoses of sealed runs, stored on this computer. The next night then computes only new diagnoses.
 
-A diagnosis of a run is a function of the run, of the program with its libraries and plug-ins, and of the options. The digest of all
-three is the name of the file with its result, so any change gives another name. The files are in a folder that only the user can
+A diagnosis of a run is a function of the run, of the program with its libraries and plug-ins, and of the options. The name of the
+file with a result is a digest of all three, so any change gives another name. The files are in a folder that only the user can
 change, and can be deleted at any time.
 """
 
@@ -37,13 +37,14 @@ _KEY = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True, slots=True)
 class KeptDiagnoses:
-    """The folder of stored results; None if there is no folder that only the user can change. Nothing is then stored."""
+    """The folder of stored results. None if there is no folder that only the user can change; then nothing is stored. Nothing is
+    then stored."""
 
     folder: GuardedFolder | None
 
     @classmethod
     def of_user(cls) -> KeptDiagnoses:
-        """The folder of the user. Results that are too old are removed."""
+        """Opens the user's folder of stored results. Removes results that are too old."""
         place = _place()
         try:
             make_private(place)
@@ -65,20 +66,21 @@ class KeptDiagnoses:
             return None
 
     def put(self, key: str, result: Json) -> None:
-        """Stores a result. If it cannot be written, it is silently omitted."""
+        """Stores a result. If the result cannot be written, nothing is stored, and no error is raised."""
         if self.folder is not None:
             with contextlib.suppress(OSError, ValueError):
                 Storage("flushed").write_whole(self.folder, key, to_bytes(result))
 
 
 def key_of(kind: str, run: str, asked: Json) -> str:
-    """The key of a result. run: SHA-256 of the seal of the run. asked: all options on which the result depends."""
+    """The key under which a result is stored. run: SHA-256 of the seal of the run. asked: all options on which the result depends,
+    as JSON data."""
     return hashlib.sha256(to_bytes([kind, run, asked, _program()])).hexdigest()
 
 
 @cache
 def _program() -> Json:
-    """Identifies the program, its libraries, and the packages with plug-ins."""
+    """A text that identifies the program, its libraries, and the packages with plug-ins."""
     found = dict(versions())
     for group in (plugins.EFFECTS, plugins.ESTIMATORS, plugins.INSTRUMENTS):
         for entry in entry_points(group=group):

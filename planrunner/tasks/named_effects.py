@@ -1,5 +1,5 @@
-"""Uses the effects that a diagnosis named: as an estimate in the plan, with uncertainty and budget, or as effects of the simulated
-bench."""
+"""Uses the effects that a diagnosis names: enters them as an estimate in the plan, with uncertainty and budget, or as effects of
+the simulated bench."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ ESTIMATE = "diagnosed"
 
 
 def plan_with_estimate(made: Diagnosed) -> Checked:
-    """The plan of a diagnosis with one more estimate. For each output, it has the terms that its simulation fits, and the named
-    effects.
+    """The plan of a diagnosis with one further estimate. For each output, this estimate has the terms that the simulation of the
+    output fits, and the named effects.
 
-    The checked plan contains the text in `plan_bytes` and shows whether its segments can separate the effects. Raises `InputError`
-    if none of the named effects can be estimated.
+    The result is a checked plan: its text is in `plan_bytes`, and the check shows whether its segments can separate the effects.
+    Raises `InputError` if none of the named effects can be estimated.
     """
     recorded, named = made.recorded, made.diagnosis.verdict.named
     sound, where = recorded.sound, Mark(recorded.where)
@@ -57,7 +57,8 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
 
 
 def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object]:
-    """Keys of an estimate for the channels of supply voltage and pressure that effects follow, as in the diagnosis."""
+    """The keys of an estimate that name the channels of supply voltage and pressure, if effects depend on these, as in the
+    diagnosis."""
     from planrunner.tasks.diagnose import only_channel
 
     followed = {effect.follows for effect in effects if isinstance(effect, FollowsSurroundings)}
@@ -73,8 +74,8 @@ def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object
 
 
 def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
-    """The text of a bench with the named effects at their estimated sizes. simulation: a virtual bench, by name or file; by default
-    that of the recording. Raises `InputError` if it cannot simulate them."""
+    """The text of a bench with the named effects, each with its estimated size. simulation: virtual bench, by name or file; by
+    default the bench of the recording. Raises `InputError` if the bench cannot simulate the effects."""
     base = simulated_by(made.recorded, simulation)
     shown = base.bench.origin.mark.file
     observed = made.diagnosis.grounds.weighing.observed
@@ -83,8 +84,8 @@ def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
 
 
 def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
-    """The plan of a recording on a virtual bench. simulation: the bench, by name or file; by default that of the recording. Raises
-    `InputError` if the bench cannot simulate or cannot run the plan."""
+    """The plan of a recording on a virtual bench. simulation: the virtual bench, by name or file; by default the bench of the
+    recording. Raises `InputError` if the bench cannot simulate or cannot run the plan."""
     sound = recorded.sound
     if simulation is not None:
         sound = check_plan(Document(sound.plan_bytes, sound.file), simulation).sound()
@@ -93,7 +94,7 @@ def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
 
 
 def stated_effects(made: Diagnosed) -> Stated:
-    """The named effects with their parameters as texts. Orientations are numbered as in the diagnosis."""
+    """The named effects with their parameters, as texts. Orientations are numbered as in the diagnosis."""
     return [
         (
             name,
@@ -108,8 +109,8 @@ def stated_effects(made: Diagnosed) -> Stated:
 
 
 def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) -> Stated:
-    """Effects of a diagnosis with their orientations numbered as in a simulation of these segments, in the order of first use. A
-    diagnosis numbers the orientations of its own segments."""
+    """The effects of a diagnosis with their orientations numbered as in a simulation of these segments. A simulation numbers
+    orientations in the order of first use among these segments; a diagnosis numbers the orientations of its own segments."""
     seen = list(dict.fromkeys(map(orientation_key, observed.attitude)))
     planned = list(dict.fromkeys(orientation_key(np.array(s.attitude)) for s in segments if s.attitude is not None))
     return [
@@ -121,7 +122,7 @@ def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) 
 
 
 def _renumbered(name: str, seen: Sequence[tuple[float, ...]], planned: Sequence[tuple[float, ...]]) -> str:
-    """`orientation_3_x` with the number that the orientation has among the planned ones."""
+    """A name such as `orientation_3_x` with the number that this orientation has among the planned ones."""
     word, number, axis = name.split("_")
     place = seen[int(number) - 1]
     return name if place not in planned else f"{word}_{planned.index(place) + 1}_{axis}"
@@ -141,7 +142,7 @@ def _why_not(effect: Effect, observed: Observed) -> str:
 
 
 def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, list[str]]:
-    """Output → effects that act on it and have amplitudes."""
+    """Output → the effects that act on it and that an estimate can contain."""
     found: dict[str, list[str]] = {channel.name: [] for channel in observed.channels}
     for name, effect in effects.items():
         if _why_not(effect, observed):
@@ -154,7 +155,7 @@ def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, lis
 
 
 def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
-    """The plan's text with one more estimate after the others, in the same notation."""
+    """The text of the plan with one further estimate after the others, in the same notation."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a plan that was read
     nodes = {key.value: value for key, value in root.value}
