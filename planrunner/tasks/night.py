@@ -1,9 +1,9 @@
-"""A night: every test of a suite runs in a separate process, unattended. A night that was interrupted is continued where it
+"""Runs every test of a suite in a separate process at night, unattended. A night that was interrupted is continued where it
 stopped.
 
-The rules of the night are those of `planrunner.night.timetable`. Each event is written to the journal of the night before the night
-continues. After a kill or a power failure, the journal and the run folders show where it stopped. The id of a run folder is in the
-journal before its process starts, so that no run folder is lost.
+The rules for what runs when are in `planrunner.night.timetable`. Each event is written to the journal of the night before the night
+continues. After a kill or a power failure, the journal and the run folders show where the night stopped. The id of a run folder is
+in the journal before its process starts, so that no run folder is lost.
 """
 
 from __future__ import annotations
@@ -68,11 +68,11 @@ CONTINUED_WITHIN = 24 * 3600.0
 
 
 class NightClock:
-    """The time of a night: it never goes back.
+    """The time of a night, which never goes back.
 
-    Simulated time advances only by `advance`. Real time is the monotonic clock of the computer from the beginning of this session.
-    If the computer's clock is set forward, it follows; if it is set back, it does not. jump: called with the number of seconds by
-    which the clock was set.
+    Simulated time advances only by `advance`. Real time is taken from the monotonic clock of the computer, from the beginning of
+    this session. If someone sets the computer's clock forward, the time of the night follows; if someone sets it back, it does not.
+    jump: called with the number of seconds by which the computer's clock was set.
     """
 
     def __init__(
@@ -107,7 +107,8 @@ class NightClock:
 
 @dataclass(frozen=True, slots=True)
 class NightOptions:
-    """Options of a night. runs: the archive. tell: called with a line of progress. program: the command that runs a plan."""
+    """Options of a night. runs: folder of the archive. tell: called with each line of progress. program: the command that starts
+    planrunner."""
 
     runs: Path
     data: Path | None = None
@@ -120,8 +121,8 @@ class NightOptions:
 
 @dataclass(frozen=True, slots=True)
 class NightResult:
-    """Result of a night. folder: folder of the night. trouble: the reason why the record could not be written; empty if it was
-    written."""
+    """The result of a night. folder: folder with the records of the night. trouble: the reason why the record could not be written;
+    empty if it was written."""
 
     folder: Path
     record: JsonObject
@@ -150,7 +151,7 @@ class _Child:
 
 
 def run_night(sound: SoundSuite, options: NightOptions, stop: StopRequest) -> NightResult:
-    """Runs the tests of a suite, or continues its unfinished night. Raises `InputError` if the night cannot begin."""
+    """Runs the tests of a suite, or continues the unfinished night of this suite. Raises `InputError` if the night cannot begin."""
     folder, storage = _archive(options), Storage("flushed" if options.flushed else "durable")
     digest = hashlib.sha256(sound.data).hexdigest()
     with _Lock(folder, f".{digest[:24]}.lock", sound.file):
@@ -173,7 +174,7 @@ def _archive(options: NightOptions) -> GuardedFolder:
 
 
 class _Lock:
-    """A lock that allows one night of a suite at a time in an archive. Different suites may run at the same time."""
+    """A lock that allows only one night of a suite at a time in an archive. Different suites may run at the same time."""
 
     def __init__(self, folder: GuardedFolder, name: str, shown: str):
         note = f"process {os.getpid()}, since {datetime.now().astimezone().isoformat(timespec='seconds')}"
@@ -264,7 +265,8 @@ def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: Nig
 def _unfinished(
     nights: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
 ) -> _Night | None:
-    """The newest night of this suite that has no end, if it can be continued. Other unfinished nights are closed."""
+    """The newest night of this suite without an end in its journal; None if there is none that can be continued. Other unfinished
+    nights are closed."""
     found: _Night | None = None
     for name, entry in reversed(nights.entries().items()):
         if entry.kind != "folder":
@@ -352,7 +354,7 @@ class _Night:
     # -- the whole night -------------------------------------------------------------------------------------------------
 
     def can_go_on(self) -> bool:
-        """Whether a night that was interrupted still has time left."""
+        """Whether an interrupted night still has time left to continue."""
         now = self._clock.now()
         return now < self._course.hours.closes and (self._sound.virtual or now - self._record.now < CONTINUED_WITHIN)
 
@@ -379,8 +381,8 @@ class _Night:
         return NightResult(self._folder.path, self._record.to_json(), code, self._trouble)
 
     def _diagnose(self) -> None:
-        """Diagnoses the runs of the night together with recent runs. It is not a test: if it fails, the night still has its
-        results."""
+        """Diagnoses the runs of the night together with recent runs. The diagnosis is not a test: if it fails, the night still has
+        its results."""
         asked = self._sound.suite.diagnosis
         if asked is None or self._trouble or self._record.fleet:
             return
@@ -402,7 +404,7 @@ class _Night:
             self._remark(f"the runs could not be diagnosed: {what}")
 
     def _tell_overrides(self) -> None:
-        """Records on the wall display and in the record who lets tests run although a check standard is not in control."""
+        """Records who lets tests run although a check standard is not in control, for the wall display and the report."""
         for name, about in self._sound.suite.benches.items():
             given = about.override_check_standard
             if given is None:
@@ -434,7 +436,7 @@ class _Night:
             self._options.tell(f"waiting until {shown_time(self._course.hours.begins, self._sound.zone)}")
 
     def _replay(self) -> None:
-        """Restores the state of the rules that the journal describes."""
+        """Restores the state of the timetable rules from the events in the journal."""
         for index, test in enumerate(self._record.tests):
             for attempt in test.attempts:
                 self._course.begun(index, attempt.begins)
@@ -480,7 +482,7 @@ class _Night:
                 self._abandon(index, self._clock.now(), reason)
 
     def _abandon(self, index: int, now: float, reason: str) -> None:
-        """Records that a waiting test will not run. If it waited for a repetition, its last attempt is its result."""
+        """Records that a waiting test will not run. If the test waited to be repeated, its last attempt gives its result."""
         name, ending = self._sound.tests[index].name, self._course.abandon(index)
         if ending is None:
             self._log("not_run", {"test": index, "reason": reason})
@@ -493,7 +495,7 @@ class _Night:
         self._write_reports()
 
     def _result(self, index: int, now: float, ending: EndOfTest, reason: str) -> tuple[StateOfTest, str]:
-        """The state of a test that is not repeated, and the reason."""
+        """The state of a test that is not repeated, and the reason for this state."""
         name, failures = self._sound.tests[index].name, self._sound.suite.known_failures
         known = known_failure(name, failures, ending.value, civil(now, self._sound.zone).date())
         if known is not None:
@@ -567,7 +569,8 @@ class _Night:
         self._ended.put(index)
 
     def _command(self, test: PlannedTest, before: str | None) -> tuple[str, str, list[str]]:
-        """The id of the run, the kind of the process, and its arguments. before: id of the run to continue."""
+        """The id of the run, the kind of process, and the arguments of the command. before: id of the run to continue; None for a
+        new run."""
         common = ["--json", "--quiet"]
         data = [] if self._options.data is None else ["--data", str(self._options.data)]
         override = self._sound.suite.benches[test.bench].override_check_standard
@@ -596,7 +599,7 @@ class _Night:
         return next(self._options.runs.glob(f"*-{identity}"), None)
 
     def _end(self, index: int) -> None:
-        """Handles the end of the process of a test."""
+        """Handles the end of the process that runs a test."""
         child = self._children.pop(index)
         self._gone.discard(index)
         child.output.close()
@@ -619,7 +622,7 @@ class _Night:
         self._conclude(index, now, ending, code, reason, child.identity, document)
 
     def _answer(self, index: int) -> JsonObject:
-        """The JSON data that the process printed."""
+        """The JSON data that a process printed."""
         name = Path(self._record.tests[index].attempts[-1].log).stem + ".json"
         try:
             found = from_bytes(self._logs.read(name, MOST_RECORD))
@@ -676,7 +679,7 @@ class _Night:
         self._write_reports()
 
     def _judge_standard(self, test: PlannedTest, ending: EndOfTest, reason: str) -> tuple[EndOfTest, str]:
-        """The outcome of the test of a check standard: it passed if the check standard is in control now."""
+        """The outcome of a test that measures a check standard: it passed if the check standard is in control now."""
         try:
             state = control_state(read_bench(self._sound.bench_of(test), Path())[0], self._options.runs)
         except InputError as error:
@@ -689,8 +692,8 @@ class _Night:
     # -- stopping --------------------------------------------------------------------------------------------------------
 
     def _pass_on(self, stop: StopRequest) -> None:
-        """Forwards requests to stop. The first request reaches every test, which ends after its segment; the second ends it at
-        once."""
+        """Forwards requests to stop to the processes of all tests. After the first request, each test ends after its segment; after
+        the second, it ends at once."""
         wanted_ = 2 if stop.at_once else 1 if stop.after_segment else 0
         if wanted_ > self._told_to_stop:
             self._told_to_stop = wanted_
@@ -707,7 +710,7 @@ class _Night:
                 _tell(child.process, at_once=True)
 
     def _end_children(self) -> None:
-        """Ends all processes after an unexpected error, so that no process continues without a night."""
+        """Ends all processes after an unexpected error, so that none of them continues without the night."""
         for child in self._children.values():
             _tell(child.process, at_once=True)
         for child in self._children.values():
@@ -796,10 +799,10 @@ class _Night:
 
 
 def judged(code: int, document: JsonObject, *, asked: bool, overdue: bool = False) -> tuple[EndOfTest | None, str]:
-    """The outcome of a test, from the exit code and the JSON output of its process, and the reason in words. None if it was stopped
-    on request.
+    """The outcome of a test, from the exit code and the JSON output of its process; also the reason for this outcome, in words. The
+    outcome is None if the test was stopped on request.
 
-    asked: whether the processes were asked to stop; overdue: whether this one was stopped because it took too long.
+    asked: True if the processes were asked to stop; overdue: True if this process was stopped because it took too long.
     """
     if overdue:
         return EndOfTest.FAULT, "it took much longer than planned and was stopped"
@@ -881,7 +884,7 @@ else:
 
 
 def lines_of(result: NightResult) -> Iterator[str]:
-    """The end of the night in words."""
+    """The result of the night, in words, line by line."""
     yield headline(result.record)
     if result.trouble:
         yield f"error: {result.trouble}"

@@ -1,4 +1,4 @@
-"""Asks every instrument of a bench for its presence, identity and readings. Nothing moves."""
+"""Asks every instrument of a bench for its identity and its readings. No instrument moves."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ TIMES = 3
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """The answer of one instrument. identity, readings: as the instrument reports them; faults: reasons why it could not be used
-    now; round_trip: s; failure: the reason why it could not be asked, or empty."""
+    """The answer of one instrument. identity, readings: as the instrument reports them; faults: reasons why the instrument could
+    not be used now; round_trip: time from question to answer, s; failure: the reason why the instrument could not be asked, or
+    empty."""
 
     name: str
     driver: str
@@ -45,8 +46,8 @@ class Ping:
 
 
 def ping(bench: Bench, shown: str, data_root: Path | None = None) -> list[Ping]:
-    """Connects to every instrument in the order of the bench's file, asks it, and disconnects. If one fails, the next is still
-    asked. shown: the bench's file, for messages. Raises `InputError` if a run is using the bench."""
+    """Connects to every instrument in the order of the bench file, asks it, and disconnects. If an instrument fails, the next one
+    is still asked. shown: name of the bench file, for messages. Raises `InputError` if a run is using the bench."""
     clock = VirtualClock() if runs_on_virtual_clock(bench) else real_clock(bench)
     surroundings = Surroundings(clock, site_of(bench), data_root, bench.seed, real_time=isinstance(clock, WallClock))
     answers = []

@@ -1,9 +1,9 @@
-"""Makes the plan that settles the open questions of a diagnosis: the possible segments on the bench, the choice among them, and the
-plan's text.
+"""Makes the plan that settles the open questions of a diagnosis: determines the segments that the bench can execute, chooses among
+them, and writes the text of the plan.
 
-A segment is an option if the plan language can express it and scheduling it on the bench gives no findings. Its cost is the
-scheduled time of its transition. For a bench that only plays recordings back, only the recording is known. Options stay within its
-rates and temperatures, and moves take as long as those in the recording.
+A segment is an option if the plan language can express it and scheduling it on the bench gives no findings. The cost of an option
+is its scheduled time, including the transition. If the bench only plays recordings back, nothing but the recording is known.
+Options then stay within the rates and temperatures of the recording, and moves take as long as in the recording.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _NO_TEXT = ("null", "true", "false")  # words that YAML does not read as text
 class Frame:
     """Values that a proposed plan takes from the executed plan.
 
-    settle, soak: s. before: time [s] from the beginning of the executed plan to its first sample.
+    settle, soak: waits, s. before: time [s] from the beginning of the executed plan to its first sample.
     """
 
     title: str
@@ -53,7 +53,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Next:
-    """A proposal and the text of its plan, empty if no segment on the bench helps."""
+    """A proposal and the text of the proposed plan, which is empty if no segment on the bench helps."""
 
     proposal: SegmentProposal
     text: str
@@ -77,7 +77,7 @@ class Next:
 
 
 def words(found: SegmentProposal, planned: bool) -> str:
-    """The result of the proposal, in sentences."""
+    """The proposal in sentences."""
     names = [name for name, _ in found.rivals]
     rivals = f"{', '.join(names[:-1])} and {names[-1]}"
     if planned:
@@ -103,7 +103,8 @@ def words(found: SegmentProposal, planned: bool) -> str:
 def propose_next(
     diagnosis: Diagnosis, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame
 ) -> Next | None:
-    """Proposes what to measure next on a bench; None if nothing is open. Raises `InputError` if no plan can express it."""
+    """Proposes what to measure next on a bench; None if no question is open. Raises `InputError` if no executable plan can express
+    the proposal."""
     from planrunner.gap.answer.next import propose
 
     options, grounds = _Options(recording, models, frame), diagnosis.grounds
@@ -126,7 +127,7 @@ def propose_next(
 
 
 def plan_text(frame: Frame, entries: Sequence[MenuEntry], description: str) -> str:
-    """A plan with one segment per line."""
+    """The text of a plan with one line for each segment."""
     lines = [
         "planrunner: 1",
         f"title: {_quoted(('What to measure next: ' + frame.title)[:_LONGEST_TITLE])}",
@@ -144,7 +145,7 @@ def plan_text(frame: Frame, entries: Sequence[MenuEntry], description: str) -> s
 
 
 class _Options:
-    """The options of the bench, as segments of a schedule together with the corresponding lines of a plan."""
+    """What the bench can execute: segments of a schedule, each with its line in a plan."""
 
     def __init__(self, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame):
         self.models = models
@@ -162,7 +163,7 @@ class _Options:
         return self._of[segment.label][1]
 
     def seconds(self, before: Segment | None, segment: Segment) -> float:
-        """Test time [s] of a segment after another one, or as the first."""
+        """Time [s] that a segment takes after the segment `before`, or as the first segment if `before` is None."""
         key = ("" if before is None else before.label, segment.label)
         if key not in self._known:
             self._known[key] = self._following(before, segment)
@@ -178,7 +179,7 @@ class _Options:
         return both[-1].seconds
 
     def ordered(self, segments: Sequence[Segment]) -> list[Segment]:
-        """The options that the bench can execute one after the other."""
+        """Those of the segments that the bench can execute one after the other."""
         stated = [replace(self._of[item.label][0], label=f"{i}") for i, item in enumerate(segments)]
         kept = build_schedule(stated, self.models, Findings()).segments
         return [segments[int(item.label)] for item in kept]
@@ -191,7 +192,7 @@ class _Options:
 
 
 def _stated(text: str) -> list[StatedSegment]:
-    """The segments of a plan's text. Raises `InputError` if they cannot be read back."""
+    """The segments in the text of a proposed plan. Raises `InputError` if this plan has errors."""
     plan, log = parse_plan(text, "<proposal>")
     stated = [] if plan is None or log.errors else expand(plan, log)
     if log.errors:
@@ -206,7 +207,7 @@ def _end(segment: Segment) -> float | None:
 
 
 def _pauses(recording: Sequence[RecordedSegment]) -> tuple[float, float]:
-    """Time [s] between recorded segments at one temperature, and additional time [s] for a change of temperature."""
+    """Median time [s] between recorded segments at the same temperature, and the additional time [s] for a change of temperature."""
     moves, changes = list[float](), list[float]()
     for before, after in pairwise(recording):
         pause = after.statistics.start - (before.statistics.start + before.statistics.duration)

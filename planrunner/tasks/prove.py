@@ -1,4 +1,4 @@
-"""Recomputes the results of a stored analysis from the samples and compares them with the stored ones, bit by bit."""
+"""Recomputes the results of a stored analysis from the samples, and compares them bit by bit with the stored results."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ two digits of the uncertainty, so that a hundredth of the last digit remains."""
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """Comparison of recomputed results with those of an analysis.
+    """The comparison of recomputed results with the stored results of an analysis.
 
     verdict: `identical` if every number has the same bits; `within tolerance` only if other versions computed the results. largest:
-    largest change of a value, and of a standard uncertainty, in units of the stored standard uncertainty (∞ if something is
-    missing), with the name of the coefficient. changed: versions that differ, as (stored, now); stored is None if the analysis does
-    not contain the version.
+    the largest change of a value or of a standard uncertainty, in units of the stored standard uncertainty (∞ if something is
+    missing), with the name of the coefficient. changed: the versions that differ, as (stored, now); `stored` is None if the
+    analysis does not contain the version.
     """
 
     analysis: int
@@ -53,8 +53,8 @@ class Proof:
 
 
 def prove(run: Path, number: int | None = None, notice: Announce | None = None, workers: Workers = ALONE) -> Proof:
-    """Recomputes an analysis of a run with its own settings, by default the newest analysis. Nothing is written. workers: share Monte
-    Carlo draws.
+    """Recomputes an analysis of a run with the settings of this analysis, by default the newest one. Nothing is written. workers:
+    processes that share the Monte Carlo draws.
 
     Raises `InputError` if the run does not have this analysis, and `IntegrityError`.
     """
@@ -79,7 +79,8 @@ def prove(run: Path, number: int | None = None, notice: Announce | None = None, 
 
 
 def _changes(stored: Results, now: Results) -> Iterator[tuple[float, str]]:
-    """For each coefficient: the larger change of its value and of its standard uncertainty, in stored standard uncertainties."""
+    """For each coefficient, the larger of the changes of its value and of its standard uncertainty, in units of the stored standard
+    uncertainty."""
     for name, estimate in stored.estimates.items():
         again = {} if name not in now.estimates else {one.name: one for one in now.estimates[name].coefficients}
         for one in estimate.coefficients:
@@ -103,7 +104,7 @@ def _change(stored: float, now: float, uncertainty: float) -> float:
 
 
 def _outline(results: Results) -> Json:
-    """The data that must be equal even if numbers change in their last digits: names and verdicts."""
+    """The names and verdicts in the results, which must be equal even if the last digits of numbers change."""
     return [
         [[name, [one.name for one in item.coefficients]] for name, item in results.estimates.items()],
         [[limit.quantity, limit.verdict] for limit in results.limits],

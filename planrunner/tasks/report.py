@@ -34,11 +34,12 @@ def report_context(
     amendment: str = "",
     ring: KeyRing | None = None,
 ) -> ReportContext:
-    """All data that a report shows for one analysis. ring: the known keys, which verify the signatures of the run.
+    """All data that a report shows for one analysis. ring: key ring with the keys that the user knows; it verifies the signatures
+    of the run.
 
     amendment: who amends which analysis and why, in words.
 
-    analysis: its number, if known; analysed: time of the analysis, UTC in ISO 8601, by default now.
+    analysis: number of the analysis, if known; analysed: time of the analysis, UTC in ISO 8601, by default now.
     """
     segments = tuple(SegmentSummary.of(item) for item in recording)
     moment = analysed or datetime.now(UTC).isoformat(timespec="seconds")
@@ -67,7 +68,7 @@ def report_context(
 
 
 def printed_signatures(reader: RunReader, ring: KeyRing | None) -> Iterator[PrintedSignature]:
-    """The signatures of a run, as they are now. Raises `OSError`."""
+    """The signatures of a run in their present state, for a report. Raises `OSError`."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     for one in signatures_of(reader.folder, ring, signing):
         yield PrintedSignature(
@@ -83,7 +84,7 @@ _PRINTED: dict[SignatureStanding, Literal["valid", "unknown", "invalid"]] = {
 
 
 def _bench(sound: Sound) -> dict[str, str]:
-    """The bench as its file describes it, with the room if it is described."""
+    """The bench as its file describes it, and the ambient conditions of the room if the file states them."""
     bench, room = sound.bench, sound.bench.ambient
     stated = (
         {} if room is None else {"temperature": room.temperature, "pressure": room.pressure, "humidity": room.humidity}
@@ -93,19 +94,19 @@ def _bench(sound: Sound) -> dict[str, str]:
 
 
 def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str]:
-    """The identification of an instrument, with its number from the bench file."""
+    """The identity of an instrument as it reports it, and its asset number from the bench file."""
     entry = sound.bench.instruments.get(name)
     return {**said, "asset": entry.asset} if entry is not None and entry.asset else dict(said)
 
 
 def _seeded(sound: Sound) -> bool:
-    """Whether the seed of the run had any influence, which is so if this program simulated an instrument."""
+    """Whether the seed of the run had any influence: this program simulated an instrument."""
     return sound.models.origin == "simulated" and sound.bench.simulation is None
 
 
 def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str) -> Iterator[tuple[str, str]]:
-    """The data at the top of a report: item, operator, date, duration from the first sample to the last, and the number of the
-    analysis among those that existed at its time."""
+    """The facts at the top of a report: item, operator, date, duration from the first sample to the last, and the number of the
+    analysis among those that existed when it was made."""
     info = {name: _text(value) for name, value in reader.run["info"].items()}
     for name in ("device_serial", "item_identification"):
         if info.get(name):
@@ -124,19 +125,19 @@ def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str
 
 
 def _approvals(reader: RunReader) -> dict[str, str]:
-    """The approvals with which the plan ran."""
+    """The approvals under which the plan ran."""
     return {f"approval {number} of the plan": text for number, (_, text) in enumerate(approved_by(reader), 1)}
 
 
 def _minute(moment: str, before: str = "") -> str:
-    """An ISO time in the form `2026-03-01 08:11`, without the date if it is equal to that of `before`."""
+    """An ISO time in the form `2026-03-01 08:11`, without the date if `before` has the same date."""
     text = moment[:16].replace("T", " ")
     return text[11:] if before[:10] == moment[:10] else text
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
-    """Provenance of the results: times, digests and versions of the run and, if different, of the analysis. seeded: whether the run's
-    seed had any influence."""
+    """The provenance of the results: times, digests and versions of the run, and those of the analysis if they differ. seeded: True
+    if the seed of the run had any influence."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}

@@ -1,4 +1,4 @@
-"""Runs a plan from start to finish: check → open the bench → execute → estimate → report.
+"""Runs a plan from start to finish: check the plan → open the bench → execute → estimate → report.
 
 The layers are independent of one another; they are combined here, for the command line and for programs.
 """
@@ -70,9 +70,9 @@ RESULTS = NAME
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of a run: its folder and its results. withheld: the reasons why certificates requested by the plan were not
-    written; remarks: notes on the run folder; before: number of the previous analysis, if any, and whether its numbers are equal.
-    unsigned: the reason why the bench did not sign it, if it should have."""
+    """An analysis of a run: its folder and its results. withheld: reasons why certificates that the plan requests were not written;
+    remarks: notes on the run folder; before: number of the previous analysis, if any; same: True if its numbers are equal to those
+    of the previous analysis. unsigned: the reason why the bench did not sign the analysis although it should; empty otherwise."""
 
     folder: Path
     results: Results
@@ -87,8 +87,9 @@ class Analysis:
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """An analysis that is not written yet. bench: the bench that signs it, if it signs its runs. basis: the data from which it was
-    made; files: its contents by file name; reports: the names of the files that are reports; the others as in `Analysis`."""
+    """An analysis that is not written yet. bench: the bench of the run, which signs the analysis if it signs its runs. basis: the
+    data from which the analysis was made; files: file name → contents; reports: names of the files that are reports. The other
+    fields are as in `Analysis`."""
 
     run: Path
     bench: Bench
@@ -105,7 +106,7 @@ class Evaluated:
 
 @dataclass(frozen=True, slots=True)
 class Retake:
-    """Recorded segments to reject and repeat, by label, with the reason."""
+    """Recorded segments to reject and repeat: their labels, and the reason."""
 
     labels: tuple[str, ...]
     reason: str
@@ -113,8 +114,9 @@ class Retake:
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """Request for reports after a run: their names, run information supplied at that time, and the run folder of the same item
-    before its adjustment. ring: the known keys, which verify the printed signatures."""
+    """A request for reports after a run: the names of the reports, run information that is given with the request, and the folder
+    of a run of the same item before its adjustment. ring: key ring with the keys that the user knows; it verifies the signatures
+    that a report prints."""
 
     reports: tuple[str, ...] = ()
     given: Mapping[str, str] = field(default_factory=dict)
@@ -138,10 +140,10 @@ def start(
 ) -> tuple[Path, Outcome]:
     """Executes a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
-    Before the folder is made and anything moves, it checks the disk space and connects every instrument. operator: answers the
-    plan's prompts; None for an unattended run. identity: end of the folder's name, hexadecimal digits. admission: permission from
-    the check standard of the bench; by default it is determined from the archive `runs`. Raises `InputError` and `InstrumentError`
-    for obstacles to the start.
+    Before it makes the folder and anything moves, it checks the disk space and connects every instrument. operator: answers the
+    prompts of the plan; None for an unattended run. identity: hexadecimal digits at the end of the folder's name. admission:
+    permission from the check standard of the bench; by default determined from the runs in `runs`. Raises `InputError` or
+    `InstrumentError` if the run cannot start.
     """
     kept = _approved(sound, runs)
     operator = _attended(sound, operator)
@@ -183,14 +185,14 @@ def resume(
 ) -> Outcome:
     """Continues an interrupted run with its plan and bench, or repeats segments of a finished or unfinished run.
 
-    bench: a shipped name or a file that replaces the bench in the folder; it may differ only in the connections of instruments. A
-    folder that was not made on this computer needs such a bench, or `trust_bench` to use its own bench, because a bench names the
-    devices to connect to. override: override of the check standard of the bench, whose state is checked again. An override with
-    which the run began still applies. approvals: plan file next to which approvals are that were given after the run began. The
-    journal records them.
+    bench: the name of a shipped bench, or a file, that replaces the bench file in the run folder; it may differ from this file only
+    in the connections of instruments. A folder that was not made on this computer requires `bench`, or `trust_bench` to use the
+    bench file in the folder, because a bench file names the devices to connect to. override: override of the check standard of the
+    bench; the state of the check standard is checked again. An override with which the run began remains valid. approvals: plan
+    file beside which there are approvals that were given after the run began. The journal records these approvals.
 
-    The folder is locked first, then the bench, and only then are instruments connected. If two processes resume a run, one is refused
-    before it connects to any instrument.
+    The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume a run, one
+    of them is refused before it connects to any instrument.
     """
     folder = open_run(run)  # no lock is left in what is no run folder
     lock = _lock(folder)
@@ -218,9 +220,9 @@ def resume(
 
 
 def _approved(sound: Sound, runs: Path) -> bytes | None:
-    """The approvals that the run folder in `runs` keeps; None if the bench requires none.
+    """The approval data that the run folder in `runs` will contain; None if the bench requires no approvals.
 
-    Raises `InputError` if they are missing. Every run passes this check, however its plan was checked.
+    Raises `InputError` if approvals are missing. Every run passes this check, regardless of how its plan was checked.
     """
     bench = sound.bench
     if bench.approvals is None:
@@ -233,7 +235,7 @@ def _approved(sound: Sound, runs: Path) -> bytes | None:
 
 
 def _lock(run: GuardedFolder) -> FolderLock:
-    """Locks the folder. Raises `InputError` if another process writes to it, or if it cannot be written."""
+    """Locks the run folder. Raises `InputError` if another process writes to the folder, or if the folder cannot be written."""
     try:
         return FolderLock(run)
     except OSError as error:
@@ -257,7 +259,7 @@ def _resume(
     override: Override | None,
     notice: Announce | None,
 ) -> Outcome:
-    """Continues a run while the folder is locked. file: the bench to use instead of the bench in the folder."""
+    """Continues a run while its folder is locked. file: the bench file to use instead of the one in the folder."""
     if reader.sealed and retake is None:
         raise InputError.at(
             Mark(str(reader.path)), "run-finished", "this run is finished and sealed", "use `planrunner estimate`"
@@ -291,7 +293,7 @@ def _resume(
 
 
 def _stand_in(reader: RunReader, bench: str) -> Document:
-    """A bench that replaces the bench of the run. Raises `InputError` if the run would differ on it."""
+    """Reads a bench file that replaces that of the run. Raises `InputError` if the run would be different on this bench."""
     path, shown = locate(bench, Path())
     data = source.read_bytes(path, shown)
     other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))
@@ -307,7 +309,8 @@ def _stand_in(reader: RunReader, bench: str) -> Document:
 
 
 def _require_made_here(reader: RunReader, sound: Sound) -> None:
-    """Raises `InputError` for a folder of unknown origin, because its bench file decides which devices are connected and commanded."""
+    """Raises `InputError` for a run folder of unknown origin, because its bench file decides which devices are connected and
+    commanded."""
     why = foreign(reader.folder, reader.first)
     if not why:
         return
@@ -360,7 +363,8 @@ def _carry_out(
 
 
 def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
-    """The operator for prompts; None on a simulated bench. Raises `InputError` if an operator is needed but not present."""
+    """The operator who answers prompts; None on a simulated bench. Raises `InputError` if the plan needs an operator and none is
+    present."""
     if runs_on_virtual_clock(sound.bench):
         return None
     if operator is None:
@@ -372,7 +376,7 @@ def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
 
 
 def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
-    """The valid segments with these labels."""
+    """The indices of the valid recorded segments with these labels."""
     known = {item.label: item.index for item in reader.acknowledged()}
     for label in labels:
         if label not in known:
@@ -383,7 +387,8 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
 
 @contextmanager
 def _ready(sound: Sound, data_root: Path | None, seed: int | None, notice: Announce | None) -> Iterator[OpenBench]:
-    """The bench, connected and able to serve the schedule. An unsuitable recording is an `InputError`, because nothing can have moved."""
+    """The bench, connected and ready for the schedule. If its recording is unsuitable, this raises `InputError` instead of
+    `InstrumentError`, because nothing can have moved."""
     bench, file = sound.bench, sound.bench.origin.mark.file
     with ExitStack() as stack:
         try:
@@ -406,9 +411,11 @@ def _unfit(sound: Sound, error: InstrumentError) -> Exception:
 
 
 def sound_run(reader: RunReader, today: date | None = None, bench: Document | None = None) -> Sound:
-    """The plan and bench of a run folder, checked as before it ran. Raises `InputError` if they no longer pass.
+    """The plan and the bench of a run folder, checked in the same way as before the run. Raises `InputError` if they no longer
+    pass.
 
-    today: the day on which calibrations must be valid; by default the day of the run. bench: used instead of the folder's.
+    today: the day on which calibrations must be valid; by default the day of the run. bench: bench file to use instead of the one
+    in the folder.
     """
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     plan = Document(reader.plan_bytes, str(reader.path / "plan.yaml"))
@@ -423,15 +430,17 @@ def analyse_run(
     notice: Announce | None = None,
     amendment: Amendment | None = None,
 ) -> Analysis:
-    """Makes estimates from a run's recording alone, and writes results and reports as a new analysis.
+    """Makes estimates only from the recording of a run, and writes the results and reports as a new analysis.
 
-    checked: the plan as checked for this run; it is not checked again if the folder contains the same plan and bench. notice: receives the
-    progress of reading.
+    checked: the checked plan of this run; the plan is not checked again if the folder contains the same plan and bench. notice:
+    receives the progress of reading.
 
-    issue: the reports and the information for them; by default those of the plan. If a certificate that the plan requests cannot be
-    issued, it is withheld. If the issue requests it, `InputError` is raised with all obstacles.
+    issue: the reports to make, and run information for them; by default the reports that the plan requests. A certificate that the
+    plan requests is withheld if it cannot be issued. If `issue` requests the certificate, `InputError` with all obstacles is raised
+    instead.
 
-    amendment: who makes the analysis and why, stored with it; its plan, if any, replaces the estimates and limits of the run's plan.
+    amendment: who makes the analysis and why, which is stored with it; the plan of the amendment, if any, replaces the estimates
+    and limits of the run's plan.
     """
     return keep(evaluate_run(run, issue, checked, notice, amendment))
 
@@ -444,8 +453,8 @@ def evaluate_run(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> Evaluated:
-    """The same as `analyse_run`, but nothing is written: `keep` makes it an analysis of the run. Another process can compute it.
-    workers: share Monte Carlo draws."""
+    """The same as `analyse_run`, but nothing is written; `keep` then makes the result an analysis of the run. Another process may
+    compute it. workers: processes that share the Monte Carlo draws."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment, workers=workers)
@@ -481,8 +490,8 @@ def evaluate_run(
 
 
 def keep(made: Evaluated, *, elsewhere: bool = False) -> Analysis:
-    """Writes an evaluation to its run, as a new analysis. elsewhere: whether another computer made it, so that the bench does not
-    sign it."""
+    """Writes an evaluation to its run, as a new analysis. elsewhere: True if another computer made the evaluation, so that the
+    bench does not sign it."""
     # Only a signature needs the run once more. Reading its journal takes most of the time that an analysis takes here.
     reader = None if key_of(made.bench) is None else RunReader.open(made.run)
     stored = add_analysis(open_run(made.run) if reader is None else reader.folder, made.files, made.basis)
@@ -497,7 +506,7 @@ def keep(made: Evaluated, *, elsewhere: bool = False) -> Analysis:
 
 
 def stored_results(analysis: StoredAnalysis) -> Results:
-    """The results stored in an analysis. Raises `IntegrityError` if they were changed."""
+    """The results stored in an analysis. Raises `IntegrityError` if the stored results were changed."""
     try:
         return Results.from_json(_read_results(analysis), str(analysis.path / RESULTS))
     except (InputError, AttributeError, OverflowError) as error:  # as no version wrote it
@@ -505,7 +514,8 @@ def stored_results(analysis: StoredAnalysis) -> Results:
 
 
 def _read_results(analysis: StoredAnalysis) -> Json:
-    """The results as JSON data. Results of older versions lack keys that the present schema requires. Raises `IntegrityError`."""
+    """The stored results of an analysis as JSON data. Results that older versions stored lack keys that the present schema
+    requires. Raises `IntegrityError`."""
     try:
         return from_bytes(analysis.read(RESULTS))
     except ValueError as error:
@@ -513,7 +523,8 @@ def _read_results(analysis: StoredAnalysis) -> Json:
 
 
 def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
-    """The stored results of an analysis as JSON data, and the versions that computed them, if stored. Raises `IntegrityError`."""
+    """The stored results of an analysis as JSON data, and the versions of the software that computed them, if these are stored.
+    Raises `IntegrityError`."""
     data = _read_results(analysis)
     stated = data.get("computed_with", {}) if isinstance(data, Mapping) else {}
     return data, {str(name): str(version) for name, version in stated.items()}
@@ -522,21 +533,21 @@ def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
 def recompute(
     reader: RunReader, analysis: StoredAnalysis, notice: Announce | None = None, workers: Workers = ALONE
 ) -> Results:
-    """The results from the samples, with the plan that the analysis used; nothing is written. workers: share Monte Carlo draws. Raises
-    `IntegrityError`."""
+    """The results recomputed from the samples with the plan that the analysis used; nothing is written. workers: processes that
+    share the Monte Carlo draws. Raises `IntegrityError`."""
     return _estimated(reader, evaluated_as(reader, analysis), notice, workers)[1]
 
 
 def evaluated_as(reader: RunReader, analysis: StoredAnalysis) -> Sound:
-    """The run with the plan that an analysis used. Raises `InputError` if this plan no longer passes the check, and
-    `IntegrityError`."""
+    """The checked plan and bench of a run, with the plan that an analysis used. Raises `InputError` if that plan no longer passes
+    its checks, and `IntegrityError`."""
     if EVALUATED_PLAN not in analysis.files:
         return sound_run(reader)
     return _evaluated(reader, Document(analysis.read(EVALUATED_PLAN), str(analysis.path / EVALUATED_PLAN)))
 
 
 def report_through(run: Path, template: Path, issue: Issue | None = None, notice: Announce | None = None) -> str:
-    """The results of a run, rendered with a user's template; nothing is written to the run folder."""
+    """The results of a run in a user's template; nothing is written to the run folder."""
     made = _analyse(run, issue or Issue(), notice=notice)
     return render_report(made.context, template.name.removesuffix(".j2"), template.parent)
 
@@ -552,7 +563,8 @@ class _Made:
 
 
 def _evaluated(reader: RunReader, plan: Document) -> Sound:
-    """The run with a plan that has other estimates or limits. Raises `InputError` for any other difference."""
+    """The checked plan and bench of a run, with a plan that has other estimates or limits. Raises `InputError` if this plan differs
+    from that of the run in anything else."""
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     bench = Document(reader.bench_bytes, str(reader.path / "bench.yaml"))
     sound = check_plan(plan, bench, made).sound()
@@ -563,7 +575,8 @@ def _evaluated(reader: RunReader, plan: Document) -> Sound:
 def _estimated(
     reader: RunReader, sound: Sound, notice: Announce | None, workers: Workers
 ) -> tuple[tuple[RecordedSegment, ...], Results]:
-    """The recording of a run and its results. One thread computes, because the digits of sums may depend on the number of threads."""
+    """The recording of a run and the results from it. Only one thread computes, because the last digits of sums may depend on the
+    number of threads."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1, user_api="blas"):
@@ -585,7 +598,8 @@ def _analyse(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> _Made:
-    """Analyses a run. kept: whether it becomes the next analysis of the run; its reports then show this number."""
+    """Analyses a run. kept: True if the result becomes the next analysis of the run; its reports then show the number of this
+    analysis."""
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
     sound = checked if checked is not None and same else sound_run(reader)

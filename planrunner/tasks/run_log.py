@@ -1,4 +1,4 @@
-"""Compares the log of an archive with the runs in it: which runs were removed, added outside the log or replaced."""
+"""Compares the log of an archive with the runs in the archive: shows which runs were removed, added outside the log, or replaced."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ PROOF_FORMAT = 1
 
 @dataclass
 class LogVerification:
-    """Result of the verification of a log. content: content of the log, None if it cannot be read. signed: the signed head in the
-    log, if any. findings: errors are changes; the others are remarks."""
+    """The result of the verification of a log. content: entries of the log, None if the log cannot be read. signed: the signed tree
+    head in the log, if any. findings: errors are changes; all other findings are remarks."""
 
     path: Path
     content: LogContent | None = None
@@ -96,7 +96,7 @@ def require_log(archive: Path) -> RunLog:
 def missing_log(
     archive: Path, runs: Sequence[LoggedRun], remembered: Mapping[str, RememberedHead]
 ) -> LogVerification | None:
-    """The verification of an archive without a log; None if nothing indicates that it had one."""
+    """The verification of an archive without a log; None if nothing shows that the archive ever had one."""
     found = LogVerification(archive / FOLDER)
     if remembered:
         message = f"the archive has no log, but {next(iter(remembered))} is a tree head of its log"
@@ -116,7 +116,8 @@ def verify_log(
     ring: KeyRing | None = None,
     remembered: Mapping[str, RememberedHead] | None = None,
 ) -> LogVerification:
-    """Verifies a log against its own head, the remembered heads (by the names of their files) and the runs of the archive, if given."""
+    """Verifies a log against its own tree head; also against remembered tree heads (file name → head) and the runs of the archive,
+    if these are given."""
     found = LogVerification(log.path)
     try:
         content = found.content = log.read()
@@ -156,8 +157,8 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
 
 @dataclass(slots=True)
 class _History:
-    """The entries of the log about one run. begun: whether the run was made in this archive. journals: number of events → digest of
-    the last one. seals: SHA-256 of each seal."""
+    """The entries of the log about one run. begun: True if the run was made in this archive. journals: number of events in the
+    journal when it was entered → digest of the last of these events. seals: SHA-256 of each seal of the run."""
 
     begun: bool = False
     journals: dict[int, str] = field(default_factory=dict)
@@ -182,9 +183,9 @@ def _histories(entries: Iterable[LogEntry]) -> dict[str, _History]:
 
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
-    """The data of a run that are compared with the log. name: from its journal, otherwise from run.json, otherwise the name of the
-    folder. told: the tree head that run.json remembers. events: number of events in its journal, None if it cannot be read; heads:
-    number of events → digest of the last one."""
+    """The data of a run that are compared with the log of its archive. name: name of the run from its journal, otherwise from
+    run.json, otherwise the name of the folder. told: the tree head that run.json contains. events: number of events in the journal,
+    None if the journal cannot be read; heads: number of events → digest of the last of these events."""
 
     name: str
     path: Path
@@ -196,7 +197,7 @@ class LoggedRun:
 
 
 def logged_run(run: Examined) -> LoggedRun:
-    """The data of an examined run that are compared with the log."""
+    """The data of an examined run that are compared with the log of its archive."""
     path, scan = run.folder.path, run.scan
     name = run.state.created["run"] if run.state is not None else run.run.get("run", path.name)
     heads = {} if scan is None else {**scan.heads, scan.count: scan.head}
@@ -243,7 +244,7 @@ def _compare(found: LogVerification, content: LogContent, runs: Sequence[LoggedR
 
 
 def _check_memory(found: LogVerification, content: LogContent, run: LoggedRun, history: _History) -> None:
-    """Checks the log against the tree head that the run remembers."""
+    """Checks the log against the tree head that run.json contains."""
     if run.told is None:
         return
     told, path = run.told, run.path
@@ -259,7 +260,7 @@ def _check_memory(found: LogVerification, content: LogContent, run: LoggedRun, h
 
 
 def _unlogged(found: LogVerification, run: LoggedRun) -> None:
-    """A finding about a run that the log does not name. A run without any data may be left over from a start that was interrupted."""
+    """Adds a finding about a run that the log does not name. A run without any data may be left over from an interrupted start."""
     message = f"{run.path}: this run is not in the log"
     if run.empty:
         found.warning("log-run-empty", f"{message}; it has no data: planrunner ended before the run began", "remove it")
@@ -269,7 +270,8 @@ def _unlogged(found: LogVerification, run: LoggedRun) -> None:
 
 
 def _contradiction(history: _History, run: LoggedRun) -> str:
-    """The contradiction between a run and the log; empty if there is none. The journal must begin with every journal in the log."""
+    """The contradiction between a run and the log in words; empty if there is none. The journal of the run must begin with the
+    events of each journal that the log has entered."""
     if run.events is None:
         return "its journal cannot be read"
     for events, head in history.journals.items():
@@ -284,8 +286,8 @@ def _contradiction(history: _History, run: LoggedRun) -> str:
 
 
 def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
-    """Makes a new log of the runs in the archive. Sealed runs are entered with their seal, others as begun. Raises `InputError`,
-    and `IntegrityError` for a run that was changed."""
+    """Makes a new log for the runs in the archive. Sealed runs are entered with their seals, all others as begun. Raises
+    `InputError`, and `IntegrityError` for a run that was changed."""
     present = [_examined(run, *MENDED) for run in runs]
     log = RunLog.create(archive)
     try:
@@ -300,7 +302,8 @@ def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
 
 
 def append_run(log: RunLog, run: Path) -> TreeHead | None:
-    """Adds the present seal of a run to the log; None if the log already contains it. Raises `InputError` and `IntegrityError`."""
+    """Adds the present seal of a run to the log; returns the new tree head, or None if the log already contains this seal. Raises
+    `InputError` and `IntegrityError`."""
     found = _examined(run)
     if found.seal_digest is None:
         message = "only a finished, sealed run can be added to the log"
@@ -327,7 +330,8 @@ def _enter(log: RunLog, run: Examined) -> TreeHead:
 
 
 def retire_run(log: RunLog, run: str, why: str) -> TreeHead:
-    """Records that a run is removed from the archive. run: its name. Raises `InputError`, and `IntegrityError` for a changed log."""
+    """Records in the log that a run is removed from the archive. run: name of the run. Raises `InputError`, and `IntegrityError`
+    for a changed log."""
     if not why.strip() or not why.isprintable() or len(why) > 1000:
         message = "the reason must be one line of printable text with at most 1000 characters"
         raise InputError.at(Mark(str(log.path)), "log-why", message, "say who has the run now, and why")
@@ -341,7 +345,7 @@ def retire_run(log: RunLog, run: str, why: str) -> TreeHead:
 
 
 def _examined(run: Path, *but: str) -> Examined:
-    """An examined run. Raises `IntegrityError` if it was changed. but: codes of accepted faults."""
+    """Examines a run. Raises `IntegrityError` if the run was changed. but: codes of faults that are accepted."""
     found = examine(open_run(run), samples="digests")
     found.require_whole(*but)
     return found
@@ -351,7 +355,7 @@ def _examined(run: Path, *but: str) -> Examined:
 
 
 def inclusion_proof(log: RunLog, run: str) -> JsonObject:
-    """Makes a proof that the newest seal of a run is in the log; see schemas/log-proof.schema.json. Raises `InputError`,
+    """Makes a proof that the log contains the newest seal of a run; see schemas/log-proof.schema.json. Raises `InputError`,
     `IntegrityError`."""
     content = _whole(log)
     entry = next((one for one in reversed(content.entries) if one.run == run and one.event == "sealed"), None)
@@ -370,7 +374,8 @@ def inclusion_proof(log: RunLog, run: str) -> JsonObject:
 
 
 def growth_proof(log: RunLog, first: TreeHead) -> JsonObject:
-    """Makes a proof that the log begins with the entries of a remembered head. Raises `IntegrityError` if it does not."""
+    """Makes a proof that the log begins with the entries that a remembered tree head covers. Raises `IntegrityError` if it does not
+    begin with them."""
     content = _whole(log)
     for code, fault in head_faults(content, first, "the remembered tree head"):
         raise IntegrityError(f"{log.path}: {fault}", code)
@@ -390,9 +395,9 @@ def _whole(log: RunLog) -> LogContent:
 
 
 def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None = None) -> str:
-    """Verifies a proof without the log; returns a description of what it proves. proof: matches its schema. head: the tree head
-    that the verifier trusts, by default the one in the proof. seal: SHA-256 of the seal that the proof must be about. Raises
-    `IntegrityError`."""
+    """Verifies a proof without the log; returns a description of what it proves. proof: a proof that matches its schema. head: the
+    tree head that the verifier trusts, by default the one in the proof. seal: SHA-256 of the seal for which the proof must be.
+    Raises `IntegrityError`."""
     stated = TreeHead.from_json(proof["head"])
     if head is not None and (head.size, head.root) != (stated.size, stated.root):
         message = f"the proof is for a tree of size {stated.size} with another root than the given tree head"
@@ -418,5 +423,5 @@ def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None
 
 
 def proof_bytes(proof: JsonObject) -> bytes:
-    """A proof as the text of a file."""
+    """The proof as the contents of a file."""
     return to_bytes(proof)

@@ -29,10 +29,10 @@ from planrunner.tasks.run import stored_results
 
 
 def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: str = "") -> RunSignature:
-    """Verifies the samples of a run and signs it. Returns the signature as it reads without a key ring.
+    """Verifies a run with its samples, and signs it. Returns the signature as a reader without a key ring sees it.
 
-    Raises `InputError` for a run that is not sealed or has no analysis or for a key that must not sign, and `IntegrityError` for a changed
-    run.
+    Raises `InputError` for a run without a seal or an analysis and for a key that must not sign, and `IntegrityError` for a run
+    that was changed.
     """
     folder = open_run(run)
     with locked(folder):
@@ -54,12 +54,12 @@ def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: 
 
 
 def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, ...]:
-    """Signs what is still unsigned in a run that was made on this computer, with the key of its bench. Returns the new signatures;
-    none if everything is signed.
+    """Signs what is still unsigned in a run that was made on this computer, with the key of the run's bench. Returns the new
+    signatures; empty if everything is already signed.
 
-    The whole run is verified first. An analysis is signed only if its results are recomputed from the samples. signer: the key, if
-    the user gives it. By default, it is searched on this computer, which must have made the run. Raises `InputError` and
-    `IntegrityError`.
+    The whole run is verified first. An analysis is signed only if its results can be recomputed from the samples. signer: the key
+    of the bench, if the user gives it. By default, the key is searched on this computer, which must be the one that made the run.
+    Raises `InputError` and `IntegrityError`.
     """
     folder = open_run(run)
     with locked(folder):
@@ -95,8 +95,8 @@ def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, .
 
 
 def _verified(folder: GuardedFolder) -> Examined:
-    """Verifies that a sealed run is unchanged. Only signatures that its bench must make may be missing. Raises `IntegrityError` and
-    `InputError`."""
+    """Verifies that a sealed run was not changed. The signatures that its bench must make may be missing, but nothing else. Raises
+    `IntegrityError` and `InputError`."""
     found = examine(folder, samples="digests")
     run_approvals(found, None)
     found.require_whole()
@@ -115,6 +115,6 @@ def _verified(folder: GuardedFolder) -> Examined:
 
 
 def _require_made_here(reader: RunReader) -> None:
-    """Raises `BenchKeyError` for a run of unknown origin, because its bench file must not decide which key signs it."""
+    """Raises `BenchKeyError` for a run of unknown origin, because the bench file in its folder must not decide which key signs it."""
     if why := foreign(reader.folder, reader.first):
         raise BenchKeyError(why)

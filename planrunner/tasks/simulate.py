@@ -1,7 +1,7 @@
-"""Simulates a plan with added effects: the bench has one more instrument, and everything else is as in any run.
+"""Simulates a plan with added effects: the bench gets one more instrument, and everything else is as in any run.
 
-The bench file of the run folder contains the added effects. Resuming, estimating and diagnosing therefore use them, and the bench
-file reproduces them later.
+The bench file of the run folder contains the added effects. Resuming, estimating and diagnosing therefore use these effects, and
+the bench file can reproduce them later.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ INSTRUMENT = "added"
 
 @dataclass(frozen=True)
 class Simulation:
-    """A plan and bench that pass their checks, the bench with its effects, and the added effects."""
+    """A checked plan on a bench that has the added effects, and these effects."""
 
     sound: Sound
     additions: tuple[Addition, ...]
@@ -52,8 +52,8 @@ def simulation(
     effects: Sequence[str],
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Simulation:
-    """The plan on a virtual bench with effects, each as `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…`. parameters: values
-    for parameters of the plan.
+    """The plan on a virtual bench with added effects, each given as `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…`.
+    parameters: values for parameters of the plan.
 
     Raises `InputError` with all obstacles.
     """
@@ -93,8 +93,8 @@ def check_virtual(sound: Sound) -> None:
 
 
 def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
-    """The effects with all their parameters. effects: names and stated parameters. mark: place where they are stated. Raises
-    `InputError`."""
+    """The effects to add, each with all its parameters. effects: name of each effect, and the stated values of its parameters.
+    mark: place where the effects are stated. Raises `InputError`."""
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 
@@ -125,8 +125,8 @@ def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]],
 
 
 def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
-    """Splits `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` into name and values. A value without a name has the key
-    ''. option: option of the command line, for messages."""
+    """Splits `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` into the name of the effect and its values. A value
+    without a name gets the key ''. option: name of the option on the command line, for messages."""
     name, equals, rest = (part.strip() for part in text.partition("="))
     values: dict[str, str] = {}
     for piece in rest.split(",") if equals else ():
@@ -142,7 +142,7 @@ def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
 
 
 def with_effects(text: str, additions: Sequence[Addition]) -> str:
-    """The text of a bench file with one more instrument that adds effects. It is the last to be made safe."""
+    """The text of a bench file with one more instrument, which adds the effects. This instrument is the last to be made safe."""
     entry = {"driver": "added_effects", "effects": {item.id: stated(item) for item in additions}}
     return _with_instrument(text, INSTRUMENT, _flow(entry))
 
@@ -154,7 +154,7 @@ def _flow(value: object) -> str:
 
 
 def _with_instrument(text: str, name: str, entry: str) -> str:
-    """The text with an instrument added after the others, in the same notation."""
+    """The text of a bench file with an instrument added after the others, in the same notation."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a bench file that was read
     nodes = {key.value: value for key, value in root.value}

@@ -1,4 +1,4 @@
-"""Time stamps of runs: makes the stamper of a bench, and stamps a seal when it is written or afterwards."""
+"""Time stamps of runs: makes the stamper for a bench, and stamps a seal when it is written or later."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from planrunner.signing.time_stamps import StampAuthority, StampError, parse_aut
 
 
 def authority_of(spec: TimeStampsSpec) -> StampAuthority:
-    """The certificates of a bench's authority, which were checked with the bench."""
+    """The certificates of the authority that a bench names; they were checked together with the bench."""
     return parse_authority(spec.certificate.encode())
 
 
@@ -32,7 +32,7 @@ def stamper_of(bench: Bench) -> Stamper | None:
 
 
 def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, storage: Storage | None = None) -> str:
-    """Stamps the present seal of a run. The caller must hold the lock of the run. Returns the time of the stamp. Raises
+    """Stamps the present seal of a run. The caller must hold the lock of the run. Returns the time that the stamp states. Raises
     `StampError` and `OSError`."""
     seal = folder.read(seals.NAME, seals.MOST_BYTES)
     token, at = request_stamp(url, seal, digest(seal), authority)
@@ -41,8 +41,8 @@ def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, stora
 
 
 def after_sealing(folder: GuardedFolder, bench: Bench, stamper: Stamper | None) -> tuple[Finding, ...]:
-    """Stamps the seal of a run that has just been sealed; returns a message for the user if it fails. An error here never spoils
-    the run."""
+    """Stamps the seal of a run that has just been sealed; returns messages for the user about missing stamps. An error in stamping
+    never damages the run."""
     spec, mark = bench.time_stamps, Mark(str(folder.path))
     if spec is None:
         return ()
@@ -61,10 +61,11 @@ def after_sealing(folder: GuardedFolder, bench: Bench, stamper: Stamper | None) 
 
 
 def stamp_run(run: Path, url: str | None = None) -> str:
-    """Stamps the seal of a run that has no stamp yet; returns the time of the stamp, or an empty text if it has one.
+    """Stamps the seal of a run if it has no stamp yet; returns the time of the new stamp, or an empty text if there was one
+    already.
 
-    url: address of the authority; required for a folder that was not made on this computer. Raises `InputError`, and `IntegrityError` for a
-    run that was changed.
+    url: address of the authority; it must be given for a folder that was not made on this computer. Raises `InputError`, and
+    `IntegrityError` for a run that was changed.
     """
     folder, mark = open_run(run), Mark(str(run))
     try:
@@ -97,7 +98,7 @@ def stamp_run(run: Path, url: str | None = None) -> str:
 
 
 def _require_origin(reader: RunReader, url: str) -> None:
-    """Checks the origin of a folder, because the bench file in a folder from elsewhere must not choose the address to connect to."""
+    """Raises `InputError` for a run folder of unknown origin, because its bench file must not choose the address to connect to."""
     why = foreign(reader.folder, reader.first)
     if not why:
         return

@@ -1,6 +1,6 @@
-"""JSON Schemas (draft 2020-12) of plans, benches and suites, generated from the records that also read them.
+"""JSON Schemas (draft 2020-12) of plans, benches and suites, generated from the same records that read these files.
 
-`python -m planrunner.tasks.write_schemas schemas` writes them; a test checks that the files are up to date.
+The command `python -m planrunner.tasks.write_schemas schemas` writes the schemas; a test checks that the files are up to date.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def suite_schema() -> Schema:
 
 
 def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Schema:
-    """The whole schema. Parts that many keys use, such as a quantity of time, are defined once in `$defs`."""
+    """The whole schema of a kind of file. Parts that many keys use, such as a quantity of time, are defined once in `$defs`."""
     shared = _shared()
     names = {json.dumps(part, sort_keys=True): name for name, part in shared.items()}
     used: set[str] = set()
@@ -76,8 +76,8 @@ def _shared() -> dict[str, Schema]:
 
 
 def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Json:
-    """A copy of `schema` in which references replace all parts that `names` contains. Descriptions and examples stay next to the
-    references."""
+    """A copy of `schema` in which references replace all parts that have a name in `names`. Descriptions and examples stay next to
+    the references."""
     if isinstance(schema, list):
         return [_with_references(item, names, used) for item in schema]
     if not isinstance(schema, dict):
@@ -92,7 +92,7 @@ def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Jso
 
 
 def text(schema: JsonObject) -> str:
-    """The text of the file."""
+    """A schema as the contents of a file."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
