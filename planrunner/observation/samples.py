@@ -46,14 +46,17 @@ def observed(
     pressure_channel: str | None = None,
     magnetic: Sequence[float] | None = None,
     power_on: float = 0.0,
+    free_angle: bool = False,
 ) -> Observed:
-    """The recorded segments of a run for a diagnosis, in order of time, as slow noise and hysteresis require.
+    """The recorded segments of a run, in order of time, as slow noise and hysteresis require.
 
     only: the channels to use, by default all; measured: channels that are used as measurements regardless of their names and units.
     Names give their axes (`axis_of`); angular-rate channels are gyros and acceleration channels accelerometers, whatever their
     names. angle_channel: the table's encoder; temperature_channel: thermometer; supply_channel: voltmeter of the supply;
     pressure_channel: barometer. If the channel of a quantity is not given, the plan's values of this quantity are used. power_on:
-    recording time of power-on, s. Raises `ObservationError` if the recording cannot be diagnosed.
+    recording time of power-on, s. free_angle: whether the input once per turn is noise if its phase is unknown, as in a diagnosis
+    (`Observed.unknown_phase`). The angle of a table without encoder is then the one that agrees best with the Earth rate. Otherwise,
+    it is zero at the first sample unless gravity shows it. Raises `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -74,6 +77,7 @@ def observed(
             monitors,
             power_on,
             None if size is None else int(size[index]),
+            free_angle,
         )
         for index, item in enumerate(recording)
     ]
@@ -127,6 +131,7 @@ def _part(
     monitors: Monitors,
     power_on: float,
     size: int | None,
+    free_angle: bool,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
     """Reads one segment. Returns its planned states and its samples, or means over `size` samples, without rows that contain NaN;
     these rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and the course of a motion
@@ -148,7 +153,8 @@ def _part(
     values = np.column_stack([table[channel.name] * channel.factor for channel in channels])
     start = 0.0
     if isinstance(motion, Spin) and encoder is None and not item.expected:
-        start = _start_angle(motion, np.array(item.segment.attitude), site, channels, time - rows.begin, values)
+        attitude = np.array(item.segment.attitude)
+        start = _start_angle(motion, attitude, site, channels, time - rows.begin, values, free_angle)
     part = motion_at(motion, time - rows.begin, encoder, left, start)
     warm = None if monitors.thermometer is None else _in_si(item, monitors.thermometer, table)
     temperature = temperature_of(item, time, warm)
@@ -160,11 +166,20 @@ def _part(
 
 
 def _start_angle(
-    motion: Spin, attitude: Array, site: Site, channels: Sequence[Channel], since: Array, values: Array
+    motion: Spin,
+    attitude: Array,
+    site: Site,
+    channels: Sequence[Channel],
+    since: Array,
+    values: Array,
+    free_angle: bool,
 ) -> float:
-    """The angle [rad] of a table without encoder at the first sample: from gravity if gravity shows it, otherwise from all channels."""
+    """The angle [rad] of a table without encoder at the first sample: from gravity if gravity shows it, otherwise from all channels if
+    the angle is free, and zero if it is not."""
     accelerometers = [channel.axis for channel in channels if channel.kind == "accel"]
     by_gravity = angle_from(motion, attitude, site, accelerometers) is AngleFrom.GRAVITY
+    if not by_gravity and not free_angle:
+        return 0.0
     vectors = {"gyro": site.earth_rate_enu, "accel": site.specific_force_enu}
     seen = {kind: once_per_turn(motion, attitude, vector) for kind, vector in vectors.items()}
     used = [k for k, channel in enumerate(channels) if channel.kind == "accel" or not by_gravity]

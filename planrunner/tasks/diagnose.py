@@ -349,6 +349,7 @@ def corrected_observation(
                 supply_channel=only_channel(units, "voltage"),
                 pressure_channel=only_channel(units, "pressure"),
                 magnetic=sound.models.site.magnetic_field,
+                free_angle=True,
             )
         fixture = sound.bench.fixture
         if fixture is not None and fixture.reach is not None:

@@ -133,6 +133,7 @@ def observation(shown: Shown, encoder: bool = True) -> Observed:
         angle_channel="table_angle_deg" if encoder else None,
         temperature_channel="temperature_degC",
         magnetic=declared["magnetic_field_enu"],
+        free_angle=True,
     )
 
 

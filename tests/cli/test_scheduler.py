@@ -153,7 +153,7 @@ def lost(cluster: Cluster, work: Callable[[Workers], Any]) -> Any:
 
     def kill() -> None:
         while not ended.wait(0.01):
-            if used() > begun + 10:
+            if used() > begun + 3:
                 os.kill(victim.pid, signal.SIGKILL)
                 cluster.add_worker()
                 return
