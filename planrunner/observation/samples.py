@@ -19,7 +19,9 @@ from planrunner.observation.surroundings import Monitors, changes, settled, temp
 from planrunner.physics.earth import Site
 from planrunner.physics.moved_body import BodyMotion, averaged
 from planrunner.physics.sampled_motion import (
+    OFFSET,
     AngleFrom,
+    along_axis,
     angle_from,
     fading,
     motion_at,
@@ -184,7 +186,10 @@ def _start_angle(
     seen = {kind: once_per_turn(motion, attitude, vector) for kind, vector in vectors.items()}
     used = [k for k, channel in enumerate(channels) if channel.kind == "accel" or not by_gravity]
     expected = np.array([seen[channels[k].kind][channels[k].axis] for k in used])
-    return start_angle(motion, since, values[:, used], expected)
+    if not by_gravity:
+        return start_angle(motion, since, values[:, used], expected, np.inf)
+    steady = along_axis(motion, attitude, site.specific_force_enu)[[channels[k].axis for k in used]]
+    return start_angle(motion, since, values[:, used] - steady, expected, OFFSET)
 
 
 def _moved_part(

@@ -16,6 +16,10 @@ SHOWS_ANGLE = 1.0
 """m/s²: smallest amplitude of gravity along an accelerometer that shows the angle of a turning table. It is far above the amplitude that
 errors of an accelerometer or a tilt of the table cause once per turn."""
 
+OFFSET = 0.1
+"""m/s²: standard deviation of the constant error of an accelerometer (10 mg) in the search for the angle of a table. It bounds the error
+of the angle if the table covers only a small part of a turn."""
+
 FOREIGN = 3.0
 """Ratio of the measured to the expected input once per turn at and above which the input has another cause than the Earth."""
 
@@ -73,6 +77,12 @@ def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
     return np.asarray(attitude @ (across + 1j * np.cross(about, across)))
 
 
+def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
+    """Components (3,) in sensor axes of the part of a site vector along the axis of the table, which does not change while it turns."""
+    about = np.asarray(motion.about, dtype=float)
+    return np.asarray(attitude @ ((about @ vector) * about))
+
+
 def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequence[int]) -> AngleFrom:
     """What shows the angle of a table without encoder. accelerometers: the axes (0, 1, 2) of the sensor that have an accelerometer."""
     if not isinstance(motion, Spin):
@@ -81,22 +91,27 @@ def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequ
     return AngleFrom.GRAVITY if np.abs(seen).max(initial=0.0) > SHOWS_ANGLE else AngleFrom.NOTHING
 
 
-def start_angle(motion: Spin, since: Array, values: Array, expected: Array) -> float:
+def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offset: float) -> float:
     """The angle [rad] of a turning table at its first sample for which the outputs agree best with the expected input.
 
-    values: (n, K), SI; expected: (K,), complex, result of `once_per_turn`. The least-squares estimate of a common phase is arg Σ
-    p*·q/σ², with the expected and the measured complex amplitudes p and q of a channel and its noise σ (a matched filter). The
-    noise is that of the differences of consecutive samples. If the input is `FOREIGN` times as large as expected, it has another
-    cause, and its phase does not show the angle. The angle is then 0.
+    values: (n, K), SI, without the expected input along the axis of the table; expected: (K,), complex, result of `once_per_turn`;
+    offset: standard deviation, SI, of the constant error of a channel, infinite if it is unknown. The model of channel k is
+    Re(z·eₖ·exp(iφ)) + oₖ, with one complex factor z for all channels, whose argument is the angle, and an offset oₖ with the prior
+    N(0, `offset`²). The fit is by weighted least squares. The noise is that of the differences of consecutive samples. If |z| is
+    `FOREIGN` or more, the input has another cause, and its phase does not show the angle. The angle is then 0, as for fewer than
+    three samples.
     """
-    phase = motion.rate * since
-    terms = np.column_stack([np.ones(len(since)), np.cos(phase), np.sin(phase)])
-    _, cosine, sine = np.linalg.lstsq(terms, values, rcond=None)[0]
-    noise = np.diff(values, axis=0).std(axis=0)
+    if len(since) < 3:
+        return 0.0
+    noise = np.diff(values, axis=0).std(axis=0) / np.sqrt(2)
     weight = 1 / np.maximum(noise, 1e-9 * np.abs(values).max(initial=1e-300)) ** 2
-    matched = np.sum(weight * expected.conj() * (cosine - 1j * sine))
-    foreign = abs(matched) > FOREIGN * np.sum(weight * np.abs(expected) ** 2)
-    return 0.0 if foreign else float(np.angle(matched))
+    input_ = np.exp(1j * motion.rate * since)[:, None] * expected
+    terms = np.stack([input_.real, -input_.imag, values])
+    shrunk = 1 / (len(since) + 1 / (weight * offset**2))
+    sums = terms.sum(axis=1)
+    products = np.tensordot(terms * weight, terms, ([1, 2], [1, 2])) - (sums * (weight * shrunk)) @ sums.T
+    real, imaginary = np.linalg.lstsq(products[:2, :2], products[:2, 2], rcond=None)[0]
+    return 0.0 if np.hypot(real, imaginary) >= FOREIGN else float(np.arctan2(imaginary, real))
 
 
 def period_of(motion: Motion) -> float:

@@ -87,8 +87,8 @@ def sign_analysis(
     """Signs an analysis that has just been made from the run. Returns the reason why the analysis is not signed; empty if it is
     signed or need not be signed.
 
-    The bench signs an analysis only if it also signed the seal. This guarantees that the samples are those that the bench recorded,
-    whoever had the folder in the meantime. elsewhere: True if another computer computed the results; the bench does not sign
+    The bench signs an analysis only if it also signed the seal. This guarantees that the samples are those that the bench recorded.
+    elsewhere: True if another computer computed the results; the bench does not sign
     results that it did not compute.
     """
     public = key_of(bench)

@@ -156,7 +156,7 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
 
 
 def _of_counts(seen: Observed, values: Array, counts: Array) -> Observed:
-    """A recording with these samples (N, K) instead of its own, and with these counts (K,) of its channels."""
+    """The recording `seen` with other samples (N, K), and with counts (K,) as the resolution of its channels."""
     channels = zip(seen.channels, counts.tolist(), strict=True)
     return replace(seen, values=values, channels=tuple(replace(one, resolution=count) for one, count in channels))
 

@@ -148,6 +148,7 @@ def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None, given: Sequ
         found = diagnose(_without(observed, stated, options.nominal), options)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
+    _name_outliers(recorded, found, findings)
     _compare_with_specification(recorded, found, findings)
     following = None if wrong else _following(recorded, found, findings)
     return Diagnosed(recorded, found, findings, following, wrong, stated)
@@ -376,6 +377,9 @@ def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
     return f"{told.name}: {wrong.message}{also}", hint
 
 
+_EXAMINE = "examine the recording; an error of single samples does not cause a gap between segments"
+
+
 def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:
     """The recording without spikes and repeated samples, as estimates use it; the log names these samples. Bursts and stretches
     with clipped or stuck samples are kept, because the diagnosis explains them."""
@@ -397,9 +401,27 @@ def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> R
         item, one = max(left_out, key=lambda pair: abs(pair[1].size))
         largest = f"{one.kind.value} of {one.channel or 'all channels'} in '{item.label}' at {one.time:.6g} s"
         message = f"spikes or repeated samples were left out of the diagnosis: {len(left_out)} in all, the largest a {largest}"
-        hint = "examine the recording; an error of single samples does not cause a gap between segments"
-        log.warning("gap-left-out", Mark(recorded.where), message, hint)
+        log.warning("gap-left-out", Mark(recorded.where), message, _EXAMINE)
     return replace(recorded, segments=tuple(segments))
+
+
+def _name_outliers(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
+    """Adds a warning about errors of single samples that only the spectrum of the noise shows, and that the diagnosis leaves out."""
+    import numpy as np
+
+    weighing = found.grounds.weighing
+    if weighing.outliers is None:
+        return
+    observed = weighing.observed
+    sizes = np.abs(weighing.outliers)
+    row, index = np.unravel_index(int(np.argmax(sizes / weighing.white)), sizes.shape)
+    channel, label = observed.channels[index], observed.labels[observed.owner[row]]
+    size = f"{sizes[row, index] / channel.factor:.3g} {channel.unit}"
+    message = (
+        f"errors of single samples within the scatter of the samples were left out of the diagnosis: {np.count_nonzero(sizes)} in all, "
+        f"the largest {size} of {channel.name} in '{label}' at {observed.time[row]:.6g} s after power-on"
+    )
+    log.warning("gap-left-out", Mark(recorded.where), message, _EXAMINE)
 
 
 def _outputs(plan: Plan) -> tuple[str, ...]:

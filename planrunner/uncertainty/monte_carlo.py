@@ -6,7 +6,7 @@ tolerance (7.9.4). Here this tolerance is a fifth of the tolerance of the valida
 Student's t has no fourth moment, so the standard deviation of the draws cannot be estimated. In that case the rule omits the standard
 uncertainty. The ends of the interval remain, which are the values to be validated.
 
-Each block has random numbers of its own, which follow from the seed and the number of the block. The blocks are evaluated in the order of
+The random numbers of a block follow from the seed and the number of the block. The blocks are evaluated in the order of
 their numbers. Several workers can therefore share the blocks without any effect on the results.
 """
 

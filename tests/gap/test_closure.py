@@ -84,6 +84,25 @@ def test_few_residuals_give_wide_errors() -> None:
         assert binom.ppf(0.001, 20000, 0.9) <= inside <= binom.ppf(0.999, 20000, 0.9)
 
 
+@pytest.mark.parametrize("coefficients", [24, 60])
+def test_few_residuals_of_the_noise_widen_the_interval_of_any_gap(coefficients: int) -> None:
+    """The level of the noise comes from six residuals. 90 % intervals hold the truth in at least as many draws as chance allows at 1 %."""
+    draw, degrees = np.random.default_rng(5), 6.0
+    covered = said = 0
+    for _ in range(120):
+        gap = 3 * draw.normal(size=coefficients)
+        difference = 0.7 * gap + draw.normal(size=coefficients)
+        scale = np.sqrt(draw.chisquare(degrees) / degrees)
+        residual = (gap + draw.normal(size=coefficients)) / scale
+        found = measured(residual, difference / scale, degrees=np.full(coefficients, degrees))
+        if found.resolvable:
+            said += 1
+            true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
+            covered += bool(found.interval_90[0] <= true <= found.interval_90[1])
+    assert said > 80
+    assert covered >= binom.ppf(0.01, said, 0.9)
+
+
 def _unbalance(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
     return force @ np.array([[0, 4e-3, 0], [-2e-3, 0, 0], [0, 1e-3, 0]]).T * np.pi / 180 / 9.8, 0.0
 

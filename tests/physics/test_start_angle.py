@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planrunner.physics.earth import Site
-from planrunner.physics.sampled_motion import AngleFrom, angle_from, once_per_turn, start_angle
+from planrunner.physics.sampled_motion import OFFSET, AngleFrom, along_axis, angle_from, once_per_turn, start_angle
 from planrunner.plan.schedule import Motion, Rest, Rock, Spin
 
 DEG = np.pi / 180
@@ -35,7 +35,7 @@ def test_the_angle_at_the_beginning_is_found(start: float, rate: float, about: t
         [once_per_turn(motion, ATTITUDE, SITE.earth_rate_enu), once_per_turn(motion, ATTITUDE, SITE.specific_force_enu)]
     )
     levels = draw.normal(0, 0.1, 6)
-    found = start_angle(motion, since, inputs + noise + levels, expected)
+    found = start_angle(motion, since, inputs + noise + levels, expected, np.inf)
     assert np.angle(np.exp(1j * (found - start))) == pytest.approx(0.0, abs=0.02)
 
 
@@ -43,7 +43,27 @@ def test_an_input_that_is_too_large_for_the_earth_does_not_show_the_angle() -> N
     motion, since = Spin(40.0 * DEG), np.arange(6000) / 100
     expected = once_per_turn(motion, ATTITUDE, SITE.earth_rate_enu)
     for ratio, angle in ((1.0, 1.3), (5.0, 0.0)):
-        assert start_angle(motion, since, ratio * seen(motion, 1.3, since, EARTH), expected) == pytest.approx(angle)
+        values = ratio * seen(motion, 1.3, since, EARTH)
+        assert start_angle(motion, since, values, expected, np.inf) == pytest.approx(angle)
+
+
+@pytest.mark.parametrize("rate", [0.01, 0.05, 1.0, 40.0])
+def test_gravity_shows_the_angle_of_a_table_that_hardly_turns(rate: float) -> None:
+    """The table turns by 0.6 to 60 deg, or many times. If it hardly turns, a constant error of `OFFSET` along each accelerometer is as
+    likely as the change by the turning, and the part of gravity that changes is 0.6·g."""
+    motion, since, draw = Spin(rate * DEG, TILTED), np.arange(6000) / 100, np.random.default_rng(4)
+    axis = np.array(TILTED)
+    expected = once_per_turn(motion, ATTITUDE, SITE.specific_force_enu)
+    steady = ATTITUDE @ ((axis @ GRAVITY) * axis)
+    assert along_axis(motion, ATTITUDE, SITE.specific_force_enu) == pytest.approx(steady)
+    for start in (-2.0, 0.0, 0.7):
+        values = seen(motion, start, since, GRAVITY) + draw.normal(0, 0.01, (6000, 3)) + 0.005 * draw.choice([-1, 1], 3)
+        found = start_angle(motion, since, values - steady, expected, OFFSET)
+        assert np.angle(np.exp(1j * (found - start))) == pytest.approx(0.0, abs=OFFSET / (0.6 * 9.8))
+
+
+def test_one_sample_shows_no_angle() -> None:
+    assert start_angle(Spin(1.0), np.zeros(1), np.ones((1, 3)), np.ones(3, dtype=complex), OFFSET) == 0.0
 
 
 def test_gravity_shows_the_angle_only_if_the_axis_is_not_vertical() -> None:

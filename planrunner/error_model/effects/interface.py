@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from planrunner.base import plugins
 from planrunner.base.arrays import Array
+from planrunner.base.findings import InputError, Mark
 from planrunner.error_model.observed import Observed, TemperatureCourse
 
 
@@ -97,8 +98,12 @@ class Explained(Effect, Protocol):
 
 
 def effect_named(name: str) -> Effect:
-    """The installed effect with this name. Raises `InputError` if there is none."""
+    """The installed effect with this name. Raises `InputError` if there is none, or if it acts on the covariance without stating how."""
     made: Effect = plugins.load(plugins.EFFECTS, name)()
+    if made.stage == "covariance" and not isinstance(made, OutsideCoefficients):
+        message = f"the effect '{name}' has the stage covariance, but no attribute 'outside'"
+        hint = "its author must add it (development versions called it 'noise')"
+        raise InputError.at(Mark("<plug-ins>"), "plugin-broken", message, hint)
     return made
 
 

@@ -88,8 +88,8 @@ def lag(observed: Observed, tau: float) -> Array:
 
 def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind: float, tau: float) -> float:
     """Tₑ − T at the beginning of a temperature course. behind: Tₑ − T at the end of the preceding course. Between the courses, T =
-    T₁ + D·exp(−t/s), and Tₑ − T₁ is the sum of the decay of its own first value and of the convolution of D·exp(−t/s) with
-    exp(−t/τ)/τ."""
+    T₁ + D·exp(−t/s), and Tₑ − T₁ is a sum of two terms: its first value, decaying with τ, and the convolution of D·exp(−t/s)
+    with exp(−t/τ)/τ."""
     if before is None:
         return 0.0
     gap = float(course.time[0] - before.time[-1])

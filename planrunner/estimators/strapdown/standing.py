@@ -79,6 +79,9 @@ class StopReader:
         """Takes the samples of a piece of the recording. at: (m,), indices of the knots among the samples; rotations: (m, 3, 3),
         attitude at these knots."""
         kelvin = np.full(piece.time.size, math.nan) if piece.kelvin is None else piece.kelvin
+        known = np.isfinite(kelvin)
+        if known.any() and not known.all():  # a thermometer may be slower than the sensor
+            kelvin = np.interp(piece.time, piece.time[known], kelvin[known])
         sums = np.cumsum(np.vstack([piece.values, piece.interval, kelvin * piece.interval]), axis=1)
         sums += self._carried[:, None]
         self._carried = sums[:, -1] - (sums[:, at[-1]] if len(at) else 0.0)

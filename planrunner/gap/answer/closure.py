@@ -34,6 +34,7 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 FOLDS = 4
 FEWEST = 6  # segments; three quarters of fewer carry too little information
 DRAWS = 2000
+LEVELS = 40  # random levels of the noise, among which the draws for an unknown composition are shared
 SEED = 21
 WIDEST = 0.5  # width of an interval above which the closure is not resolvable
 TOLD = 0.5  # information on an effect that the other segments must have, relative to the held-out ones
@@ -167,10 +168,12 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """The held-out rows of one fold. channel: (m,), index of the channel of every row. residual, difference: (m,), whitened;
-    signatures: (m, p), for each choice; told: (p, p), information about the amplitudes of each choice from the other segments."""
+    """The held-out rows of one fold. channel, group: (m,), index of the channel of every row, and its group of noise as in
+    `MeasuredNoise`. residual, difference: (m,), whitened; signatures: (m, p), for each choice; told: (p, p), information about the
+    amplitudes of each choice from the other segments."""
 
     channel: NDArray[np.int64]
+    group: NDArray[np.int64]
     residual: Array
     difference: Array
     signatures: list[Array]
@@ -232,15 +235,14 @@ def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoi
     if _told(choices[likeliest].widths, fits[likeliest], likeliest, folds) < TOLD:
         return not_measured(NotMeasured.NOT_REPEATED)
     amplitudes = [fit.amplitudes for fit in fits]
-    whole = _measured_rows(
-        folds, [np.ones(len(fold.channel), dtype=bool) for fold in folds], amplitudes, shares, beyond
-    )
+    every = [np.ones(len(fold.channel), dtype=bool) for fold in folds]
+    whole = _measured_rows(folds, every, amplitudes, shares, beyond, noise.degrees)
     if not whole.resolvable:
         return whole
     channels = []
     for index in range(len(weighing.weights)):
         rows = [fold.channel == index for fold in folds]
-        own = _measured_rows(folds, rows, amplitudes, shares, beyond)
+        own = _measured_rows(folds, rows, amplitudes, shares, beyond, noise.degrees)
         if own.resolvable:
             residual = np.concatenate([fold.residual[at] for fold, at in zip(folds, rows, strict=True)])
             channels.append(_in_unit(weighing, noise, index, own, residual))
@@ -253,8 +255,7 @@ def measured_noise(
     """The noise that remains beside an effect. log_bayes: (G,), log BF of the effect at each setting of the noise. walking: True if
     a random walk acts too. A walk belongs to the gap, not to the noise. explained: True if the effect leaves only noise. If it is
     False, the residuals contain a part of the gap, so the noise is at most as large as the residuals."""
-    terms = weighing.base + weighing.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
-    gyro, accel = divmod(int(np.argmax(terms)), weighing.shape[1])
+    gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
     still = next(k for k, one in enumerate(weighing.settings["gyro"]) if one.flicker == flicker and one.walk == 0)
     channels = weighing.observed.channels
@@ -333,15 +334,18 @@ def _measured_rows(
     amplitudes: Sequence[Amplitudes],
     shares: Array,
     beyond: float,
+    degrees: Array,
 ) -> Closure:
-    """The closure computed from the selected `rows` of every fold."""
+    """The closure computed from the selected `rows` of every fold. degrees: as in `MeasuredNoise`."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
     for number, (fitted, share) in enumerate(zip(amplitudes, shares, strict=True)):
         signature = np.concatenate([fold.signatures[number][at] for fold, at in chosen])
         known.append(KnownCause(float(share), signature.T @ signature, signature.T @ difference, fitted))
-    return measured(np.concatenate([fold.residual[at] for fold, at in chosen]), difference, known, beyond)
+    residual = np.concatenate([fold.residual[at] for fold, at in chosen])
+    each = degrees[np.concatenate([fold.group[at] for fold, at in chosen])]
+    return measured(residual, difference, known, beyond, each)
 
 
 def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure, residual: Array) -> ChannelClosure:
@@ -410,16 +414,26 @@ def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold
     return 1 - left / shown if shown > 0 else 0.0
 
 
-def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (), beyond: float = 1.0) -> Closure:
+def measured(
+    residual: Array,
+    difference: Array,
+    known: Sequence[KnownCause] = (),
+    beyond: float = 1.0,
+    degrees: Array | None = None,
+) -> Closure:
     """The closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). beyond: the probability that
-    the cause is none of `known`. Only the ratios of `beyond` and the probabilities of `known` matter; their sum need not be 1."""
+    the cause is none of `known`. Only the ratios of `beyond` and the probabilities of `known` matter; their sum need not be 1.
+    degrees: (m,), degrees of freedom of the measured noise of each residual; residuals with equal degrees share one level of the
+    noise. None if the level is known."""
     m = len(residual)
     if float(np.linalg.norm(difference)) < 1e-9 or m < 3:
         return not_measured(NotMeasured.WIDE)
     draw = np.random.default_rng(SEED)
     share = np.array([beyond, *(one.probability for one in known)])
     counts = np.diff(np.round(DRAWS * np.concatenate(([0.0], np.cumsum(share))) / share.sum()).astype(int))
-    drawn = [_unknown(residual, difference, int(counts[0]), draw)]
+    levels = np.ones((1, m)) if degrees is None else _levels(degrees, draw)
+    dealt = np.diff(np.round(np.linspace(0, counts[0], len(levels) + 1)).astype(int))
+    drawn = [_unknown(residual, difference, level, int(n), draw) for level, n in zip(levels, dealt, strict=True) if n]
     drawn += [
         _explained(one, float(difference @ difference), int(n), draw) for one, n in zip(known, counts[1:], strict=True)
     ]
@@ -434,18 +448,31 @@ def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (
     return Closure(float(np.median(before)) / scale, float(np.median(after)) / scale, middle, (low, high))
 
 
-def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Generator) -> Array:
-    """Random values of the squared size of the gap before and after, (count, 2), for an unknown composition of the gap."""
+def _levels(degrees: Array, draw: np.random.Generator) -> Array:
+    """Random variances (`LEVELS`, m) of the noise of each residual, relative to the measured variance: ν/χ² with ν degrees of freedom."""
+    known = ~np.isfinite(degrees)
+    if known.all():
+        return np.ones((1, len(degrees)))
+    out = np.ones((LEVELS, len(degrees)))
+    for own in np.unique(degrees[~known]):
+        out[:, degrees == own] = (own / draw.chisquare(own, LEVELS))[:, None]
+    return out
+
+
+def _unknown(residual: Array, difference: Array, level: Array, count: int, draw: np.random.Generator) -> Array:
+    """Random values of the squared size of the gap before and after, (count, 2), for an unknown composition of the gap. level: (m,),
+    variance of the noise of each residual; across the difference, their mean is used."""
     from scipy.special import chndtr
 
     m, size = len(residual), float(np.linalg.norm(difference))
     along = float(residual @ difference) / size
-    rest = float(residual @ residual) - along**2
-    parallel = along + draw.standard_normal(count)
+    mean = float(np.mean(level))
+    rest = (float(residual @ residual) - along**2) / mean
+    parallel = along + draw.standard_normal(count) * float(np.sqrt(difference**2 @ level)) / size
     top = max(rest - m, 0.0) + 8 * np.sqrt(2 * m + 4 * max(rest - m, 0.0)) + 10
     grid = np.concatenate(([0.0], np.geomspace(1e-3, top, 400)))
     chance = 1 - chndtr(rest, m - 1, grid)
-    across = np.interp(draw.uniform(size=count), np.maximum.accumulate(chance), grid)
+    across = mean * np.interp(draw.uniform(size=count), np.maximum.accumulate(chance), grid)
     return np.column_stack([parallel**2 + across, (parallel - size) ** 2 + across])
 
 
@@ -482,7 +509,8 @@ def _fold(
     signatures = np.concatenate([s for _, s in predicted])
     difference = np.zeros(len(residual)) if best is None else signatures[:, best] @ amplitudes
     channel = np.repeat(np.arange(len(predicted)), [len(r) for r, _ in predicted])
-    return _Fold(channel, residual, difference, [signatures[:, part] for part in parts], told)
+    group = np.concatenate([own[held] for own in noise.group])
+    return _Fold(channel, group, residual, difference, [signatures[:, part] for part in parts], told)
 
 
 class _Rows:

@@ -23,6 +23,7 @@ from planrunner.error_model.effects.interface import (
     NotFitted,
     OutsideCoefficients,
     ShownInSome,
+    effect_named,
 )
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
@@ -204,7 +205,11 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     if after is not None and all(choice.effect != key for choice in choices):
         choices.append(FoldChoice(key, after.raw, after.variant.widths or (len(after.variant.columns),), 0.0))
     rest = None if after is None or walks & set(said.effects) else remainder(weighing, after, said.something_else)
-    ratios = None if after is None or rest is None or rest.passes else dispersions(weighing, after)
+    ratios = (
+        None
+        if after is None or rest is None or rest.passes
+        else dispersions(weighing, after, weighing.likeliest_with(after.log_bayes, False))
+    )
     unpredicted = tuple(name for name in said.effects if name not in by_id)
     noise = None
     if after is not None:
@@ -288,8 +293,8 @@ def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) ->
     """The effects with these names. Without names, the result is all installed effects that are hypotheses. An effect that only
     some recordings can show is included if `observed` can show it."""
     if names is not None:
-        return [plugins.load(plugins.EFFECTS, name)() for name in names]
-    installed: list[Effect] = [plugins.load(plugins.EFFECTS, name)() for name in plugins.names(plugins.EFFECTS)]
+        return [effect_named(name) for name in names]
+    installed = [effect_named(name) for name in plugins.names(plugins.EFFECTS)]
     return [effect for effect in installed if _weighed(effect, observed)]
 
 

@@ -38,12 +38,15 @@ def amplitudes(
 ) -> list[ParameterEstimate]:
     """Means and standard deviations of the amplitudes at the most probable prior size. columns: the columns of a pair that belong
     to the effect. walking: whether a random walk of the gyros acts in addition. ratios: (K,), variance of the residuals of each channel
-    relative to that of the noise; None if the residuals are noise. An amplitude that is fixed at 1 is not a parameter."""
+    relative to that of the noise at its most probable setting; None if the residuals are noise. An amplitude that is fixed at 1 is
+    not a parameter."""
     if weighed.held:
         return []
     mean, covariance = weighing.amplitudes(weighed, walking)
     if ratios is not None:
-        excess = sum((r - 1) * own.T @ own for r, own in zip(ratios, weighed.by_channel, strict=True))
+        at = weighing.likeliest_with(weighed.log_bayes, walking)
+        whitened = [columns for _, columns in weighing.whitened_at(weighed, at)]
+        excess = sum((r - 1) * own.T @ own for r, own in zip(ratios, whitened, strict=True))
         covariance = covariance + covariance @ excess @ covariance  # White, Econometrica 48, 1980
     spread = np.sqrt(np.diag(covariance))
     listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)

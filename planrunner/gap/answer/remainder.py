@@ -48,11 +48,11 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
     return found
 
 
-def dispersions(weighing: Weighing, known: Weighed) -> Array:
-    """Dispersion (K,) of the residuals that remain after the fit of known effects."""
-    amplitudes = known.amplitudes[0]
+def dispersions(weighing: Weighing, known: Weighed, setting: int = 0) -> Array:
+    """Dispersion (K,) of the residuals that remain after the fit of known effects, at one setting of the noise."""
+    amplitudes = known.amplitudes_at(setting)[0]
     found, count = [], len(weighing.weights)
-    for (weight, *_), columns in zip(weighing.weights, known.by_channel, strict=True):
+    for weight, columns in weighing.whitened_at(known, setting):
         rest = weight.residual - columns @ amplitudes
         degrees = max(len(rest) - weight.basis.shape[1], 1)
         found.append(dispersion(rest, degrees, weighing.spectrum.means, 2 * count))

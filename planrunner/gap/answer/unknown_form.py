@@ -83,7 +83,7 @@ def unknown_form(weighing: Weighing, found: Posterior) -> UnknownForm | None:
 
 
 def _labels(weighing: Weighing, factor: Factor) -> list[str]:
-    """The level of the factor in each segment. Without a common factor, each segment is a level of its own."""
+    """The level of the factor in each segment. Without a common factor, each segment has a different level."""
     observed = weighing.observed
     if factor is Factor.TEMPERATURE:
         middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2

@@ -29,6 +29,7 @@ from planrunner.observation.bins import SPIKE
 
 MOST = 3  # outliers of a channel in a segment, or this share of its samples if that is more: more belong to the noise or to an effect
 SHARE = 1e-3
+LARGEST = 30  # limit of that share, because the time grows with the square of the number of outliers
 LEAST = 64  # samples of a segment that is examined
 _NEAR = np.array([*range(-4, 6), -32, -24, -16, -12, -8, -6, 7, 9, 13, 17, 25, 33])
 """Where a step may begin, in samples after an outlier."""
@@ -83,7 +84,7 @@ def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.i
     """
     from scipy.fft import dct, idct
 
-    most = max(MOST, int(SHARE * len(samples)))
+    most = max(MOST, min(int(SHARE * len(samples)), LARGEST))
     if len(known) > most:
         return Pulses(known[:0], np.zeros(0))
     root = 1 / np.sqrt(variance)

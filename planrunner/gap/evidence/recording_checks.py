@@ -140,7 +140,9 @@ def _check_steady_rates(observed: Observed, mark: Mark, log: Findings) -> None:
         best = max(gyros, key=lambda channel: abs(along[observed.channels[channel].axis]), default=None)
         if best is None or abs(rate := motion.rate * along[observed.channels[best].axis]) < abs(motion.rate) / 2:
             continue
-        lasting, share = _unsteady(observed.values[observed.segments()[index], best], abs(rate))
+        lasting, share = _unsteady(
+            observed.values[observed.segments()[index], best], abs(rate), observed.site.earth_rate
+        )
         if lasting > 0:
             seconds = lasting * float(np.ptp(observed.time[observed.segments()[index]]))
             found.append((share, observed.labels[index], seconds))
@@ -158,9 +160,10 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
     """Adds a note about the errors of the channels that show a motion. White noise of variance s² in a rate makes a fitted scale factor
     smaller by s²/v, where v is the variance of the rate (W. A. Fuller, Measurement Error Models, 1987, section 1.1). The third
     differences of white noise have the variance 20·s²; as they also contain fast motion, the result is an upper limit."""
-    if not observed.moved.any():
+    whole = zip(observed.segments(), observed.moved, np.diff(observed.bounds), strict=True)
+    parts = [rows for rows, moved, count in whole if moved and count > 3]
+    if not parts:
         return
-    parts = [rows for rows, moved in zip(observed.segments(), observed.moved, strict=True) if moved]
     rates = np.concatenate([observed.turn[rows] for rows in parts])
     noise = np.concatenate([np.diff(observed.turn[rows], 3, axis=0) for rows in parts]).var(axis=0) / 20
     axis = int(np.argmax(variance := rates.var(axis=0)))
@@ -174,11 +177,11 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
         )
 
 
-def _unsteady(values: Array, rate: float) -> tuple[float, float]:
+def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, float]:
     """Share of a segment, from its beginning and its end, in which the output (n,) of a gyro deviates from its middle because the rate
     changes; and the largest deviation relative to the rate. Both are 0 if the rate is steady. The scatter of the means over `PARTS`
     parts in the middle half is the measure of other changes, such as an uneven motion. If this scatter is large, the rate is nowhere
-    steady."""
+    steady. earth_rate: rad/s, amplitude of the input that the Earth may add once per turn."""
     if len(values) < 4 * PARTS:
         return 0.0, 0.0
     means = np.array([part.mean() for part in np.array_split(values, PARTS)])
@@ -187,9 +190,9 @@ def _unsteady(values: Array, rate: float) -> tuple[float, float]:
     scatter = 1.4826 * float(np.median(np.abs(middle - level)))
     off = np.abs(means - level)
     noise = float(np.diff(values).std()) / float(np.sqrt(2 * len(values) / PARTS))
-    if scatter > max(UNEVEN * rate, FAR * noise):
+    if scatter > max(UNEVEN * rate + earth_rate, FAR * noise):
         return 1.0, float(off.max()) / rate
-    away = off > max(UNSTEADY * rate, FAR * scatter)
+    away = off > max(UNSTEADY * rate + 2 * earth_rate, FAR * scatter)
     ends = np.argmin(away), np.argmin(away[::-1])
     return float(sum(ends)) / PARTS, float(off[away].max(initial=0.0)) / rate if any(ends) else 0.0
 

@@ -372,8 +372,8 @@ class Left:
 
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Eigenvalues and squared scores of a design. design: columns (M, P); or a mask (M,) that selects rows, where each selected row
-    stands for a column of its own that is zero in all other rows. The result is empty if the design has no visible part."""
+    """Eigenvalues and squared scores of a design. design: columns (M, P); or a mask (M,) of rows, where each selected row means a
+    separate column that is zero in all other rows. The result is empty if the design has no visible part."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
     columns = np.asarray(design[:, design.any(axis=0)], dtype=float)
@@ -387,8 +387,8 @@ def eigen(left: Left, design: Array | Rows) -> Eigen:
 
 
 def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
-    """Eigenvalues and squared scores of a design in which each of the given rows stands for a column of its own. Their Gram matrix
-    is diagonal except for the part that the nominal parameters absorb. Among rows of equal weight, this part has no more directions
+    """Eigenvalues and squared scores of a design with a separate column for each of the given rows. Their Gram matrix is diagonal
+    except for the part that the nominal parameters absorb. Among rows of equal weight, this part has no more directions
     than there are parameters; all directions orthogonal to it are eigenvectors with a common eigenvalue."""
     if not len(at):
         return np.zeros(0), np.zeros(0)

@@ -156,7 +156,7 @@ class Weighing:
     for samples that are replaced by the fit, such as samples that repeat an earlier one. coarse: (K,), True for channels whose
     noise does not dither the rounding to counts; their samples show rounding, not noise. Settings of both triads are combined:
     index = gyro setting × accelerometer settings + accelerometer setting. angles: for each channel, the columns (M, n) of
-    `angle_columns` that act on it.
+    `angle_columns` that act on it. outliers: (N, K), SI, errors of single samples that are left out; None if there are none.
     """
 
     def __init__(
@@ -176,9 +176,9 @@ class Weighing:
         self._reference = simulated(observed, nominal)
         reference = self._reference if removed is None else self._reference + removed
         self._measure(reference, held)
-        errors = outliers(observed, self.spectrum, self.noise, self.white, self.coarse)
-        if errors is not None:
-            self._measure(reference + errors, held)
+        self.outliers = outliers(observed, self.spectrum, self.noise, self.white, self.coarse)
+        if self.outliers is not None:
+            self._measure(reference + self.outliers, held)
         slow = SlowMeans.of(*lasting(observed))
         self.settings: dict[str, tuple[Setting, ...]] = {
             kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
@@ -312,6 +312,19 @@ class Weighing:
         """The most probable setting without a random walk of the gyros, and, if a random walk is a hypothesis, the most probable setting
         with it."""
         return tuple(int(np.argmax(self.base + prior)) for prior in self.log_prior if np.isfinite(prior).any())
+
+    def likeliest_with(self, log_bayes: Array, walking: bool) -> int:
+        """The most probable setting if a hypothesis with log BF (G,) is true, with or without a random walk of the gyros."""
+        terms = self.base + self.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
+        return int(np.argmax(terms))
+
+    def whitened_at(self, weighed: Weighed, setting: int) -> list[tuple[ChannelWeights, Array]]:
+        """For each channel, its weights and the projected columns (M, p) of a variant at one setting of the noise."""
+        if setting == 0:
+            return [(own[0], columns) for own, columns in zip(self.weights, weighed.by_channel, strict=True)]
+        at = dict(zip(("gyro", "accel"), divmod(setting, self.shape[1]), strict=True))
+        weights = [own[at[channel.kind]] for own, channel in zip(self.weights, self.observed.channels, strict=True)]
+        return [(weight, weight.project(raw)) for weight, raw in zip(weights, weighed.raw, strict=True)]
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
         """Log evidence of a hypothesis with log BF (G,), marginalised over the noise."""
