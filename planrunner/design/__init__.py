@@ -1,1 +1,1 @@
-"""Design: what a planned test can and cannot determine, before it runs."""
+"""Computes what a planned test can and cannot determine, before the test runs."""

@@ -1,7 +1,8 @@
 """Chooses among bundles: candidates that add several observations at once, such as a pair of equal and opposite rates.
 
-A bundle adds the information matrix B_i (p, p); fixed parts, such as rest segments, add F. Criterion D maximises |F + Σ B_i|, A
-minimises the trace of its inverse. There are few bundles and p is small, so exchange recomputes whole matrices.
+A bundle i adds the information matrix B_i (p, p). Fixed parts of the plan, such as rest segments, add the matrix F. Criterion D
+maximises |F + Σ B_i|, criterion A minimises the trace of the inverse of F + Σ B_i. There are few bundles and p is small, so each
+exchange computes the whole matrix again.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ def choose(
     workers: Workers = ALONE,
 ) -> tuple[int, ...]:
     """The best `count` different bundles of `bundles` (N, p, p), as ascending indices (count,), found by exchange from seeded
-    starts. The bundles in `kept` are always included. workers: processes that share the starts; the same seed gives the same choice
-    with any workers.
+    starts. The bundles in `kept` are always included. workers: processes that share the starts; the result for a seed does not
+    depend on the number of workers.
 
     Raises ValueError if there are fewer bundles than requested, or if no choice determines all terms.
     """
@@ -77,11 +78,12 @@ def _settle(bundles: Array, fixed: Array, others: Array, criterion: str, start: 
 def shares(
     bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
 ) -> tuple[Array, float]:
-    """The best shares (N,) of a resource, which add up to 1, and the remaining excess: the ratio of the largest derivative to the
-    mean derivative, minus 1. `bundles` (N, p, p) is the information of each bundle if it gets the whole resource. The excess is 0
-    at the optimum (Kiefer and Wolfowitz; multiplicative steps as in `continuous`).
+    """The fractions (N,) of a resource, such as the time, that each bundle should get, and the remaining excess. The fractions add
+    up to 1. `bundles` (N, p, p) is the information of each bundle if that bundle gets the whole resource. The excess is the ratio
+    of the largest derivative of the criterion to the mean derivative, minus 1. It is 0 at the optimum (Kiefer and Wolfowitz;
+    multiplicative steps as in `continuous`).
 
-    fixed: (p, p), information that does not depend on the shares. Raises ValueError if the bundles cannot determine all terms.
+    fixed: (p, p), information that does not depend on the fractions. Raises ValueError if the bundles cannot determine all terms.
     """
     count = len(bundles)
     part = np.full(count, 1.0 / count)

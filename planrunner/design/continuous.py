@@ -1,11 +1,12 @@
-"""Continuous designs: shares of the observations on each candidate, and the bound that no set of observations can exceed.
+"""Continuous designs: the fraction of the observations that each candidate gets, and the bound that no set of observations can
+exceed.
 
-By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal exactly when the variance d(x) = xᵀM⁻¹x is
-nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) changes the shares w_i ← w_i·d_i/p, which
-raises |M| with every step. Steps of Fedorov and Wynn towards the candidate with the largest d and away from the one with the smallest d
-complete the search (Todd & Yıldırım 2007). The excess of max d over p is the certificate: by the inequality of arithmetic and geometric
-means, |M(η)| ≤ |M(ξ)|·(max d/p)^p for the design ξ that was found and every other design η. For a linear criterion tr(W·M⁻¹) (criterion
-A: W = 1), xᵀM⁻¹WM⁻¹x takes the place of d and tr(W·M⁻¹) that of p, and the step is w_i ← w_i·√(d_i/p).
+By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal exactly when the variance d(x) =
+xᵀM⁻¹x is nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) changes the shares w_i ←
+w_i·d_i/p, which raises |M| with every step. The excess of max d over p is the certificate: by the inequality of arithmetic and
+geometric means, |M(η)| ≤ |M(ξ)|·(max d/p)^p for the design ξ that was found and every other design η. A linear criterion is
+tr(W·M⁻¹); with W = 1 it is criterion A. In the formulas for a linear criterion, xᵀM⁻¹WM⁻¹x replaces d, tr(W·M⁻¹) replaces p, and
+the step is w_i ← w_i·√(d_i/p).
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 
 @dataclass(frozen=True, slots=True)
 class Continuous:
-    """Optimal shares of the observations for each candidate, without rounding to whole numbers of observations. shares: (N,),
-    adding up to 1. matrix: (p, p), M per observation. excess: the ratio of the largest derivative to `mean`, minus 1; 1e-6 means
-    that no design is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: mean of the derivative, weighted
-    by the shares. It is p (D) or the value itself (linear criterion), and less if some information does not depend on the shares."""
+    """An optimal continuous design: the fraction of the observations for each candidate, not rounded to whole numbers of
+    observations. shares: (N,), the fractions, which add up to 1. matrix: (p, p), the information matrix M per observation. excess:
+    the ratio of the largest derivative to `mean`, minus 1; 1e-6 means that no design is better by more than one part in a million.
+    value: |M| (criterion D) or tr(W·M⁻¹). mean: mean of the derivative over the candidates, weighted by `shares`. Without fixed
+    information, the mean is p (D) or `value` (linear criterion); information that does not depend on the shares makes it smaller."""
 
     shares: Array
     matrix: Array
@@ -37,12 +39,12 @@ class Continuous:
 
     @property
     def largest_variance(self) -> float:
-        """The certificate of a D-optimal design: max d(x) over the candidates. At the optimum it is p, or `mean` if there is fixed
-        information."""
+        """The certificate of a D-optimal design: max d(x) over the candidates. At the optimum, max d(x) is p, or `mean` if there is
+        fixed information."""
         return self.mean * (1.0 + self.excess)
 
     def determinant_bound(self, observations: int) -> float:
-        """Upper bound of the determinant of M for any set with this number of observations (D designs)."""
+        """Upper bound of |M| for any set with this number of observations (criterion D)."""
         # ln|M| is concave: no other design's is larger by more than what the largest derivative exceeds the mean.
         return float(observations ** len(self.matrix) * self.value * np.exp(self.mean * self.excess))
 
@@ -69,12 +71,12 @@ def solve(
     start: Array | None = None,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The best shares for the candidates `rows`, shape (N, p), which must have rank p.
+    """The optimal fractions of the observations for the candidates `rows`, shape (N, p), which must have rank p.
 
-    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: smallest share that any candidate may have. start: shares with which the
-    iteration begins. fixed: (p, p), information per observation that does not depend on the shares. The iteration ends when the
-    excess is below `tolerance` or after `most_steps`. The remaining excess is reported, and the bounds allow for it. Raises
-    ValueError if the candidates cannot determine all terms.
+    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: smallest fraction that any candidate may have. start: fractions with which
+    the iteration starts. fixed: (p, p), information per observation that does not depend on the fractions. The iteration ends when
+    the excess is below `tolerance` or after `most_steps`. The result contains the remaining excess, and its bounds allow for the
+    excess. Raises ValueError if the candidates cannot determine all terms.
     """
     rows = np.asarray(rows, dtype=float)
     count, p = rows.shape
@@ -112,7 +114,7 @@ def solve(
 def judged(
     rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0, fixed: Array | None = None
 ) -> Continuous:
-    """The design with the given shares, and its certificate over `rows`."""
+    """The design with the given fractions, and the certificate of this design over the candidates `rows`."""
     matrix = information(rows, shares) + (0.0 if fixed is None else fixed)
     gain = derivative(rows, matrix, weighting)
     free = shares - least
@@ -123,8 +125,9 @@ def judged(
 
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
-    """A step towards the candidate with the largest variance, or away from the candidate with the smallest variance among those
-    with a share, whichever violates optimality more. The length of the step maximises |M|."""
+    """A step of the fractions towards the candidate with the largest variance d, or away from the candidate with the smallest d
+    among those with a fraction above zero. It takes the direction of the candidate whose d differs more from p. The length of the
+    step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
     down = int(held[np.argmin(gain[held])])
@@ -160,8 +163,8 @@ def solve_with_climbing(
     most_rounds: int = 6,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The best shares over a continuous region. The search begins with the candidates, and adds better points found by climbing
-    until there are none.
+    """The best shares of the observations for points of a continuous region. The search starts with the candidates `rows`, and adds
+    better points found by climbing until climbing finds none.
 
     climb: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
     derivatives there. The excess of the result refers to the region, as far as climbing finds the maxima.

@@ -1,13 +1,14 @@
-"""Searches for rotation cycles in which a constant horizontal error leaves no residual: its contributions cancel over all stops,
-and also over all turns.
+"""Searches for rotation cycles in which a constant horizontal error leaves no residual: the contributions of the error cancel over
+all stops, and also over all turns.
 
-`same_order` keeps the planned order of the stops and chooses the sense of every turn. If one round is not enough, it repeats the
-cycle with other choices. `free_order` chooses the order as well. Every position is held equally often. The cycles of both functions
-end at the first position with unwound cables. Among them, both functions prefer a mean angle of zero, then the smallest range of
-cable, then the shortest cycle.
+`same_order` keeps the planned order of the stops and chooses the sense of every turn. If no choice of senses in one round is good
+enough, it searches cycles of two and more rounds. `free_order` also chooses the order of the stops. Every position is held equally
+often. The cycles of both functions end at the first position with unwound cables. Among these cycles, both functions prefer a mean
+angle of zero, then the smallest range of cable, then the shortest duration.
 
-Workers can share a search. `same_order` is divided into parts of equal numbers of choices, `free_order` into parts by the first move. The
-parts are independent of each other, and their results are combined in order. The result is therefore the same with any workers.
+Workers can share a search. `same_order` is divided into parts of equal numbers of choices, `free_order` into parts by the first
+move. The parts are independent of each other, and their results are combined in a fixed order, so the result does not depend on the
+number of workers.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ _ANGLE = 1e-9  # rad, or rad of mean angle: closer counts as equal
 
 
 class CycleError(ValueError):
-    """No cycle can be found. The message gives the reason."""
+    """Raised if no cycle can be found. The message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cable:
-    """The range of angles that the axis can reach, counted from the first position [rad]."""
+    """The range of angles that the cable of the axis permits, counted from the first position [rad]."""
 
     lowest: float = -math.inf
     highest: float = math.inf
@@ -51,9 +52,9 @@ class Cable:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """Extent of one search. moves: number of moves in each cycle; tried: number of cycles that were tried; balanced: number of
-    cycles with zero residual; wound: number of balanced cycles that wind the cables up; exhaustive: whether all possible cycles
-    were tried."""
+    """The extent of one search. moves: number of moves in each cycle; tried: number of cycles that were tried; balanced: number of
+    cycles with zero residual; wound: number of cycles with zero residual that end with wound-up cables; exhaustive: True if all
+    possible cycles were tried."""
 
     moves: int
     tried: int
@@ -64,8 +65,8 @@ class Round:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycle:
-    """Result of the searches. cycle: the best cycle with zero residual, or None; rounds: the searches in order; if a cycle was found, the
-    last search found it."""
+    """The best cycle of several searches. cycle: the best cycle with zero residual, or None if none was found; rounds: the searches
+    in the order in which they were made; the last of them found `cycle`."""
 
     cycle: RotationCycle | None
     rounds: tuple[Round, ...]
@@ -73,8 +74,8 @@ class FoundCycle:
 
 @dataclass(frozen=True, slots=True)
 class StudiedCycle:
-    """A cycle of the study. cycle: the cycle, with angles that are positive in the same sense as in the plan; moves: the moves as a
-    plan writes them; drive: growth of the Schuler oscillation relative to the oscillation without rotation."""
+    """One cycle of a design study. cycle: the cycle, with the plan's positive sense of rotation; moves: the moves as a plan writes
+    them; drive: ratio of the growth of the Schuler oscillation with this cycle to the growth without rotation."""
 
     cycle: RotationCycle
     moves: tuple[str, ...]
@@ -82,10 +83,11 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers = ALONE) -> FoundCycle:
-    """Searches cycles through the planned stops in the planned order. A turn may have either sense; it is at most half a turn, or
-    at most the longest planned turn.
+    """Searches for cycles through the planned stops in the planned order. A turn may have either sense, and is at most as long as
+    the longest planned turn or, if that is shorter than half a turn, at most half a turn.
 
-    Raises `CycleError` if the stops themselves are not balanced, which no turn can correct, or if there are too many choices.
+    Raises `CycleError` if the stops themselves are not balanced, which no choice of turns can correct, or if there are too many
+    choices.
     """
     if abs(planned.integral()[0]) > NOTHING * planned.period:
         raise CycleError(
@@ -112,7 +114,7 @@ def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers 
 
 
 def _together(moves: int, parts: Iterable[tuple[RotationCycle | None, Round]]) -> tuple[RotationCycle | None, Round]:
-    """The result of a search for cycles of `moves` moves, combined from the results of its parts."""
+    """Combines the results of the parts of a search for cycles of `moves` moves."""
     best: RotationCycle | None = None
     tallies = []
     for found, tally in parts:
@@ -127,21 +129,22 @@ def _together(moves: int, parts: Iterable[tuple[RotationCycle | None, Round]]) -
 def _best_of_part(
     choices: Sequence[Sequence[float]], planned: RotationCycle, cable: Cable, part: range
 ) -> tuple[RotationCycle | None, Round]:
-    """The result of `_best_of` for a part of all combinations of turns, numbered in the order of `itertools.product`."""
+    """The result of `_best_of` for one part of all combinations of turns. The combinations are numbered in the order of
+    `itertools.product`."""
     numbers = np.unravel_index(np.array(part), [len(ways) for ways in choices])
     turns = np.column_stack([np.array(ways)[number] for ways, number in zip(choices, numbers, strict=True)])
     return _best_of(turns, planned, cable)
 
 
 def _ways(turn: float, most: float) -> list[float]:
-    """All turns of at most `most` that end at the same position as `turn`; the first of them is `turn` itself. A turn of zero is
-    left out."""
+    """All turns of at most `most` rad that end at the same position as `turn`. The first of them is `turn` itself. Turns of zero
+    are left out."""
     others = [turn + TURN * whole for whole in range(-2, 3) if whole]
     return [turn, *(other for other in others if abs(other) <= most and abs(other) > _ANGLE)]
 
 
 def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[RotationCycle | None, Round]:
-    """The best of m cycles, given by their n turns each (m, n), with stops of equal duration; and the counts of this search."""
+    """The best of m cycles with stops of equal duration, and the extent of this search. turns: (m, n), the n turns of each cycle."""
     ends = np.cumsum(turns, axis=1)
     begins = ends - turns
     left = np.zeros(len(turns), dtype=complex)
@@ -172,8 +175,8 @@ def free_order(
     most: float = HALF_TURN,
     workers: Workers = ALONE,
 ) -> FoundCycle:
-    """Searches cycles through `positions` [rad, from the first of the planned cycle], each held equally often, with turns of at
-    most `most` rad.
+    """Searches for cycles through `positions` [rad, from the first position of the planned cycle]. Every position is held equally
+    often, and no turn is longer than `most` rad.
 
     It tries every order with as many moves as there are positions, then twice as many, and so on, until a cycle has zero residual
     and a mean angle of zero. If there are too many orders, it tries only turns to neighbouring positions. Raises `CycleError` if
@@ -209,13 +212,13 @@ def _home(angles: Sequence[float]) -> int:
 def _best_after(
     angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, most: float, near: bool, first: int
 ) -> tuple[RotationCycle | None, Round]:
-    """The best of the cycles with this first step."""
+    """The best of the cycles that begin with the step number `first` from the home position."""
     return _Search(angles, visits, planned, cable, most, near, first).run()
 
 
 class _Search:
-    """Searches every order of stops after one of the first steps, and omits branches that wind the cables further than the best cycle
-    found."""
+    """Searches every order of stops that begins with a given first step, and omits branches that wind the cables further than the
+    best cycle found so far."""
 
     def __init__(
         self,
@@ -254,7 +257,7 @@ class _Search:
     def _walk(
         self, at: int, angle: float, low: float, high: float, left: complex, turns: tuple[float, ...]
     ) -> Iterator[tuple[tuple[float, ...], complex]]:
-        """Yields every closed sequence of turns, with the residual of its turns."""
+        """Yields every closed sequence of turns, with the sum of the residuals of its turns."""
         self.walked += 1
         if len(turns) == self.moves:
             if at == self.home:
@@ -292,8 +295,7 @@ class _Search:
 
 
 def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list[tuple[int, float]]:
-    """The steps from one position, as (index of a position, turn to it), the shortest first; of two equally long turns, the
-    positive turn comes first."""
+    """The permitted steps from one position, as pairs of the index of the next position and the turn to it."""
     count = len(angles)
     ends = [(start + 1) % count, (start - 1) % count] if near else [index for index in range(count) if index != start]
     found = set()
@@ -306,7 +308,7 @@ def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list
 
 
 def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
-    """The residual of one turn from angle zero [s], and its duration [s]."""
+    """The residual [s] of one turn that begins at angle zero, and the duration of the turn [s]."""
     if abs(turn) <= _ANGLE:
         return 0j, 0.0
     alone = RotationCycle((turn,), 0.0, planned.rate, planned.acceleration)
@@ -314,7 +316,7 @@ def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
 
 
 def _better(first: RotationCycle | None, second: RotationCycle | None) -> RotationCycle | None:
-    """The better of two cycles without residual; the first if they are equally good."""
+    """The better of two cycles with zero residual; the first if both are equally good."""
     if first is None or second is None:
         return first or second
     return second if _merit(second) < _merit(first) else first

@@ -1,8 +1,9 @@
-"""Rows of a design matrix as polynomials of the attitude's nine direction cosines, so that a search can evaluate millions of them.
+"""Writes rows of a design matrix as polynomials of the attitude's nine direction cosines, so that a search can evaluate millions of
+rows.
 
-At rest a sensor senses the Earth's rate and gravity, which are linear in the direction cosines; products of two of them are of
-second degree. A polynomial of that degree is fitted to the rows of the estimator. The polynomial is used only if it reproduces
-these rows everywhere.
+At rest a sensor senses the Earth's rate and gravity, which are linear in the direction cosines; products of two cosines are of
+second degree. A polynomial of second degree is fitted to the rows that the estimator computes. The polynomial is used only if it
+reproduces the estimator's rows everywhere.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ _UPPER = np.triu_indices(9)
 
 
 def quick(rows_at: RowsAt, seed: int = 0) -> RowsAt:
-    """A fast replacement for `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3); `rows_at` itself if its rows are not
-    polynomials of second degree in the direction cosines."""
+    """A fast replacement for the function `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3). It returns `rows_at` itself if
+    the rows are not polynomials of second degree in the direction cosines."""
     random = np.random.default_rng(seed)
     attitudes = np.linalg.qr(random.normal(size=(_FITTED + _TRIED, 3, 3)))[0]
     attitudes = attitudes * np.linalg.det(attitudes)[:, None, None]
@@ -41,7 +42,7 @@ def _polynomial(weights: Array, attitudes: Array) -> Array:
 
 
 def _monomials(attitudes: Array) -> Array:
-    """1, the nine cosines and their products, shape (m, 55)."""
+    """The number 1, the nine cosines and the products of two cosines, shape (m, 55)."""
     cosines = attitudes.reshape(len(attitudes), 9)
     products = cosines[:, _UPPER[0]] * cosines[:, _UPPER[1]]
     return np.concatenate([np.ones((len(cosines), 1)), cosines, products], axis=1)

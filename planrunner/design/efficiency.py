@@ -3,9 +3,10 @@ relative to the best set.
 
 rows: shape (n, p), one row for each observation, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the
 information matrix in units of the inverse variance of one observation. D maximises |M|. A minimises the trace of M⁻¹ (sum of the
-coefficients' variances). G minimises the largest variance xᵀM⁻¹x of a predicted output, and I its mean over a region. Efficiencies
-are per observation: if the efficiency of a set is 80 %, the best design needs 0.8 times as many observations for the same value of
-the criterion (Atkinson, Donev & Tobias, Optimum Experimental Designs, with SAS, 2007, chapters 10 and 11).
+coefficients' variances). G minimises the largest variance xᵀM⁻¹x of a predicted output over a region, and I minimises the mean
+variance over the region. Efficiencies are per observation: if the efficiency of a set is 80 %, the best design needs 0.8 times as
+many observations for the same value of the criterion (Atkinson, Donev & Tobias, Optimum Experimental Designs, with SAS, 2007,
+chapters 10 and 11).
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ SINGULAR = 1e-9
 class Merit:
     """The values of the criteria for a set of n observations of p terms.
 
-    determinant: |M|, zero if M is singular; trace: trace of M⁻¹; worst, mean: largest and mean variance of a predicted output over
-    the region, in units of one observation's variance. `trace`, `worst` and `mean` are infinite if M is singular.
+    determinant: |M|, zero if M is singular; trace: trace of M⁻¹; worst: largest variance of a predicted output over the region;
+    mean: mean of this variance over the region; `worst` and `mean` are in units of one observation's variance. `trace`, `worst` and
+    `mean` are infinite if M is singular.
     """
 
     observations: int
@@ -69,8 +71,8 @@ def variances(rows: Array, matrix: Array) -> Array:
 
 
 def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array | None = None) -> Merit:
-    """The values of the criteria for a set. region: rows for which predictions are required; weights: weight of each observation, 1
-    by default; fixed: rows (k, p) that are always observed and that `observations` does not count."""
+    """The values of the criteria for a set of observations. region: rows of the points for which predictions are required; weights:
+    weight of each observation, 1 by default; fixed: rows (k, p) that are always observed and that are not among `observations`."""
     n, p = rows.shape
     used = rows if weights is None else rows * np.sqrt(weights)[:, None]
     if fixed is not None:

@@ -1,9 +1,9 @@
-"""Chooses the best n candidates of a list: by trying all choices if there are few, otherwise by exchange from many starts.
+"""Chooses the best n candidates of a list. If there are few choices it tries all, otherwise it uses exchange from many starts.
 
 In an exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980), each point in turn is replaced by the
-candidate that is best in combination with the other points, until nothing changes. With S the inverse information of the other
-points and d = xᵀSx, adding x multiplies the determinant by 1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p, p), is
-information that does not depend on the choice.
+candidate that is best together with the other points, until no replacement improves the set. With S the inverse information of the
+other points and d = xᵀSx, adding x multiplies the determinant by 1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p,
+p), is information that does not depend on the choice.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ _RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Result of a choice. indices: (n,), indices of the chosen candidates, ascending; loss: −ln|M| (D) or tr(W·M⁻¹), infinite if no
-    choice determines all terms. tried: number of choices or restarts that were tried; exhaustive: whether all choices were tried."""
+    """The result of a choice among candidates. indices: (n,), indices of the chosen candidates, ascending; loss: −ln|M| (D) or
+    tr(W·M⁻¹), infinite if no choice determines all terms. tried: number of choices or restarts that were tried; exhaustive: True if
+    all choices were tried."""
 
     indices: Indices
     loss: float
@@ -39,7 +40,7 @@ class Chosen:
 
 
 def loss(rows: Array, weighting: Array | None = None, fixed: Array | None = None) -> float:
-    """The loss of one set of rows, (n, p)."""
+    """The loss, −ln|M| or tr(W·M⁻¹), of one set of rows (n, p)."""
     if fixed is not None:
         rows = np.concatenate([rows, root(fixed)])
     singular = np.linalg.svd(rows, compute_uv=False)
@@ -51,7 +52,7 @@ def loss(rows: Array, weighting: Array | None = None, fixed: Array | None = None
 
 
 def root(information: Array) -> Array:
-    """Rows (p, p) whose information is the given matrix."""
+    """Returns p rows, shape (p, p), whose information matrix is the given matrix."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
 
@@ -107,7 +108,7 @@ def _chunks(size: int, count: int) -> Iterator[Indices]:
 
 
 def _losses(matrices: Array, weighting: Array | None) -> Array:
-    """The losses of many information matrices (N, p, p); infinite for singular ones."""
+    """The losses of many information matrices (N, p, p); the loss of a singular matrix is infinite."""
     p = matrices.shape[-1]
     sign, logarithm = np.linalg.slogdet(matrices)
     size = np.log(np.maximum(np.trace(matrices, axis1=1, axis2=2) / p, 1e-300))
@@ -131,7 +132,7 @@ def exchange(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> Chosen:
-    """The best set found by exchange from `restarts` random sets. repeats: whether a candidate may be taken more than once."""
+    """The best set found by exchange from `restarts` random sets. repeats: True if a set may contain a candidate more than once."""
     found = exchange_all(
         rows, count, weighting, restarts=restarts, seed=seed, repeats=repeats, fixed=fixed, progress=progress
     )
@@ -149,7 +150,7 @@ def exchange_all(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> list[Chosen]:
-    """The result of every restart, the best first. The same seed gives the same sets."""
+    """The sets that all restarts of the exchange found, the best first. The same seed gives the same sets."""
     if not repeats and count > len(rows):
         raise ValueError(f"{count} different positions cannot be chosen from {len(rows)}")
     random = np.random.default_rng(seed)
@@ -187,7 +188,7 @@ def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool,
 
 
 def _worth(rows: Array, others: Array, weighting: Array | None) -> Array:
-    """The value of each candidate in addition to the other points. Only the order of the values matters."""
+    """How much each candidate adds to the information of the other points. Only the order of these values matters."""
     values, vectors = np.linalg.eigh(others)
     inverse = (vectors / np.maximum(values, 1e-13 * max(values[-1], 1e-300))) @ vectors.T
     carried = rows @ inverse

@@ -1,4 +1,4 @@
-"""Identifiability of coefficients from the planned segments: rank, condition, and the terms that cannot be separated."""
+"""Finds out which coefficients the planned segments determine: rank, condition, and the terms that cannot be separated."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from planrunner.estimators.interface import Design, DesignBlock
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """Information that the planned segments give about one output.
+    """The information that the planned segments give about one output.
 
     rank: rank of the design matrix, whose columns are the terms. condition: condition number of the columns divided by their
-    declared magnitudes; infinite if the rank is deficient. determinant: determinant of the information matrix of these columns with
-    equal weights, for the comparison of sets of positions. unidentifiable: names of the terms that cannot be identified.
-    explanation: in words; empty if all terms can be identified.
+    declared magnitudes; infinite if the rank is deficient. determinant: determinant of the information matrix of the divided
+    columns, in which all segments have the same weight; it serves to compare sets of positions. unidentifiable: names of the terms
+    that cannot be identified. explanation: a sentence about these terms; empty if all terms can be identified.
     """
 
     output: str
@@ -36,7 +36,7 @@ class Identifiability:
 
 
 def identify(design: Design) -> tuple[Identifiability, ...]:
-    """One result for each output of a design. Outputs that share a design matrix are analysed once."""
+    """The `Identifiability` of each output of a design. Outputs that share a design matrix are analysed once."""
     found: list[Identifiability] = []
     for place, block in enumerate(design.blocks):
         alike = [k for k, other in enumerate(design.blocks[:place]) if _alike(other, block)]
@@ -49,7 +49,7 @@ def _alike(one: DesignBlock, other: DesignBlock) -> bool:
 
 
 def identify_block(block: DesignBlock) -> Identifiability:
-    """Rank and condition of one output's design matrix. A matrix without rows has rank 0 and contains no information."""
+    """The `Identifiability` of one output, from its design matrix. A matrix without rows has rank 0 and contains no information."""
     columns = len(block.terms)
     scaled = np.asarray(block.matrix, dtype=float).reshape(-1, columns) / block.magnitudes
     if len(scaled) == 0:

@@ -1,7 +1,8 @@
-"""Positions that are not in a list of candidates: local optimisation over continuous settings, from many seeded starts.
+"""Searches for positions that need not be in a list of candidates, by local optimisation over continuous settings from many seeded
+starts.
 
-A setting is a row of k numbers within bounds, such as a table's joint angles, so the table can reach every result. `rows_of` turns
-settings (m, k) into rows of the design matrix (m, p), columns divided by their magnitudes.
+A setting is a row of k numbers within bounds, such as the joint angles of a table, so that the table can reach every result. The
+function `rows_of` computes rows of the design matrix (m, p) from settings (m, k); the columns are divided by their magnitudes.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ CLIMBERS = 24  # places from which the variance is climbed
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A region of settings. settings: (N, k), candidates spread over the region; rows: (N, p), their design rows; bounds: (lowest,
-    highest) of each of the k numbers, infinite where there is no bound."""
+    """A region of settings. settings: (N, k), candidates spread over the region; rows: (N, p), rows of the design matrix at these
+    candidates; bounds: (lowest, highest) of each of the k numbers, infinite where there is no bound."""
 
     rows_of: RowsOf
     settings: Array
@@ -38,8 +39,9 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Result of a search. settings: (n, k), the best settings; loss: −ln|M| or tr(W·M⁻¹); starts: number of local optimisations;
-    agreeing: number of local optimisations that ended within 1e-4 of the best."""
+    """The result of a search for settings. settings: (n, k), the best settings; loss: −ln|M| or tr(W·M⁻¹); starts: number of local
+    optimisations; agreeing: number of local optimisations whose loss is within 1e-4 of the smallest loss (relative to it for
+    tr(W·M⁻¹))."""
 
     settings: Array
     loss: float
@@ -53,7 +55,7 @@ def region(rows_of: RowsOf, settings: Array, bounds: Sequence[tuple[float, float
 
 
 def spread(bounds: Sequence[tuple[float, float]], count: int, seed: int) -> Array:
-    """Random settings with uniform distribution within bounds, shape (count, k). An angle without bounds covers one turn."""
+    """Random settings, shape (count, k), uniformly distributed within the bounds. An angle without bounds covers one turn."""
     low = np.array([-math.pi if math.isinf(low) else low for low, _ in bounds])
     high = np.array([math.pi if math.isinf(high) else high for _, high in bounds])
     return np.asarray(low + (high - low) * np.random.default_rng(seed).random((count, len(bounds))))
@@ -71,7 +73,8 @@ def search(
     progress: Progress | None = None,
     workers: Workers = ALONE,
 ) -> Found:
-    """The best `count` settings found. Exchange among the candidates gives sets, and local optimisation improves each set.
+    """Searches for the best `count` settings. Exchange among the candidates of the region gives several sets of settings, and local
+    optimisation improves each set.
 
     starts: additional settings (count, k) to improve, such as those of a plan. fixed: (p, p), information that does not depend on
     the choice. workers: number of processes that share the sets to improve. The same seed gives the same settings for any number of
@@ -95,7 +98,8 @@ def _refined(over: Region, weighting: Array | None, fixed: Array | None, start: 
 
 
 def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Array | None = None) -> Array:
-    """The local optimum nearest to `start` (n, k), in the same shape, by L-BFGS-B. The gradient with respect to the rows is exact."""
+    """The local optimum that L-BFGS-B reaches from `start` (n, k), in the same shape. The derivatives of the criterion with respect
+    to the rows are exact."""
     from scipy.optimize import minimize
 
     shape = start.shape
@@ -117,8 +121,8 @@ def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Ar
 
 
 def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[Array, Array]:
-    """Rows (m, p) and derivatives (m,) at local maxima of the derivative. Climbing begins at candidates with a high derivative, and
-    the highest maxima are returned."""
+    """Rows (m, p) at local maxima of the derivative of the criterion, and the values (m,) of the derivative there. The search
+    climbs from candidates with a high derivative, and returns the highest maxima."""
     from scipy.optimize import minimize
 
     inverse = np.linalg.inv(matrix)
@@ -155,7 +159,8 @@ def bound(
     tolerance: float = 1e-5,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The continuous optimum over the region with its certificate, as far as climbing from the candidates finds the maxima.
+    """The continuous optimum over the region, with its certificate. The certificate is valid if climbing from the candidates finds
+    all maxima.
 
     begin: (m, k), settings to begin with, such as the best sets found. The closer these settings are to the optimum, the sooner the
     optimum is certified.
@@ -170,14 +175,14 @@ def bound(
 def allocate(
     rows: Array, weighting: Array | None = None, *, least_share: float = 0.25, fixed: Array | None = None
 ) -> Array:
-    """Shares (n,) of the total recording time for given positions, which add up to 1. The variance of an observation is inversely
-    proportional to its time. least_share: smallest fraction of an equal share that every position keeps, so that all positions
-    remain for checking the model."""
+    """The fractions (n,) of the total recording time for given positions; they add up to 1. The variance of an observation is
+    inversely proportional to its time. least_share: every position keeps at least this fraction of an equal share of the time, so
+    that all positions remain for checking the model."""
     return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9, fixed=fixed).shares
 
 
 def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
-    """Rows (n, p) and their derivatives (n, k, p) by central differences."""
+    """Rows (n, p) of the design matrix, and their derivatives (n, k, p) with respect to the settings, by central differences."""
     n, k = settings.shape
     steps = DIFFERENCE * np.eye(k)
     moved = np.concatenate([settings[:, None] + steps, settings[:, None] - steps], axis=1)
@@ -187,6 +192,6 @@ def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
 
 
 def boxed(over: Region, count: int) -> list[tuple[float | None, float | None]]:
-    """The bounds of `count` settings in sequence, in the form of scipy."""
+    """The bounds of `count` settings in sequence, as scipy expects them."""
     own = [(None if math.isinf(low) else low, None if math.isinf(high) else high) for low, high in over.bounds]
     return own * count

@@ -1,8 +1,8 @@
-"""The positions of a plan that a design may move: the segments that rest at each position, and the response of an estimate at any
-other attitude.
+"""Finds the positions of a plan that a design may move, and the response of an estimate at any other attitude.
 
-A place is one orientation in the text of the plan. Segments that share it (repeats, temperatures) move together. The estimator
-itself gives the information of a position at rest, so this module does not depend on any sensor.
+A place is one orientation in the text of the plan, together with the segments that rest in this orientation. Segments with the same
+place (repeats, temperatures) move together. The estimator itself gives the information of a position at rest, so this module does
+not depend on any sensor.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from planrunner.plan.selection import select
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The place of an orientation in a plan. mark: (line, column) of the orientation in the plan. segments: the segments at rest
-    there, in order."""
+    """One orientation in the text of a plan. mark: (line, column) of the orientation in the plan. segments: the segments at rest in
+    this orientation, in the order of the plan."""
 
     mark: tuple[int, int]
     segments: tuple[Segment, ...]
@@ -42,10 +42,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """The response of one output of an estimate: its terms, and the rows of the estimator's design matrix at any attitude.
+    """The response of one output of an estimate to the attitude of the sensor: the terms of the estimate, and rows of its design
+    matrix at any attitude.
 
-    magnitudes: (p,), divisors of the columns. fixed: rows (k, p) of the segments that stay unchanged, such as spins, in units of
-    the noise of a segment at a position.
+    magnitudes: (p,), the magnitudes by which the columns are divided. fixed: rows (k, p) of the segments that the design leaves
+    unchanged, such as spins, in units of the noise of a segment at rest.
     """
 
     name: str
@@ -62,7 +63,7 @@ class Sight:
     fixed: Array
 
     def rows(self, attitudes: Array) -> Array:
-        """Rows of the design matrix, (m, p), columns divided by their magnitudes, for attitudes (m, 3, 3)."""
+        """Rows (m, p) of the design matrix for attitudes (m, 3, 3). The columns are divided by their magnitudes."""
         segments = tuple(replace(self.template, attitude=attitude) for attitude in attitudes)
         design = _design(self.name, self.spec, segments, self.site, self.sensor, self.uses, self.setup)
         return np.asarray(self._block(design).matrix / self.magnitudes)
@@ -73,8 +74,8 @@ class Sight:
 
 
 def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[Place, ...], tuple[Segment, ...]]:
-    """The places of the segments that an estimate uses, and the spinning segments of the estimate, which stay unchanged. Raises
-    `EstimationError` for segments that no design of positions can move."""
+    """The places of the segments that an estimate uses, and the spinning segments that it uses, which the design leaves unchanged.
+    Raises `EstimationError` for segments that no design of positions can move."""
     chosen = set(select([segment.label for segment in segments], patterns))
     groups: dict[tuple[int, int], list[Segment]] = {}
     spins = tuple(segments[index] for index in sorted(chosen) if isinstance(segments[index].motion, Spin))
@@ -112,8 +113,8 @@ def sight(
     spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """Computes the response of an estimate at the places, together with its spins, which stay unchanged. output: name of the
-    output, required if the outputs differ. Raises `EstimationError`."""
+    """The response of an estimate at the given places; the spinning segments stay unchanged. output: name of the output, required
+    if the design matrices of the outputs differ. Raises `EstimationError` if the estimate cannot be designed."""
     at_rest = tuple(place.segments[0] for place in found)
     design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)
     if design is None or not design.blocks:
@@ -184,7 +185,8 @@ def _mark(segment: Segment) -> tuple[int, int]:
 
 
 def attitudes(axes: Sequence[TableAxis], settings: Array, azimuth: float) -> Array:
-    """The sensor's axes as rows in East-North-Up, (m, 3, 3), at joint angles (m, k) [rad]; efficient for many angles."""
+    """The attitudes (m, 3, 3), with the sensor's axes as rows in East-North-Up, at joint angles (m, k) [rad]. The computation is
+    efficient for many angles."""
     platform = np.broadcast_to(_turned(np.array([0.0, 0.0, 1.0]), np.array([-azimuth])), (len(settings), 3, 3))
     for axis, angles in zip(axes, settings.T, strict=True):
         platform = platform @ _turned(np.asarray(axis.direction, dtype=float), angles)
@@ -199,7 +201,7 @@ def _turned(axis: Array, angles: Array) -> Array:
 
 
 def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> tuple[list[Array], Array]:
-    """The attitudes that the table can reach, with joint angles (m, k) near zero."""
+    """Attitudes that the table can reach, together with joint angles (m, k) near zero that give them."""
     kept, settings = [], []
     for attitude in wanted:
         try:
@@ -211,7 +213,7 @@ def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float
 
 
 def quick_order(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> list[int]:
-    """An order of the attitudes that gives the table a short path: it always takes the nearest remaining attitude next, and then
+    """An order of the attitudes in which the table moves little. It always takes the nearest remaining attitude next, and then
     exchanges pairs of attitudes if this shortens the path."""
 
     def travel(order: Sequence[int]) -> float:

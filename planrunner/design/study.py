@@ -1,8 +1,8 @@
-"""A design study: its options, the result of its search, and its output.
+"""A design study: its options, the result of its search, and its printed output.
 
-Positions, rates and cycles are three kinds of study. Each kind has a search (`planrunner.tasks.design_positions` and so on), whose
-result is a `Found…`. Modules such as `planrunner.reporting.positions_study` add its facts, tables and pictures, and so make a
-`Study` of it. All further steps are the same for all kinds: one task, one command, one page.
+Positions, rates and cycles are three kinds of study. Each kind has its own search (`planrunner.tasks.design_positions` and so on),
+whose result is a `Found…`. A module such as `planrunner.reporting.positions_study` adds facts, tables and pictures to this result,
+and so makes a `Study`. All further steps are the same for all kinds.
 """
 
 from __future__ import annotations
@@ -28,13 +28,15 @@ SearchProgress = Callable[[str, float], None]
 @dataclass(frozen=True, slots=True)
 class Asked:
     """Options of a study; each kind uses only its own options. estimate: name of the estimate; by default, the first estimate that
-    can be designed. criterion: D, A, G or I; for rates, D or A. time: duration of the whole plan, s; dwells are allotted within it.
+    can be designed. criterion: D, A, G or I; for rates, D or A. time: duration [s] of the whole plan, within which the dwells are
+    chosen.
 
-    For positions, output: name of the output to design for, if outputs differ; orientations: the set to put into the plan, free,
-    cardinal or planned; restarts, seed: number of restarts and seed of the search over free orientations. For rates, rates: True
-    designs the rates even if something else could be designed; line_only: True uses only the estimator's own terms; keep_lowest:
-    True keeps the lowest planned rate, at which threshold and resolution are determined. For cycles, segment: label of the segment,
-    by default the first one with a cycle; order: the cycle to put into the plan, free or same.
+    For positions: output: name of the output for which the positions are designed, required if the outputs differ; orientations:
+    which set is put into the plan (free, cardinal or planned); restarts, seed: number of restarts and seed of the search over free
+    orientations. For rates: rates: True if the rates are designed even though positions or cycles could be designed; line_only:
+    True if the rates are designed for the terms of the estimator alone, without the added terms |rate| and rate³; keep_lowest: True
+    if the lowest planned rate is kept, because threshold and resolution are determined at this rate. For cycles: segment: label of
+    the segment with the cycle, by default the first such segment; order: which cycle is put into the plan (free or same).
     """
 
     estimate: str | None = None
@@ -53,9 +55,10 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class PositionSet:
-    """One set of positions in the order of the plan's labels. of_found: efficiency relative to the best set found among all
-    reachable orientations; of_bound: efficiency relative to the continuous bound; of_cardinal: for cardinal sets, efficiency
-    relative to the best cardinal set found. schedule: the plan with this set; designs: the expected results of its estimates."""
+    """One set of positions, in the order of the plan's labels. of_found: efficiency relative to the best set found among all
+    reachable orientations; of_bound: efficiency relative to the bound of all continuous designs; of_cardinal: for a cardinal set,
+    efficiency relative to the best cardinal set found. schedule: the plan with this set; designs: the expected results of the
+    plan's estimates."""
 
     attitudes: tuple[Array, ...]
     texts: tuple[str, ...]
@@ -68,7 +71,7 @@ class PositionSet:
 
     @property
     def residual_ratios(self) -> dict[str, float]:
-        """Maps `estimate.ratio_…` to the expected ratio of residual sums of squares, for every comparison in the plan."""
+        """Maps `estimate.ratio_…` to the expected ratio of two residual sums of squares, for every comparison in the plan."""
         return {
             f"{estimate}.{key}": float(value)
             for estimate, design in self.designs.items()
@@ -78,9 +81,9 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Bounds of the criteria. merit: for each criterion, the value that no set with this number of positions can improve on.
-    certificate: largest variance of a predicted output for the D-optimal continuous design; exactly at the optimum, it equals the
-    number of terms."""
+    """The bounds of the criteria. merit: for each criterion, a value that no set with this number of positions can improve on.
+    certificate: largest variance of a predicted output for the D-optimal continuous design; it equals the number of terms if the
+    optimum is exact."""
 
     merit: Merit
     certificate: float
@@ -88,10 +91,10 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class FoundPositions:
-    """Result of a design of positions. sets: the sets by name, `planned`, `cardinal` and `free`, as far as they exist; best,
-    bounds: the best values found and the bounds, by domain (free, cardinal). dwells: dwells of the chosen set, s, empty if they
-    were not optimised; dwell_gain: efficiency of equal dwells relative to the optimised `dwells`. text: the plan with the chosen
-    set."""
+    """The result of a design of positions. sets: the sets that exist, by their names `planned`, `cardinal` and `free`; best: the
+    best values found; bounds: the bounds; the keys of `best` and `bounds` are free and cardinal. dwells: dwells of the chosen set,
+    s; empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to the optimised `dwells`. text: the plan
+    with the chosen set."""
 
     sight: Sight
     places: tuple[Place, ...]
@@ -111,13 +114,13 @@ class FoundPositions:
 
 @dataclass(frozen=True, slots=True)
 class RateSet:
-    """A set of rates with their dwells. rates: (n,), rad/s, magnitudes of the rates, largest first; dwells: (n,), s. loss: −ln|M|
-    or tr M⁻¹ of the scaled terms.
+    """A set of rates with their dwells. rates: (n,), rad/s, magnitudes of the rates, largest first; dwells: (n,), s, dwell at each
+    rate. loss: −ln|M| or tr M⁻¹, for terms divided by their magnitudes.
 
-    efficiency: efficiency relative to the best rates found, for the same number of observations; per_hour: efficiency relative to
+    efficiency: efficiency relative to the best rates found for the same number of observations; per_hour: efficiency relative to
     the best use of the same time. variance: variance of a predicted output at each rate of `FoundRates.course`, in units of the
-    variance of one observation at the largest rate. predicted, total: predicted results of the plan with these rates, and its
-    duration [s].
+    variance of one observation at the largest rate. predicted: predicted results of the plan with these rates; total: duration [s]
+    of this plan.
     """
 
     rates: tuple[float, ...]
@@ -132,8 +135,9 @@ class RateSet:
 
 @dataclass(frozen=True, slots=True)
 class FoundRates:
-    """Result of a design of rates. sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess: remaining
-    distance from the certified bound. repeats: number of repeats of each rate in the plan. text: the plan with the best rates."""
+    """The result of a design of rates. sets: the sets of rates named `planned` and `best`. course: rates [rad/s] at which
+    `RateSet.variance` is given. excess: remaining excess of the best rates over the certified bound. repeats: number of repeats of
+    each rate in the plan. text: the plan with the best rates."""
 
     estimate: str
     output: str
@@ -148,9 +152,9 @@ class FoundRates:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycles:
-    """Result of a design of rotation cycles. cycles: `planned` and, if found, `same order` and `free order`. searches: the results
-    of the searches, by the name of the cycle; reasons: why a search was not possible, by the name of the cycle. text: the plan with
-    the chosen cycle, empty if no such cycle was found."""
+    """The result of a design of rotation cycles. cycles: the cycles named `planned` and, if found, `same order` and `free order`.
+    searches: the results of the searches, by the name of the cycle; reasons: why a search was not possible, by the name of the
+    cycle. text: the plan with the chosen cycle; empty if this cycle was not found."""
 
     segment: Segment
     axis: TableAxis
@@ -163,8 +167,8 @@ class FoundCycles:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """Subject of the study. title: title of the plan; facts: plan, bench and site by name; file, findings: the file and the
-    findings of the plan as it was checked."""
+    """What a study is about. title: title of the plan; facts: names of plan, bench and site; file: the plan file; findings: the
+    findings of the check of the plan."""
 
     title: str
     facts: Mapping[str, str]
@@ -174,7 +178,7 @@ class Subject:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """One orientation for drawing. attitude: (3, 3), sensor axes in site axes; words: the orientation as the plan writes it."""
+    """One orientation to be drawn. attitude: (3, 3), sensor axes in site axes; words: the orientation as the plan writes it."""
 
     label: str
     attitude: Array
@@ -183,9 +187,9 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Output of a study. varied: the designed quantity, such as `positions`; heading: heading in one line; poses: rows of drawn
-    orientations, by the title of the row; footer: explanation of the numbers; data: all results as plain data. text: the plan with
-    the chosen design; empty if there is none, and `missing` gives the reason."""
+    """The output of a study. varied: the designed quantity, such as `positions`; heading: heading in one line; poses: rows of
+    orientations to be drawn, by the title of the row; footer: explanation of the numbers; data: all results as plain data. text:
+    the plan with the chosen design; empty if there is none, and `missing` then gives the reason."""
 
     subject: Subject
     varied: str

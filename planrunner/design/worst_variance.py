@@ -1,9 +1,9 @@
 """G-optimal sets: sets that minimise the largest variance of a predicted output over a region.
 
-The largest variance is not differentiable if two places have the same variance. A local search therefore uses the k-norm of the
-variances for increasing k. The gradient of this norm is that of a linear criterion tr(W·M⁻¹), whose W concentrates on the worst
-places of the region as k grows. For lists of candidates, each position in turn is replaced by the candidate that minimises the
-largest variance.
+The largest variance is not differentiable where two points of the region have the same variance. A local search therefore uses the
+k-norm of the variances for increasing k. The gradient of this norm is the gradient of a linear criterion tr(W·M⁻¹). As k grows, its
+matrix W concentrates on the points of the region with the largest variance. In a search among listed candidates, each position in
+turn is replaced by the candidate that minimises the largest variance.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ NORMS = (4.0, 16.0, 64.0, 256.0)
 
 
 def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
-    """The largest xᵀM⁻¹x over the rows of `region` (N, p) for a set `rows` (n, p); infinite if M is singular.
+    """The largest variance xᵀM⁻¹x over the rows of `region` (N, p) for a set of observations `rows` (n, p); infinite if M is
+    singular.
 
     fixed: (p, p), information that does not depend on the choice.
     """
@@ -33,8 +34,8 @@ def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
 
 
 def refine(over: Region, start: Array, region: Array, fixed: Array | None = None) -> Array:
-    """Settings (n, k) near `start` with a smaller largest variance over the rows of `region`; `start` itself if no better settings are
-    found."""
+    """Settings (n, k), found by a local search from `start`, with a smaller largest variance over the rows of `region`. Returns
+    `start` itself if no better settings are found."""
     from scipy.optimize import minimize
 
     shape, best, least = start.shape, start, worst(over.rows_of(start), region, fixed)
@@ -65,7 +66,7 @@ def refine(over: Region, start: Array, region: Array, fixed: Array | None = None
 
 
 def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False, fixed: Array | None = None) -> Indices:
-    """Indices (n,) of the chosen candidates among `rows` (N, p). The choice begins with `start` and makes exchanges that reduce the
+    """Indices (n,) of the chosen candidates among `rows` (N, p). The search begins with `start` and makes exchanges that reduce the
     largest variance, until no exchange reduces it."""
     chosen = list(map(int, start))
     least = worst(rows[chosen], region, fixed)

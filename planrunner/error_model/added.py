@@ -1,7 +1,8 @@
-"""Effects of the catalogue added to a simulation: their parameters with units, and their contributions to the outputs of a sensor.
+"""Adds effects of the catalogue to a simulation: parameters of effects with their units, and the changes of the outputs of a
+sensor.
 
 An effect is added with the same columns that a diagnosis searches for. If the diagnosis then finds the effect, this shows only that
-simulation and diagnosis agree. Only recordings from other sources can validate them.
+simulation and diagnosis agree. Only recordings from other sources can validate both.
 """
 
 from __future__ import annotations
@@ -67,9 +68,9 @@ _SIGMA = 1e-3  # deg/s or m/s², by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect. natural: default value, in `unit`. least: the permitted values: 'above zero' for a shape such as a
-    time constant or a frequency, 'zero' (zero or above) for a duration or a standard deviation, 'any' for an amplitude, which may
-    have either sign."""
+    """A parameter of an effect. natural: default value, in `unit`. least: which values are permitted: 'above zero' for a shape such
+    as a time constant or a frequency; 'zero', which means zero or above, for a duration or a standard deviation; 'any' for an
+    amplitude, which may have either sign."""
 
     name: str
     unit: str
@@ -82,7 +83,8 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Addition:
-    """An effect with all its parameters. values: parameter → value in its unit. units: parameter → unit."""
+    """An effect with the values of all its parameters. values: maps each parameter to its value in its unit. units: maps each
+    parameter to its unit."""
 
     effect: Effect
     values: Mapping[str, float]
@@ -93,16 +95,17 @@ class Addition:
         return self.effect.id
 
     def in_si(self, name: str) -> float:
-        """The value of a parameter in SI units."""
+        """The value of a parameter, converted to SI units."""
         return self.values[name] * unit(self.units[name]).factor
 
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
-    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. stated: parameter → value with its
-    unit; the empty name means the only parameter, or all amplitudes. Parameters that are not stated have their natural size. If an
-    amplitude is stated by name, all amplitudes that are not stated are zero.
+    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. stated: maps each parameter to its
+    value with unit; the empty name means the only parameter, or all amplitudes if there are several. Parameters that are not stated
+    have their default value. If an amplitude is stated under its own name, all amplitudes that are not stated are zero.
 
-    observed: any recording or schedule of the plan; it determines which parameters the effect has. Raises `InputError`.
+    observed: any recording or schedule of the plan; it determines which parameters the effect has. Raises `InputError` for an
+    unknown parameter or value, and for an effect that cannot act on this sensor under this plan.
     """
     if name not in plugins.names(plugins.EFFECTS):
         hint = closest(name, plugins.names(plugins.EFFECTS))
@@ -132,7 +135,8 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
 def _optional(
     effect: Effect, known: Mapping[str, EffectParameter], observed: Observed, stated: Mapping[str, str]
 ) -> list[EffectParameter]:
-    """Parameters that a diagnosis may find, but that have no natural value. They act only if they are stated."""
+    """Further parameters that a diagnosis may find, but that have no default value. They change the simulation only if they are
+    stated."""
     if isinstance(effect, OutsideCoefficients) and effect.outside in BY_AXIS:
         (whole,) = known.values() or (None,)
         axes = sorted({observed.channels[index].axis for index in observed.of_kind(triad_of(effect))})
@@ -218,8 +222,8 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
 
 
 def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], before: float | None = None) -> Array:
-    """The readings (n,) of an output, in which stuck samples repeat an earlier reading. time: (n,), s since power-on. before: the
-    reading before the first of `values`."""
+    """The readings (n,) of an output after the effects of stuck samples: each stuck sample repeats an earlier reading. time: (n,),
+    s since power-on. before: the reading before the first of `values`."""
     for item in additions:
         if isinstance(item.effect, SamplesStuck):
             lasting = item.values.get(f"{LASTING}_{name}", item.values.get(LASTING, 0.0))
@@ -231,11 +235,11 @@ def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], 
 def added(
     observed: Observed, levels: Array, additions: Sequence[Addition], seed: int, orientation: int | None = None
 ) -> Array:
-    """The outputs (N, K), SI, without noise, after the effects are added stage by stage.
+    """The outputs (N, K), SI, without noise, with all effects added, one stage after the other.
 
-    seed, orientation: used only if the data contain one segment: the seed from which the amplitudes of each orientation are drawn,
-    and the number of the segment's orientation, from 1 in the order of first use. If the data contain several segments, no
-    amplitudes are drawn: an orientation has only the amplitudes that are stated for it.
+    For data of one segment: seed: the seed from which the amplitudes of each orientation are drawn; orientation: the number of the
+    segment's orientation, counted from 1 in the order of first use. If the data contain several segments, no amplitudes are drawn:
+    each orientation has only the amplitudes that are stated for it.
     """
     out = levels.copy()
     for stage in STAGES[:-1]:
@@ -250,7 +254,7 @@ def added(
 
 
 def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int | None) -> list[tuple[Column, float]]:
-    """Pairs of a column and its amplitude in SI."""
+    """Pairs of a column and its amplitude in SI, for one added effect."""
     effect, values = item.effect, item.values
     if isinstance(effect, PerOrientation) and len(observed) == 1:
         return _each_orientation(item, observed, seed, orientation)
@@ -281,9 +285,9 @@ def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int 
 def _each_orientation(
     item: Addition, observed: Observed, seed: int, orientation: int | None
 ) -> list[tuple[Column, float]]:
-    """Pairs of a column and its amplitude for the orientation of a single segment. Each amplitude is the sum of a random value and
-    of the value that is stated for the number of the orientation. The seed and the orientation determine the random value, so an
-    orientation always has the same amplitudes."""
+    """Pairs of a column and its amplitude in SI, for an effect with amplitudes for each orientation and data of one segment. Each
+    amplitude is the sum of a random value and of the value that is stated for this orientation. The seed and the orientation
+    determine the random value, so an orientation always has the same amplitudes."""
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:
@@ -299,8 +303,8 @@ def _each_orientation(
 
 
 def _among_others(observed: Observed) -> Observed:
-    """The recording of one segment, with short copies of the segment in other orientations. An effect with amplitudes for each
-    orientation has no columns for a single orientation."""
+    """The recording of one segment, extended by short copies of the segment in other orientations. The copies are necessary because
+    an effect with amplitudes for each orientation has no columns in a recording with a single orientation."""
     turns = [np.roll(np.eye(3), k, axis=0) for k in (1, 2)]
     half = np.diag([1.0, -1.0, -1.0])
     attitudes = [observed.attitude[0]] + [turn @ observed.attitude[0] for turn in (*turns, half, turns[0] @ half)]

@@ -7,9 +7,9 @@ Static model of the torquer outputs (CN100554884C), rows of the design matrix [1
     U1 =  cos(ε+ξ)/(SF_Y·cos ξ)   U2 = sin(ε+ξ)/(SF_Y·cos ξ)   V1 = −sin ε/(SF_X·cos ξ)   V2 = cos ε/(SF_X·cos ξ)
     [U_k; V_k] = M·[D(X)_k; D(Y)_k],   M = [[U1, U2], [V1, V2]],   k = F, X, Y, Z for columns 0, 3, 4, 5
 
-As in the source, D(X) is paired with the ω_Y column and D(Y) with the ω_X column: D(X) is the drift of the output that senses rate
-about Y. Product terms are further columns k. Everything here is SI: scale factors rad/s per output unit, angles rad, drifts rad/s
-and rad/s per m/s^2 (or per (m/s^2)^2).
+As in the source, D(X) is paired with the ω_Y column and D(Y) with the ω_X column, so D(X) is the drift of the output that senses
+the rate about Y. Product terms are further columns k. All values are in SI units: scale factors in rad/s per output unit, angles in
+rad, drifts in rad/s and in rad/s per m/s^2 (or per (m/s^2)^2).
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ _DRIFT_COLUMNS = (0, 3, 4, 5)
 
 
 def static_model(products: tuple[str, ...] = ()) -> ErrorModel:
-    """The static model of each of the two outputs: bias, ω_Y, ω_X, a_X, a_Y, a_Z and any of the `PRODUCTS`."""
+    """The static model, which is the same for both outputs: bias, ω_Y, ω_X, a_X, a_Y, a_Z and the chosen `PRODUCTS`."""
     return ErrorModel((BIAS, RATE_Y, RATE_X, ACCEL_X, ACCEL_Y, ACCEL_Z, *(PRODUCTS[name][0] for name in products)))
 
 
 def physical_names(products: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Names of the physical coefficients: SF_X, SF_Y, epsilon, xi, D_X_F, D_X_X, …, D_Y_F, …; twelve names, and two more for each
-    product term."""
+    """The names of the physical coefficients, SF_X, SF_Y, epsilon, xi, D_X_F, D_X_X, …, D_Y_F, …: twelve names, and two more for
+    each product term."""
     return (*_GEOMETRY, *(f"D_{axis}_{drift}" for axis in "XY" for drift in drifts(products)))
 
 
 def drifts(products: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Letters of the quantities to which the drifts of an axis are proportional: F, X, Y, Z, and one more for each product term."""
+    """The letters of the drift coefficients of one axis: F, X, Y, Z, and one more for each product term."""
     return (*_DRIFTS, *(PRODUCTS[name][1] for name in products))
 
 
 def output_names(products: tuple[str, ...] = ()) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the output coefficients: (U0, U1, …) and (V0, V1, …)."""
+    """The names of the output coefficients: (U0, U1, …) and (V0, V1, …)."""
     p = 6 + len(products)
     return tuple(f"U{k}" for k in range(p)), tuple(f"V{k}" for k in range(p))
 
@@ -67,8 +67,8 @@ def _drift_columns(p: int) -> tuple[int, ...]:
 
 
 def output_coefficients(physical: Array) -> Array:
-    """The output coefficients [U; V], shape (2, p), SI, from physical coefficients in the order of `physical_names`, shape (4 + 2·(p −
-    2),)."""
+    """Computes the output coefficients [U; V], shape (2, p), SI, from the physical coefficients, shape (4 + 2·(p − 2),), in the
+    order of `physical_names`."""
     sf_x, sf_y, epsilon, xi = physical[:4]
     cos_xi = np.cos(xi)
     mixing = np.array(
@@ -85,12 +85,11 @@ def output_coefficients(physical: Array) -> Array:
 
 
 def physical_coefficients(outputs: Array) -> Array:
-    """The closed-form inverse of `output_coefficients`: [U; V] of shape (2, p) gives shape (4 + 2·(p − 2),), and n sets of shape
-    (2, p, n) give shape (4 + 2·(p − 2), n). The formula is analytic, so its derivatives can be computed
-    (`uncertainty.derivatives`).
+    """Inverts `output_coefficients` in closed form: [U; V] of shape (2, p) gives shape (4 + 2·(p − 2),), and n sets of shape (2, p,
+    n) give shape (4 + 2·(p − 2), n). The formula is analytic, so its derivatives can be computed (`uncertainty.derivatives`).
 
-    tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity shows as a negative scale
-    factor. Raises ValueError if U1, V2 or the determinant of M is zero.
+    The formula uses tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity gives a
+    negative scale factor. Raises ValueError if U1, V2 or the determinant of M is zero.
     """
     mixing, inverse = _mixing(outputs)
     (u1, u2), (v1, v2) = mixing
@@ -109,9 +108,9 @@ def physical_coefficients(outputs: Array) -> Array:
 def compensated_rates(outputs: Array, observed: Array, specific_force: Array) -> Array:
     """The rates [ω_Y, ω_X] computed from the two outputs by the compensation model G0, shape (n, 2) or (n, 2, k), rad/s.
 
-    outputs: the output coefficients [U; V], (2, p) with p = 6, or k sets of them, (2, p, k); observed: (n, 2), i_x and i_y;
-    specific_force: (n, 3), m/s^2. M⁻¹ applied to the outputs gives [ω_Y + D(X); ω_X + D(Y)], from which D(X) = D(X)_F + D(X)_X·a_X
-    + D(X)_Y·a_Y + D(X)_Z·a_Z and D(Y) likewise are subtracted.
+    outputs: the output coefficients [U; V], shape (2, p) with p = 6, or k sets of them, shape (2, p, k); observed: (n, 2), the
+    outputs i_x and i_y; specific_force: (n, 3), m/s^2. M⁻¹ applied to the outputs gives [ω_Y + D(X); ω_X + D(Y)]. The drift D(X) =
+    D(X)_F + D(X)_X·a_X + D(X)_Y·a_Y + D(X)_Z·a_Z and the corresponding D(Y) are then subtracted.
     """
     _, inverse = _mixing(outputs)
     drifts = physical_coefficients(outputs)[4:].reshape(2, -1, *outputs.shape[2:])
@@ -122,7 +121,7 @@ def compensated_rates(outputs: Array, observed: Array, specific_force: Array) ->
 
 
 def _mixing(outputs: Array) -> tuple[Array, Array]:
-    """The matrix M and its inverse, both (2, 2) or (2, 2, n)."""
+    """The matrix M and its inverse, each of shape (2, 2) or (2, 2, n)."""
     mixing = np.asarray(outputs)[:, 1:3]
     determinant = mixing[0, 0] * mixing[1, 1] - mixing[0, 1] * mixing[1, 0]
     scale = np.abs(mixing).max(axis=(0, 1))

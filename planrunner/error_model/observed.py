@@ -1,7 +1,8 @@
-"""Input of effects: the samples of a recording or schedule, with the stimulus of the sensor at each sample.
+"""Defines the input of effects: the samples of a recording or schedule, with the stimulus of the sensor at each sample.
 
-All values are SI with radians, except temperature (degC). Samples of all segments are concatenated; `bounds` gives the first sample
-of each. The nominal stimulus at every sample follows from attitude, table angle and site; an `Observed` contains no error model.
+All values are in SI units with radians, except temperatures, which are in degC. The samples of all segments are concatenated;
+`bounds` gives the index of the first sample of each segment. The nominal stimulus at every sample follows from attitude, table
+angle and site; an `Observed` contains no error model.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A measured channel. kind: 'gyro' or 'accel'; axis: index 0, 1 or 2 of the sensor axis along which the channel measures.
-    factor: SI value of one `unit`. white: declared one-sided noise density, SI·√s, so that a sample at rate f has the standard
-    deviation white·√f; flicker: declared bias instability, SI; resolution: one count, SI."""
+    """A measured channel of the sensor. kind: 'gyro' or 'accel'; axis: index 0, 1 or 2 of the sensor axis along which the channel
+    measures. factor: SI value of the channel's `unit`. white: declared one-sided noise density, SI·√s, so that a sample at the
+    sampling rate f has the standard deviation white·√f; flicker: declared bias instability, SI; resolution: SI value of one count."""
 
     name: str
     kind: str
@@ -49,8 +50,8 @@ def axis_of(name: str) -> int | None:
 
 
 def channel_of(name: str, text: str, white: float, flicker: float, resolution: float) -> Channel | None:
-    """The channel of an output that measures angular rate (a gyro) or acceleration and whose name contains an axis; None for other
-    outputs. text: unit of the output and of its noise."""
+    """The channel for an output that measures angular rate (a gyro) or acceleration and whose name contains an axis; None for other
+    outputs. text: unit of the output and of its noise, as text."""
     kind, axis = KINDS.get(unit(text).dimension), axis_of(name)
     if kind is None or axis is None:
         return None
@@ -60,8 +61,8 @@ def channel_of(name: str, text: str, white: float, flicker: float, resolution: f
 
 @dataclass(frozen=True, slots=True)
 class TemperatureCourse:
-    """Temperature over a segment or a part of it. time: (n,), s since power-on, ascending; temperature: (n,), degC; rate: slope at
-    the end, K/s."""
+    """The temperature over a segment or over a part of a segment. time: (n,), s since power-on, ascending; temperature: (n,), degC;
+    rate: slope of the temperature at the end, K/s."""
 
     time: Array
     temperature: Array
@@ -70,9 +71,9 @@ class TemperatureCourse:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSegment:
-    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: one for the whole segment; time, angle,
-    rate, acceleration, temperature, temperature_rate: (n,); values: (n, K). course: the motion, if attitude and table angle do not
-    determine it. overvoltage, overpressure: (n,), or None for zero."""
+    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: one value for the whole segment; time,
+    angle, rate, acceleration, temperature, temperature_rate: (n,); values: (n, K). course: the motion of the sensor, if it does not
+    follow from attitude and table angle. overvoltage, overpressure: (n,); None means zero."""
 
     label: str
     motion: Motion
@@ -101,7 +102,7 @@ def joined(
     bins: Bins | None = None,
     encoder: bool = True,
 ) -> Observed:
-    """Joins segments in sequence. rejected, along, bins, encoder: as in `Observed`."""
+    """Makes an `Observed` by joining segments in the given order. rejected, along, bins, encoder: as in `Observed`."""
 
     def stacked(parts: Iterable[Array]) -> Array:
         return np.concatenate([np.zeros(0), *parts])
@@ -142,24 +143,32 @@ def _excess(parts: Sequence[Array | None], segments: Sequence[ObservedSegment]) 
 
 @dataclass(frozen=True)
 class Observed:
-    """A recording with its plan. It has S segments, N samples and K channels.
+    """A recording together with its plan: S segments, N samples and K channels.
 
-    labels, motions, attitude: one per segment; attitude is (S, 3, 3), and its rows are the sensor's axes in East-North-Up at table
-    angle 0. bounds: (S + 1,), index of the first sample of each segment, then N. time: (N,), s since power-on. angle: (N,), table
-    angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s². temperature, temperature_rate: (N,), degC and K/s,
-    smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first. values: (N, K), SI. magnetic: Earth's
-    magnetic field in East-North-Up, in any unit; None if it is not declared. rejected: number of rows that were omitted because of
-    a NaN. along: for a sensor in unknown orientations, (S, 3), the direction of gravity in the sensor's axes, estimated from the
-    readings. The accelerometers of such a sensor are observed only along gravity, as one channel: perpendicular to gravity, errors
-    cannot be distinguished from the unknown orientation. bins: the bins of a long recording, whose "samples" are means over
-    consecutive samples; None for single samples. felt: angular rate and specific force (N, 3) each, if they do not follow from
-    site, attitude and table. fitted: output (N, K) of the fitted nominal model. response: (K, 3), change of each output per rate
-    about each sensor axis in the fitted nominal model; None for an ideal sensor. courses: one entry per segment: the motion if only
-    the recording shows it, None if attitude and angle determine it. The tuple is empty if all entries would be None.
-    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`; None means zero everywhere. past: if the samples are
-    one block of a simulation, the temperatures before the first sample, for each value of an effect's shape. reach: largest
-    distance of a sensor from the axis of a table, m. encoder: True if the angle of a turning table is known, from an encoder or
-    from a simulation.
+    labels, motions: one per segment.
+    attitude: (S, 3, 3); the rows are the sensor's axes in East-North-Up at table angle 0.
+    bounds: (S + 1,), index of the first sample of each segment, then N.
+    time: (N,), s since power-on.
+    angle: (N,), table angle, rad.
+    rate, acceleration: (N,), angular rate and angular acceleration of the table, rad/s and rad/s².
+    temperature, temperature_rate: (N,), smoothed temperature and its slope, degC and K/s.
+    last_change: (S,), sign of the last change of temperature, 0 before the first change.
+    values: (N, K), the recorded outputs, SI.
+    magnetic: Earth's magnetic field in East-North-Up, in any unit; None if it is not declared.
+    rejected: number of rows that were omitted because of a NaN.
+    along: for a sensor in unknown orientations, (S, 3), the direction of gravity in the sensor's axes, estimated from the readings.
+        The accelerometers of such a sensor are observed only along gravity, as one channel: perpendicular to gravity, errors cannot be
+        distinguished from the unknown orientation.
+    bins: the bins of a long recording, whose "samples" are means over consecutive samples; None for single samples.
+    felt: angular rate (N, 3) and specific force (N, 3), if they do not follow from site, attitude and table.
+    fitted: (N, K), output of the fitted nominal model.
+    response: (K, 3), change of each output per rate about each sensor axis in the fitted nominal model; None for an ideal sensor.
+    courses: for each segment, the motion if only the recording shows it, or None if attitude and angle determine the motion. The
+        tuple is empty if all entries would be None.
+    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`; None means zero everywhere.
+    past: if the samples are one block of a simulation, the temperatures before the first sample, for each value of an effect's shape.
+    reach: largest distance of a sensor from the axis of a table, m.
+    encoder: True if the angle of a turning table is known, from an encoder or from a simulation.
     """
 
     site: Site
@@ -194,7 +203,7 @@ class Observed:
         return len(self.labels)
 
     def segments(self) -> list[slice]:
-        """The samples of every segment, as slices."""
+        """One slice per segment, which selects the samples of the segment."""
         return self._slices
 
     @cached_property
@@ -203,7 +212,7 @@ class Observed:
 
     @cached_property
     def unsteady(self) -> NDArray[np.bool_]:
-        """The segments (S,) in which the rate of rotation changes."""
+        """A mask (S,), True for the segments in which the rate of rotation changes."""
         changing = [bool(self.acceleration[part].any()) for part in self.segments()]
         return np.array(
             [change or isinstance(m, RecordedMotion) for change, m in zip(changing, self.motions, strict=True)]
@@ -211,12 +220,12 @@ class Observed:
 
     @cached_property
     def moved(self) -> NDArray[np.bool_]:
-        """The segments (S,) whose motion is known only from the recording."""
+        """A mask (S,), True for the segments whose motion is known only from the recording."""
         return np.array([isinstance(motion, RecordedMotion) for motion in self.motions], dtype=bool)
 
     @cached_property
     def angle_from(self) -> tuple[AngleFrom, ...]:
-        """What shows the angle of the table in each segment (S,)."""
+        """For each of the S segments, what shows the angle of the table: the plan, gravity or nothing."""
         if self.encoder:
             return (AngleFrom.PLAN,) * len(self)
         axes = [self.channels[index].axis for index in self.of_kind("accel")]
@@ -225,8 +234,8 @@ class Observed:
 
     @cached_property
     def unknown_phase(self) -> Array:
-        """Amplitude (S, K), SI, of the part of each channel's nominal input that repeats once per turn with an unknown phase. It is
-        zero in segments in which the angle of the table is known or shown by gravity."""
+        """The amplitude (S, K), SI, of the part of each channel's nominal input that varies once per turn and whose phase is
+        unknown. It is zero in segments whose table angle is known or can be seen from gravity."""
         out = np.zeros((len(self), len(self.channels)))
         for index, (motion, source) in enumerate(zip(self.motions, self.angle_from, strict=True)):
             if source is AngleFrom.NOTHING and isinstance(motion, Spin):
@@ -237,18 +246,18 @@ class Observed:
 
     @cached_property
     def turn(self) -> Array:
-        """Angular rate of the sensor in its axes, (N, 3), rad/s, relative to the Earth as far as the attitude is known."""
+        """The angular rate (N, 3) of the sensor in its axes, rad/s; it is relative to the Earth if the attitude is known."""
         return self._by_course(self.rate[:, None] * self.table_axis, lambda course: course.turn)
 
     @cached_property
     def swing(self) -> Array:
-        """Angular acceleration of the sensor in its axes, (N, 3), rad/s²."""
+        """The angular acceleration (N, 3) of the sensor in its axes, rad/s²."""
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
 
     def turn_before(self, seconds: float) -> Array:
-        """`turn` at a time `seconds` earlier, minus `turn`, (N, 3). While the table rocks with angular frequency p, the motion is
-        harmonic: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the rate counts as constant before
-        the first and after the last sample of a segment."""
+        """The rate `turn` at a time `seconds` earlier, minus the present `turn`, (N, 3). While the table rocks with angular
+        frequency p, the motion is harmonic: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the
+        rate is assumed to be constant before the first and after the last sample of a segment."""
         from scipy.interpolate import CubicSpline
 
         change = np.zeros((len(self.time), 3))
@@ -265,9 +274,9 @@ class Observed:
         return change
 
     def turn_lagged(self, tau: float) -> Array:
-        """`turn` after a first-order lag, minus `turn`, (N, 3). The lag is in steady state at the beginning of each segment. The rate x
-        is taken as linear between samples. For a step h, the lagged rate y is y₁ = q·y₀ + (1 − g·(1 − q))·x₁ + (g·(1 − q) − q)·x₀ with q
-        = exp(−h/τ) and g = τ/h."""
+        """The rate `turn` after a first-order lag, minus `turn` itself, (N, 3). The lag is in steady state at the start of each
+        segment. The rate x is assumed to be linear between samples. For a step h, the lagged rate y is y₁ = q·y₀ + (1 − g·(1 −
+        q))·x₁ + (g·(1 − q) − q)·x₀ with q = exp(−h/τ) and g = τ/h."""
         from scipy.signal import lfilter
 
         change = np.zeros((len(self.time), 3))
@@ -282,18 +291,20 @@ class Observed:
 
     @cached_property
     def mean_square_rate(self) -> Array:
-        """Mean square of the angular rate of a rocking table, (N,), rad²/s²; 0 in other segments. For harmonic motion with the angular
-        frequency p, the mean square is (ω² + (α/p)²)/2, from the rate ω and the angular acceleration α at any moment."""
+        """The mean square (N,) of the angular rate of a rocking table, rad²/s²; 0 in other segments. For harmonic motion with the
+        angular frequency p, the mean square is (ω² + (α/p)²)/2, where ω and α are the rate and the angular acceleration at any
+        moment."""
         return np.asarray(self.mean_square_acceleration / np.where(self.pulsation > 0, self.pulsation, 1.0) ** 2)
 
     @cached_property
     def mean_square_acceleration(self) -> Array:
-        """Mean square of the angular acceleration of a rocking table, (N,), rad²/s⁴; 0 in other segments. It is (α² + (p·ω)²)/2, with the
-        symbols of `mean_square_rate`."""
+        """The mean square (N,) of the angular acceleration of a rocking table, rad²/s⁴; 0 in other segments. It is (α² + (p·ω)²)/2,
+        with the symbols of the docstring of `mean_square_rate`."""
         return np.where(self.pulsation > 0, (self.acceleration**2 + (self.pulsation * self.rate) ** 2) / 2, 0.0)
 
     def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:
-        """Values (N, …) that follow from attitude and angle. In segments with a course, the values of the course replace them."""
+        """The given values (N, …), which follow from attitude and table angle, but with the values of the recorded motion in
+        segments that have one."""
         for rows, course in zip(self.segments(), self.courses, strict=False):
             if course is not None:
                 values[rows] = part(course)
@@ -301,14 +312,14 @@ class Observed:
 
     @cached_property
     def pulsation(self) -> Array:
-        """Angular frequency of a rocking table, 2π times its frequency, (N,), rad/s; 0 in other segments and while the table is at
-        rest."""
+        """The angular frequency (N,) of a rocking table, rad/s, which is 2π times its frequency; 0 in other segments and while the
+        table is at rest."""
         each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
         return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
 
     @cached_property
     def rocked(self) -> list[slice]:
-        """The samples of every segment in which the table rocks."""
+        """One slice per segment in which the table rocks."""
         return [
             part
             for part, motion in zip(self.segments(), self.motions, strict=True)
@@ -317,36 +328,36 @@ class Observed:
 
     @cached_property
     def owner(self) -> NDArray[np.int64]:
-        """Index of the segment of every sample, (N,)."""
+        """The index (N,) of the segment to which each sample belongs."""
         return np.repeat(np.arange(len(self)), np.diff(self.bounds))
 
     @cached_property
     def bin_size(self) -> NDArray[np.int64]:
-        """Number of samples averaged in each value of a segment, (S,)."""
+        """The number (S,) of samples that are averaged in each value of a segment."""
         return np.ones(len(self), dtype=np.int64) if self.bins is None else self.bins.size
 
     @cached_property
     def counts(self) -> NDArray[np.int64]:
-        """Number of recorded samples in every segment, (S,). A bin counts with all its samples."""
+        """The number (S,) of recorded samples in each segment. All samples that are averaged in a bin are counted."""
         return np.diff(self.bounds) * self.bin_size
 
     @cached_property
     def turning(self) -> Array:
-        """The direction in site axes about which the table turns, (S, 3)."""
+        """The direction (S, 3) in site axes about which the table turns in each segment."""
         return np.array(
             [m.about if isinstance(m, Spin | RecordedMotion) else (0.0, 0.0, 1.0) for m in self.motions], dtype=float
         )
 
     @cached_property
     def sample_rate(self) -> float:
-        """Samples per second, the median over the run."""
+        """Samples per second, from the median interval of the run."""
         if self.bins is not None:
             return self.bins.rate
         return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
 
     def in_sensor_axes(self, site_vector: Array) -> Array:
-        """A vector in site axes, (3,), transformed to sensor axes at every sample, (N, 3): attitude · R(−θ) · vector, where R is
-        Rodrigues' formula about the segment's axis. Zero if the attitude is unknown."""
+        """Transforms a vector (3,) in site axes to sensor axes at every sample, (N, 3): attitude · R(−θ) · vector, where R is
+        Rodrigues' formula about the segment's axis. The result is zero if the attitude is unknown."""
         vector = np.asarray(site_vector, dtype=float)
         along = (self.turning @ vector)[:, None] * self.turning
         axes = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1) @ self.attitude.swapaxes(1, 2)
@@ -357,8 +368,8 @@ class Observed:
 
     @cached_property
     def _turned(self) -> Array:
-        """Columns with the number 1, and with the cosine and the sine of the table's angle, (N, 3). For bins, cosine and sine are
-        means over each bin, to the second order in its length."""
+        """A matrix (N, 3) with the columns 1, cosine of the table's angle, and sine of the table's angle. For bins, cosine and sine
+        are means over each bin, correct to second order in the length of the bin."""
         cosine, sine = np.cos(self.angle), np.sin(self.angle)
         if self.bins is not None:
             spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner]
@@ -371,32 +382,33 @@ class Observed:
 
     @cached_property
     def earth_rate(self) -> Array:
-        """Earth rotation in sensor axes, (N, 3), rad/s."""
+        """The Earth's rotation (N, 3) in sensor axes, rad/s."""
         return self.in_sensor_axes(self.site.earth_rate_enu)
 
     @cached_property
     def table_axis(self) -> Array:
-        """Direction, in sensor axes, of the axis about which the table turns, (N, 3); constant within a segment."""
+        """The direction (N, 3), in sensor axes, of the axis about which the table turns; it is constant within a segment."""
         felt: Array = np.einsum("sij,sj->si", self.attitude, self.turning)[self.owner]
         return felt
 
     @cached_property
     def omega(self) -> Array:
-        """Nominal angular rate relative to inertial space in sensor axes, (N, 3), rad/s."""
+        """The nominal angular rate (N, 3) relative to inertial space in sensor axes, rad/s."""
         if self.felt is not None:
             return self.felt[0]
         return self._by_course(self.earth_rate + self.rate[:, None] * self.table_axis, lambda course: course.omega)
 
     @cached_property
     def force(self) -> Array:
-        """Nominal specific force in sensor axes, (N, 3), m/s², for a sensor on the axis of rotation."""
+        """The nominal specific force (N, 3) in sensor axes, m/s², for a sensor on the axis of rotation."""
         if self.felt is not None:
             return self.felt[1]
         return self._by_course(self.in_sensor_axes(self.site.specific_force_enu), lambda course: course.force)
 
     @cached_property
     def nominal_output(self) -> Array:
-        """Output of the channels without the effect, (N, K), SI: from the fitted nominal model, or from an ideal sensor before the fit."""
+        """The output (N, K) of the channels without any effect, SI. It comes from the fitted nominal model, or from an ideal sensor
+        before the fit."""
         if self.fitted is not None:
             return self.fitted
         felt = {"gyro": self.omega, "accel": self.force}
@@ -404,13 +416,13 @@ class Observed:
 
     @cached_property
     def gyro_output(self) -> Array:
-        """`nominal_output` of the gyros alone, (N, G)."""
+        """The columns (N, G) of `nominal_output` that belong to gyros."""
         return np.ascontiguousarray(self.nominal_output[:, self.of_kind("gyro")])
 
     @cached_property
     def gyro_range(self) -> Array:
-        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2). The smallest is at most 0, the largest at least
-        0: a value with the other sign is replaced by 0."""
+        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2). The smallest value is at most 0 and the
+        largest value is at least 0; otherwise it is replaced by 0."""
         parts = [self.gyro_output[part] for part in self.segments()]
         return np.array([(part.min(initial=0.0), part.max(initial=0.0)) for part in parts]).reshape(-1, 2)
 
@@ -420,7 +432,7 @@ class Observed:
         return np.asarray(np.abs(self.gyro_range).max(axis=1))
 
     def seen(self, index: int, vector: Array) -> Array:
-        """Component of a vector in sensor axes (N, 3) along a channel's input axis, (N,)."""
+        """The component (N,) of a vector (N, 3), given in sensor axes, along a channel's input axis."""
         if self.along is None:
             return np.asarray(vector[:, self.channels[index].axis])
         component = np.einsum("ni,ni->n", self.along[self.owner], vector)
@@ -428,42 +440,42 @@ class Observed:
         return np.where(np.abs(component) > rounding, component, 0.0)
 
     def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
-        """Input axes of a triad as (axis, channel, cosine): the index of the axis; the index of a channel that shows the input of
-        this axis; and the direction cosine between the axis and the direction of the channel, (N,) or 1."""
+        """The input axes of a triad as tuples (axis, channel, cosine): the index of the axis; the index of a channel that shows the
+        input of this axis; and the direction cosine between the axis and the direction of the channel, (N,) or 1."""
         if self.along is None:
             return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
         return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
 
     @cached_property
     def warmth(self) -> Array:
-        """Temperature above the reference temperature, (N,), K."""
+        """The temperature (N,) minus the reference temperature, K."""
         return self.temperature - REFERENCE_TEMPERATURE
 
     @cached_property
     def overvoltage(self) -> Array:
-        """Supply voltage above the nominal supply of the sensor, (N,), V."""
+        """The supply voltage (N,) minus the nominal supply voltage of the sensor, V."""
         return np.zeros(len(self.time)) if self.excess_voltage is None else self.excess_voltage
 
     @cached_property
     def overpressure(self) -> Array:
-        """Ambient pressure above the standard atmosphere, (N,), Pa."""
+        """The ambient pressure (N,) minus the standard atmosphere, Pa."""
         return np.zeros(len(self.time)) if self.excess_pressure is None else self.excess_pressure
 
     @property
     def sampled(self) -> dict[str, Array]:
-        """All fields of an `Observed` with one value per sample, except `values`: name of the field → (N,)."""
+        """All fields with one value (N,) per sample, except `values`, by the name of the field."""
         names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
         found = {name: getattr(self, name) for name in (*names, "excess_voltage", "excess_pressure")}
         return {name: own for name, own in found.items() if own is not None}
 
     def of_kind(self, kind: str) -> list[int]:
-        """Indices of the channels of a triad."""
+        """The indices of the channels of one kind, 'gyro' or 'accel'."""
         return [index for index, channel in enumerate(self.channels) if channel.kind == kind]
 
 
 def planned_excess(segment: Segment, nominal_supply: float) -> tuple[float, float]:
-    """Planned voltage above the nominal supply [V] and pressure above the standard atmosphere [Pa]; 0 for a quantity that the plan does
-    not state."""
+    """The planned supply voltage minus the nominal voltage [V], and the planned pressure minus the standard atmosphere [Pa]; 0 for
+    a quantity that the plan does not state."""
     voltage, pressure = segment.supply_voltage, segment.ambient_pressure
     return (
         0.0 if voltage is None else voltage - nominal_supply,
@@ -472,7 +484,7 @@ def planned_excess(segment: Segment, nominal_supply: float) -> tuple[float, floa
 
 
 def orientation_key(attitude: Array) -> tuple[float, ...]:
-    """An attitude (3, 3) as a dictionary key. Equal orientations have equal keys despite rounding."""
+    """Turns an attitude (3, 3) into a dictionary key. Attitudes that differ only by rounding have equal keys."""
     return tuple((np.round(attitude, 6) + 0.0).ravel().tolist())
 
 
@@ -482,10 +494,10 @@ STANDARD_PRESSURE = 101325.0  # Pa
 
 @dataclass(frozen=True)
 class Bins:
-    """How the bins of a recording are made. size: (S,), number of samples per bin in each segment. rate: rate of the samples, Hz.
-    energy: (S, K, K), SI², products of the DCT-II coefficients of two channels in the upper three quarters of the orders. count:
+    """Describes the bins of a recording. size: (S,), number of samples per bin in each segment. rate: sampling rate, Hz. energy:
+    (S, K, K), SI², sums of products of the DCT-II coefficients of two channels, over the upper three quarters of the orders. count:
     (S,), number of these coefficients for each channel. spikes: (K,), number of samples that were replaced. levels: for each
-    channel, the distinct values in counts."""
+    channel, the distinct values that occur, in counts."""
 
     size: NDArray[np.int64]
     rate: float
@@ -495,5 +507,5 @@ class Bins:
     levels: tuple[Array, ...]
 
     def followed(self, further: int) -> Bins:
-        """The bins with additional segments of single values appended."""
+        """The same bins, with additional segments whose values are single samples."""
         return replace(self, size=np.concatenate([self.size, np.ones(further, dtype=np.int64)]))

@@ -1,13 +1,14 @@
-"""Effects of the catalogue at the samples of a recording, or at the bins of a long recording: the model of an output that changes
-within segments.
+"""The model of an output that changes within segments, made of effects of the catalogue at the samples of a recording or at the
+bins of a long recording.
 
     output = F(own input + Σ amplitude · column)
 
 An effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes the stimulus of all other columns.
-The sensor's scale factor and misalignments therefore act on this change too, and the model is not linear in the amplitude of such
+The sensor's scale factor and misalignments therefore also act on this change, and the model is not linear in the amplitude of such
 an effect. An effect that changes the rate (a lag, a delay) acts next. All columns are then evaluated at the changed rate. An effect
-on the output (a dead zone, a limit) acts last, as the function F. Effects on the rate and effects on the output have no amplitudes.
-The columns come from the catalogue. A simulation adds the same columns, and a diagnosis searches for them.
+on the output (a dead zone, a limit) acts last, as the function F. Effects on the rate and effects on the output have no amplitudes;
+they only have a shape. The columns come from the catalogue of effects. Simulations add the same columns, and the diagnosis searches
+for them.
 """
 
 from __future__ import annotations
@@ -27,14 +28,15 @@ _STEP = 1e-6  # of the largest output, for the slope of an effect on the output
 
 
 def shaped(part: EffectPart) -> bool:
-    """Whether an effect has a shape."""
+    """Whether an effect has a shape, such as a time constant or a limit."""
     return isinstance(part.effect, Shaped | ChangesWithinSegments)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleColumns:
-    """Columns of an output at samples. own: (N,), SI, input along the axis of the output after effects on the rate; rows: (p, N),
-    SI per SI amplitude, zero for an amplitude of the stimulus; available: effect → names of all its amplitudes for this output."""
+    """The columns of the model of one output at N samples. own: (N,), SI, the input along the axis of the output, after the effects
+    on the rate; rows: (p, N), SI output for an amplitude of 1 in SI, zero for an amplitude of the stimulus; available: maps each
+    effect to the names of all amplitudes that it has for this output."""
 
     own: Array
     amplitudes: tuple[Amplitude, ...]
@@ -44,7 +46,8 @@ class SampleColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSamples:
-    """The model of one output. observed: the stimulus at N samples; `of` replaces the channels by two ideal triads."""
+    """The model of one output at samples. observed: the stimulus at N samples. The constructor `of` replaces the channels of a
+    recording by two ideal triads."""
 
     observed: Observed
     errors: OutputErrors
@@ -55,8 +58,8 @@ class ErrorsAtSamples:
         return cls(replace(observed, channels=TRIADS, values=ideal, along=None), errors)
 
     def grid(self, part: EffectPart) -> Array:
-        """The values of the shape that the catalogue gives for an effect here, ascending; empty if the effect cannot act on this
-        output."""
+        """The values of an effect's shape that the catalogue gives for this recording, ascending; empty if the effect cannot act on
+        this output."""
         effect = part.effect
         seen = replace(self.observed, fitted=self._alone(self._own(self.observed)))
         variants = effect.variants(seen)
@@ -67,8 +70,8 @@ class ErrorsAtSamples:
         return np.array(sorted({one.shape for one in effect.variants(seen) if one.shape is not None}))
 
     def columns(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> SampleColumns:
-        """Columns of the effects. shapes: effect → value of its shape; stimulus: (effect, name of an amplitude) → value in SI,
-        where amplitudes that are not listed are zero."""
+        """Computes the columns of the effects. shapes: maps each effect to the value of its shape; stimulus: maps (effect, name of
+        an amplitude) to the amplitude in SI; amplitudes that are not listed are zero."""
         felt = self._felt(shapes, stimulus)
         amplitudes: list[Amplitude] = []
         rows: list[Array] = []
@@ -85,7 +88,7 @@ class ErrorsAtSamples:
         return SampleColumns(self._own(felt), tuple(amplitudes), matrix, available)
 
     def output(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """Applies the function F to the values (N,), SI, of an output that is linear so far."""
+        """Applies the effects on the output (function F) to an output (N,), SI, that contains all other effects."""
         for part in self.errors.chosen:
             effect = part.effect
             if isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output":
@@ -95,13 +98,13 @@ class ErrorsAtSamples:
         return linear
 
     def slope(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """The derivative (N,) of the function F at the values `linear`."""
+        """The derivative (N,) of the function F at the output values `linear`."""
         step = _STEP * max(float(np.abs(linear).max()), 1e-12)
         return np.asarray((self.output(linear + step, shapes) - self.output(linear - step, shapes)) / (2 * step))
 
     @property
     def bent(self) -> bool:
-        """Whether the function F is not the identity."""
+        """Whether there is an effect on the output, so that the function F is not the identity."""
         return any(
             isinstance(part.effect, ChangesWithinSegments) and part.effect.acts_on == "output"
             for part in self.errors.chosen
@@ -116,7 +119,7 @@ class ErrorsAtSamples:
         return made
 
     def _felt(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> Observed:
-        """The samples with the stimulus changed by the effects, and with the rate that the output shows."""
+        """The samples with a changed stimulus: first with the effects of the stimulus, then with the effects on the rate."""
         observed = self.observed
         change = np.zeros((len(TRIADS), len(observed.time)))
         for part in self.errors.chosen:
@@ -138,7 +141,7 @@ class ErrorsAtSamples:
 
 
 def of_stimulus(effect: Effect) -> bool:
-    """Whether an effect has amplitudes that change the stimulus of the sensor."""
+    """Whether an effect changes the stimulus of the sensor in proportion to amplitudes."""
     return effect.stage == "stimulus" and not _fixed(effect)
 
 

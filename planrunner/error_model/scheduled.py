@@ -1,4 +1,4 @@
-"""A schedule as a recording without values: the segments and channels on which effects will act."""
+"""Represents a schedule as a recording without values, with the segments and channels on which effects will act."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def sensor_channels(sensor: SensorModel) -> tuple[Channel, ...]:
 
 
 def everything(site: Site, channels: Sequence[Channel], rate: float) -> Observed:
-    """A schedule that contains everything an effect may need: several orientations, a constant rate, rocking, and changes of
+    """A sample schedule with everything that an effect may need: several orientations, a constant rate, rocking, and changes of
     temperature."""
     places = [np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0), np.diag([1.0, -1.0, -1.0])]
     spin, rock = Spin(np.radians(100.0)), Rock(np.radians(5.0), 1.0, (0.0,), 10.0)
@@ -63,8 +63,8 @@ def scheduled(
     rate: float,
     nominal_supply: float = NOMINAL_SUPPLY,
 ) -> Observed:
-    """A few samples of every segment in which the sensor rests or turns about one axis; other segments are omitted. rate: Hz;
-    nominal_supply: V."""
+    """A recording with a few samples of every segment in which the sensor rests or turns about one axis; other segments are
+    omitted. rate: sampling rate, Hz; nominal_supply: nominal supply voltage of the sensor, V."""
     usable = [s for s in segments if s.attitude is not None and isinstance(s.motion, Rest | Spin | Rock)]
     since = np.arange(_SAMPLES) / rate
     warm = [_celsius(segment.begins_at) for segment in usable]

@@ -1,9 +1,10 @@
-"""Effects of the catalogue at the means of segments: the design matrix of an estimate, at the planned or the recorded stimulus.
+"""Computes the design matrix of an estimate from effects of the catalogue at the means of segments, for the planned or the recorded
+stimulus.
 
-An effect gives its columns at single moments, but the mean of a product is not the product of means. Each segment is therefore
-represented by a few nodes: evenly spaced angles of a table that turns, and Gauss–Legendre nodes along a ramp of temperature. Over
-whole turns, the result is exact for polynomials up to the seventh degree in quantities that turn with the table; along a ramp, for
-polynomials up to the fifth degree in time. The weighted mean over the nodes is the mean over the segment.
+An effect gives the values of its columns at single moments, and the mean of a product is not the product of means. Each segment is
+therefore represented by a few nodes: evenly spaced angles of a turning table, and Gauss–Legendre nodes along a ramp of temperature.
+Over whole turns, the result is exact for polynomials up to the seventh degree in quantities that turn with the table. Along a ramp,
+it is exact for polynomials up to the fifth degree in time. The mean over a segment is computed as the weighted mean over its nodes.
 """
 
 from __future__ import annotations
@@ -54,10 +55,10 @@ _CHANGED = 1.0  # K between segments: less is no change of temperature
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SegmentStates:
-    """Time, temperature, supply and pressure of n segments, all (n,). time: middle of the segment, s since power-on; seconds:
-    length; celsius: mean temperature; ramp: change of the temperature from the beginning to the end, K; last_change: sign of the
-    last change of temperature, 0 before the first. overvoltage: mean excess over the nominal supply of the sensor, V; overpressure:
-    mean excess over the standard atmosphere, Pa."""
+    """Time, temperature, supply voltage and pressure of n segments; all arrays have the shape (n,). time: middle of the segment, s
+    since power-on; seconds: length of the segment, s; celsius: mean temperature, degC; ramp: change of the temperature from the
+    start to the end of the segment, K; last_change: sign of the last change of temperature, 0 before the first change. overvoltage:
+    mean supply voltage minus the nominal voltage of the sensor, V; overpressure: mean pressure minus the standard atmosphere, Pa."""
 
     time: Array
     seconds: Array
@@ -73,15 +74,16 @@ class SegmentStates:
         return SegmentStates(**{one.name: getattr(self, one.name)[place] for one in fields(self)})
 
     def measured(self, celsius: Array) -> SegmentStates:
-        """The states with mean temperatures (n,) measured by a thermometer; ramps stay as planned."""
+        """The states with the planned mean temperatures replaced by measured ones (n,), degC; the ramps stay as planned."""
         return replace(
             self, celsius=celsius, last_change=_last_changes(celsius - self.ramp / 2, celsius + self.ramp / 2)
         )
 
 
 def states_of(segments: Sequence[Segment], start: Array, seconds: Array, nominal_supply: float) -> SegmentStates:
-    """The planned states of segments; a temperature, voltage or pressure that is not planned has its reference value. start,
-    seconds: (n,), s, planned or recorded; nominal_supply: nominal supply voltage of the sensor, V."""
+    """The planned states of segments. A temperature, voltage or pressure that is not planned has its reference value. start,
+    seconds: (n,), s, start and length of each segment, planned or recorded; nominal_supply: nominal supply voltage of the sensor,
+    V."""
     kelvin = [one.begins_at for one in segments]
     begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
     ends = [one.ramp_to for one in segments]
@@ -109,10 +111,11 @@ def _last_changes(begin: Array, end: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class EffectPart:
-    """An effect in the model of one output. only: names of the columns in the model, without the output's axis; empty for all
-    columns of the effect. shape: value of the effect's shape; None for an effect without shape. sizes: if the derivative with
-    respect to the shape is a further column, the amplitudes at which it is computed: name of a column without the axis → value in
-    SI. Empty if there is no such column."""
+    """One effect in the model of one output. only: names of the effect's columns in the model, without the letter of the axis;
+    empty if the model contains all columns of the effect. shape: value of the effect's shape; None for an effect without shape.
+    sizes: used if the derivative with respect to the shape is a further column of the model; the amplitudes for which this
+    derivative is computed: maps the name of a column, without the letter of the axis, to the amplitude in SI. Empty if there is no
+    such column."""
 
     effect: Effect
     only: tuple[str, ...] = ()
@@ -122,7 +125,8 @@ class EffectPart:
 
 @dataclass(frozen=True, slots=True)
 class OutputErrors:
-    """The errors of one output. kind: gyro or accel; axis: 0, 1 or 2 for the sensor axis x, y or z along which the output measures."""
+    """The effects in the model of one output. kind: gyro or accel; axis: 0, 1 or 2 for the sensor axis x, y or z along which the
+    output measures."""
 
     output: str
     kind: str
@@ -136,11 +140,12 @@ class OutputErrors:
 
 @dataclass(frozen=True, slots=True)
 class Amplitude:
-    """One coefficient of an output. name: name of the column without the output's axis; several: True if the effect has other
-    amplitudes for this output; alone: True if the column acts on this output only. unit, factor: unit for display and its SI value.
-    along: the axis whose input the column is, as in `Column`. size: largest absolute value, at any moment and for any axis, of the
-    effect's columns with the same unit; 0 if nothing excites these columns. origin: for a shape, the value in `unit` that
-    corresponds to a fitted amplitude of zero. shape: True if the amplitude is a change of the shape."""
+    """One amplitude (coefficient) in the model of an output. name: name of the column without the letter of the axis; several: True
+    if the effect has other amplitudes for this output; alone: True if the column acts on this output only. unit: unit for display;
+    factor: SI value of this unit. along: if the column is the input along a sensor axis, this axis (as `Column.along`). size:
+    largest absolute value of the effect's columns with the same unit, over all nodes and axes; 0 if nothing excites these columns.
+    origin: for a change of the shape, the value of the shape in `unit` for which the amplitude is zero. shape: True if the
+    amplitude is a change of the effect's shape."""
 
     effect: Effect
     name: str
@@ -156,8 +161,9 @@ class Amplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputColumns:
-    """Columns of an output at segments. own: (n,), SI, the output of an ideal sensor; matrix: (n, p), SI per SI amplitude, one
-    column for each amplitude. available: effect → names of all its amplitudes for this output."""
+    """The columns of the model of one output at n segments. own: (n,), SI, the output of an ideal sensor; matrix: (n, p), SI output
+    for an amplitude of 1 in SI, one column for each amplitude. available: maps each effect to the names of all amplitudes that it
+    has for this output."""
 
     own: Array
     available: Mapping[str, tuple[str, ...]]
@@ -166,13 +172,14 @@ class OutputColumns:
 
     @property
     def magnitudes(self) -> Array:
-        """Magnitudes of the columns, (p,), positive."""
+        """The positive magnitudes (p,) by which the columns are divided."""
         return np.array([one.size or 1.0 for one in self.amplitudes])
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSegments:
-    """The model of m outputs at n segments, which rest or turn in known orientations. stimulus: planned means over the segments."""
+    """The model of m outputs at n segments, in which the sensor rests or turns in known orientations. stimulus: planned means over
+    the segments."""
 
     outputs: tuple[OutputErrors, ...]
     segments: tuple[Segment, ...]
@@ -182,9 +189,9 @@ class ErrorsAtSegments:
     of_motion: bool = False
 
     def columns(self, stimulus: Stimulus) -> Array:
-        """Columns of all outputs, (k·n, P), output after output. For each output, its own input comes first, then its amplitudes.
-        stimulus: k·n rows: k copies of the planned stimulus of the n segments, each copy with different small changes; k may be 1.
-        A change of a mean stimulus applies to all nodes of the segment."""
+        """The columns (k·n, P) of all outputs, output after output. The columns of one output are its own input, and then one
+        column for each amplitude. stimulus: k·n rows, which are k copies of the planned stimulus of the n segments, each copy with
+        different small changes; k may be 1. A change of the mean stimulus of a segment is applied to all nodes of the segment."""
         n, found = len(self.segments), []
         for low in range(0, len(stimulus), n):
             part = slice(low, low + n)
@@ -197,7 +204,7 @@ class ErrorsAtSegments:
         return np.vstack(found)
 
     def shapes_of(self, effect: ShapedOverSegments) -> Array:
-        """The values that the catalogue gives for the shape of an effect here, ascending."""
+        """The values of an effect's shape that the catalogue gives for these segments, ascending."""
         return effect.grid(self._planned)
 
     def of_outputs(self) -> tuple[OutputColumns, ...]:
@@ -205,8 +212,8 @@ class ErrorsAtSegments:
         return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))
 
     def _evaluated(self, changes: tuple[Array, Array], faster: Array) -> tuple[OutputColumns, ...]:
-        """Evaluates the columns at a changed stimulus. changes: additional angular rate and specific force, each (n, 3); faster:
-        (n,), additional rate of the table."""
+        """The columns of each output at a changed stimulus. changes: additional angular rate and specific force, each (n, 3);
+        faster: (n,), additional rate of the table."""
         observed, owner = self._planned, self._planned.owner
         felt = tuple(own + change[owner] for own, change in zip((observed.omega, observed.force), changes, strict=True))
         moved = replace(observed, felt=(felt[0], felt[1]), rate=observed.rate + faster[owner])
@@ -249,13 +256,14 @@ class ErrorsAtSegments:
         return OutputColumns(self._means(felt[:, output.axis][None])[0], available, tuple(amplitudes), matrix)
 
     def _means(self, rows: Array) -> Array:
-        """Means (k, n) over the segments, from rows (k, N) of values at the nodes."""
+        """The means (k, n) over the n segments, from values (k, N) at the nodes of all segments."""
         weight = np.concatenate([weight for _, _, weight in self._nodes])
         return np.asarray(np.add.reduceat(rows * weight, self._planned.bounds[:-1], axis=1))
 
     @cached_property
     def _nodes(self) -> list[tuple[Array, Array, Array]]:
-        """For each segment: angle of the table, position along the segment from −0.5 to 0.5, and weight, all (k,)."""
+        """For each segment, three arrays (k,): the angle of the table at each node, the position of the node along the segment from
+        −0.5 to 0.5, and the weight of the node."""
         shaped = any(one.shape is not None for output in self.outputs for one in output.chosen)
         places, weights = np.polynomial.legendre.leggauss(_ALONG_SHAPED if shaped else _ALONG)
         found = []
@@ -269,7 +277,7 @@ class ErrorsAtSegments:
 
     @cached_property
     def _planned(self) -> Observed:
-        """The planned segments as a recording of two ideal triads, with the nodes as samples."""
+        """The planned segments as a recording of two ideal triads, whose samples are the nodes."""
         states, made = self.states, []
         for row, (segment, (angle, along, _)) in enumerate(zip(self.segments, self._nodes, strict=True)):
             zero = np.zeros(len(angle))
@@ -297,8 +305,8 @@ class ErrorsAtSegments:
 def amplitudes_of(
     part: EffectPart, output: OutputErrors, observed: Observed, columns: Sequence[Column]
 ) -> tuple[list[Amplitude], list[Array], tuple[str, ...]]:
-    """The amplitudes of an effect in an output, their columns (N,), and the names of all amplitudes that the effect has there.
-    columns: all columns of the effect."""
+    """For one effect and one output: the amplitudes in the model, their columns (N,), and the names of all amplitudes that the
+    effect has for this output. columns: all columns of the effect, for all outputs."""
     here = [column for column in columns if output.channel in column.parts]
     several = len(here) > 1 or isinstance(part.effect, ShapedOverSegments | ChangesWithinSegments)
     amplitudes, rows = [], []
@@ -316,7 +324,7 @@ def amplitudes_of(
 
 
 def estimable(effect: Effect) -> str:
-    """The reason why an estimate cannot fit an effect; empty if it can."""
+    """The reason why an estimate cannot fit an effect; empty if an estimate can fit it."""
     if isinstance(effect, OutsideCoefficients):
         return "it acts on the noise, not on means: use allan_deviation"
     if isinstance(effect, HasShape) and not isinstance(effect, ShapedOverSegments | ChangesWithinSegments):
@@ -333,12 +341,13 @@ def estimable(effect: Effect) -> str:
 
 
 def _beside(part: EffectPart) -> tuple[float, ...]:
-    """Two values of the shape, around the chosen one, for the numerical derivative."""
+    """Two values of the shape, slightly above and below the chosen value, for the numerical derivative; empty if no derivative is
+    needed."""
     return (part.shape * (1 + _STEP), part.shape * (1 - _STEP)) if part.shape is not None and part.sizes else ()
 
 
 def _derivative(part: EffectPart, output: OutputErrors, above: Sequence[Column], below: Sequence[Column]) -> Array:
-    """The derivative of an output (N,) with respect to the shape, for amplitudes that keep their values in the unit of display."""
+    """The derivative (N,) of an output with respect to an effect's shape. The amplitudes keep their values in the display unit."""
     assert part.shape is not None
     found = np.zeros(len(next(iter(above[0].parts.values()))))
     for high, low in zip(above, below, strict=True):
@@ -360,7 +369,7 @@ def _columns(effect: Effect, observed: Observed, shape: float | None = None) -> 
 
 
 def _without_axis(column: Column) -> tuple[str, bool]:
-    """The name of a column without the axis of its channel, and whether the column acts on one channel alone."""
+    """The name of a column without the letter of its axis, and whether the column acts on a single channel."""
     if column.axis is None or len(column.parts) != 1:
         return column.name, False
     return column.name.removesuffix(f"_{'xyz'[column.axis]}"), True

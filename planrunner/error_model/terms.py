@@ -1,9 +1,9 @@
-"""Terms of an inertial sensor's error model: named functions of the stimulus, and models that consist of them.
+"""Terms of an inertial sensor's error model: named functions of the stimulus, and models that are sums of such terms.
 
-A linear term gives one column of a design matrix. An estimator determines the coefficient of the term from the recorded stimulus;
-the check uses the planned stimulus to predict the observability and the uncertainty of the coefficient. (The virtual gyro uses none
-of this code: it has separate formulas for the balance of its rotor, so that simulator and estimators cannot share an error.) Terms
-are found through the entry-point group `planrunner.terms`.
+A linear term gives one column of a design matrix. An estimator determines the coefficient of a term from the recorded stimulus;
+before a run, the check uses the planned stimulus to predict the observability and the uncertainty of the coefficient. (The virtual
+gyro uses none of this code. It has separate formulas for the balance of its rotor, so that simulator and estimators cannot share an
+error.) Terms are found through the entry-point group `planrunner.terms`.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from planrunner.plan.units import STANDARD_GRAVITY
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """One term, linear in its coefficient.
+    """One term of an error model: a coefficient times a function of the stimulus.
 
-    of: computes the column for a stimulus of n rows, shape (n,), SI. magnitude: the declared size of the column. Columns are
-    divided by it before rank and condition are judged. unit: unit of the column. degree: polynomial degree in the components of the
-    stimulus. A term of degree two or more cannot be computed from means over a moving attitude. of_motion: True if the column
-    depends on angular rate and specific force alone; plans with the same orientations then share the column at all temperatures and
-    times.
+    of: the function of the stimulus; for a stimulus of n rows it returns the column, shape (n,), SI. magnitude: the declared size
+    of the column, by which the column is divided before rank and condition are judged. unit: unit of the column. degree: polynomial
+    degree in the components of the stimulus. A term of degree two or more cannot be computed from means over a moving attitude,
+    because the mean of a product is not the product of means. of_motion: True if the column depends on angular rate and specific
+    force alone; the column is then the same for all temperatures and times with the same orientations.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Term:
     of_motion: bool = False
 
     def column(self, stimulus: Stimulus) -> Array:
-        """The column, shape (n,). Raises `StimulusError` for a product over a moving attitude."""
+        """The column of the term, shape (n,). Raises `StimulusError` for a term of degree two or more if the attitude moves."""
         if self.degree > 1 and bool(stimulus.moving.any()):
             raise StimulusError(
                 f"the term {self.name} is a product and cannot be computed from means over turning segments"
@@ -90,7 +90,8 @@ ACCEL_Y_ACCEL_Z = Term("accel_y_accel_z", _along("y", "z"), _G2, "(m/s^2)^2", _p
 
 
 def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
-    """One column per term, shape (n, p), SI. Raises `StimulusError` if a term is not defined for the stimulus."""
+    """The design matrix, shape (n, p), SI, with one column per term. Raises `StimulusError` if a term is not defined for the
+    stimulus."""
     matrix = np.empty((len(stimulus), len(terms)))
     for k, term in enumerate(terms):
         matrix[:, k] = term.column(stimulus)
@@ -98,7 +99,8 @@ def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
 
 
 class LinearModel(Protocol):
-    """A model of outputs that is linear in its coefficients. of_motion: as in `Term`, for all columns."""
+    """A model of outputs that is linear in its coefficients. of_motion: True if all columns depend on angular rate and specific
+    force alone."""
 
     @property
     def of_motion(self) -> bool: ...
@@ -108,7 +110,7 @@ class LinearModel(Protocol):
 
 
 def columns_of(model: LinearModel, poses: Poses, site: Site) -> Array:
-    """The design matrix of segments, shape (n, p), SI. Raises `StimulusError`."""
+    """The design matrix of segments, shape (n, p), SI. Raises `StimulusError` if a column cannot be computed for these segments."""
     if model.of_motion:
         return _columns_of_motion(model, poses.timeless.arrays, site)
     return model.columns(poses.felt(site))
@@ -121,7 +123,7 @@ def _columns_of_motion(model: LinearModel, poses: tuple[Array, ...], site: Site)
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """The list of terms of one output."""
+    """The error model of one output, as a list of terms."""
 
     terms: tuple[Term, ...]
 
@@ -131,7 +133,7 @@ class ErrorModel:
 
     @property
     def magnitudes(self) -> Array:
-        """Declared sizes of the columns, shape (p,), SI."""
+        """The declared sizes of the columns, shape (p,), SI."""
         return np.array([term.magnitude for term in self.terms])
 
     @property
@@ -143,7 +145,8 @@ class ErrorModel:
         return design_matrix(self.terms, stimulus)
 
     def predict(self, coefficients: Mapping[str, float] | Array, stimulus: Stimulus) -> Array:
-        """The output, shape (n,), from coefficients given by name (those that are not named are zero) or as an array of shape (p,)."""
+        """The output, shape (n,), for given coefficients: by name, where coefficients that are not named are zero, or as an array
+        of shape (p,)."""
         if isinstance(coefficients, Mapping):
             unknown = set(coefficients) - set(self.names)
             if unknown:
@@ -153,11 +156,11 @@ class ErrorModel:
 
 
 def term_names() -> Choice:
-    """The kind of a plan key whose value is the name of an installed term."""
+    """The kind of plan key whose value is the name of an installed term."""
     return Choice(plugins.names(plugins.TERMS))
 
 
 def error_model(names: Sequence[str]) -> ErrorModel:
-    """The model of the named terms. Raises `InputError` for a term that is not installed or cannot be loaded."""
+    """The error model that consists of the named terms. Raises `InputError` for a term that is not installed or cannot be loaded."""
     terms: list[Term] = [plugins.load(plugins.TERMS, name) for name in dict.fromkeys(names)]
     return ErrorModel(tuple(terms))

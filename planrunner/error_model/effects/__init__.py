@@ -1,1 +1,1 @@
-"""Candidate effects that a simulation may lack, one small class each."""
+"""The catalogue of candidate effects, which may act on a real sensor but not in its simulation. Each effect is a small class."""

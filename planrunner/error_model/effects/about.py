@@ -12,9 +12,9 @@ from planrunner.error_model.effects.interface import Effect
 
 
 class Actor(StrEnum):
-    """Who can remove the cause of an effect. BENCH: table, chamber, mounting and their synchronisation. SENSOR: the unit under
-    test, or its compensation. PLAN: states and times of the plan. SITE: the declared place on the Earth. BOOKKEEPING: declarations
-    in files: labels, units, signs, noise."""
+    """Who can remove the cause of an effect. BENCH: the owner of the table, the chamber, the mounting or their synchronisation.
+    SENSOR: the maker of the unit under test or of its compensation. PLAN: the author of the states and times in the plan. SITE:
+    whoever declares the place on the Earth. BOOKKEEPING: whoever declares labels, units, signs and noise in files."""
 
     BENCH = "bench"
     SENSOR = "sensor"
@@ -25,9 +25,10 @@ class Actor(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What an effect states about itself. name: the effect in plain words. physics: the cause, in one sentence. remedy: what to do;
-    in this text, `{found}` is replaced by the fitted parameters. figures: a function that computes further values for the remedy,
-    such as a bandwidth from a time constant. Its argument is the fitted shape in `shape_unit`; it returns name → text."""
+    """The description of an effect for an engineer. name: the effect in plain words. physics: the cause, in one sentence. remedy:
+    what to do; in this text, `{found}` is replaced by the fitted parameters. figures: a function that computes further values for
+    the remedy, such as a bandwidth from a time constant. The function takes the fitted shape in `shape_unit` and returns a mapping
+    of names to texts."""
 
     name: str
     physics: str
@@ -44,7 +45,7 @@ class About:
 
 @runtime_checkable
 class TellsAbout(Effect, Protocol):
-    """An effect that states its plain name and its remedy."""
+    """An effect with an attribute `about`, which gives its plain name and its remedy."""
 
     about: About
 
@@ -53,8 +54,8 @@ _BY_STAGE = {"stimulus": Actor.BENCH, "acquisition": Actor.BENCH}
 
 
 def about(effect: Effect) -> About:
-    """What an effect states about itself. For a plug-in that states nothing, the result consists of the identifier of the effect,
-    the first paragraph of its docstring, and the actor that belongs to its stage."""
+    """The description of an effect. If a plug-in has no `about`, the description consists of the identifier of the effect, the
+    first paragraph of its docstring, and the usual actor for its stage."""
     if isinstance(effect, TellsAbout):
         return effect.about
     physics = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())

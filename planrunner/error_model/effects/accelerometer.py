@@ -14,7 +14,7 @@ from planrunner.plan.units import STANDARD_GRAVITY as G
 
 
 class AccelBiasTemperature:
-    """Bias + c·ΔT per axis, where ΔT is the temperature minus 25 degC."""
+    """Adds c·ΔT to the bias of each axis, where ΔT is the temperature minus 25 degC."""
 
     id, stage, with_temperature = "accel_bias_temperature", "sensor", "c"
     about = About(
@@ -30,7 +30,7 @@ class AccelBiasTemperature:
 
 
 class AccelScaleTemperature:
-    """Scale factor × (1 + k·ΔT) per axis, where ΔT is the temperature minus 25 degC."""
+    """Multiplies the scale factor of each axis by 1 + k·ΔT, where ΔT is the temperature minus 25 degC."""
 
     id, stage = "accel_scale_temperature", "sensor"
     about = About(
@@ -47,7 +47,7 @@ class AccelScaleTemperature:
 
 
 class AccelSecondOrder:
-    """Output + k·f² per axis, where f is the specific force along the axis (K2)."""
+    """Adds k·f² to the output of each axis, where f is the specific force along the axis (K2)."""
 
     id, stage = "accel_second_order", "sensor"
     about = About(
@@ -63,7 +63,7 @@ class AccelSecondOrder:
 
 
 class AccelThirdOrder:
-    """Output + k·f³ per axis, where f is the specific force along the axis (K3)."""
+    """Adds k·f³ to the output of each axis, where f is the specific force along the axis (K3)."""
 
     id, stage, hypothesis = "accel_third_order", "sensor", False
     about = About(
@@ -79,7 +79,8 @@ class AccelThirdOrder:
 
 
 class AccelAsymmetry:
-    """Output + k·|f| per axis, where f is the specific force along the axis: a scale factor that differs between the two senses of f."""
+    """Adds k·|f| to the output of each axis, where f is the specific force along the axis: the scale factor differs between the two
+    senses of f."""
 
     id, stage, hypothesis = "accel_asymmetry", "sensor", False
     about = About(
@@ -95,7 +96,7 @@ class AccelAsymmetry:
 
 
 class AccelCrossCoupling:
-    """Output + K·[f_x·f_y, f_y·f_z, f_z·f_x], where f is the specific force in sensor axes and K is a 3×3 matrix."""
+    """Adds K·[f_x·f_y, f_y·f_z, f_z·f_x] to the outputs, where f is the specific force in sensor axes and K is a 3×3 matrix."""
 
     id, stage, hypothesis = "accel_cross_coupling", "sensor", False
     about = About(
@@ -114,8 +115,8 @@ class AccelCrossCoupling:
 
 
 class AccelMisalignmentTemperature:
-    """Output + m·ΔT·(specific force along another axis of the sensor) per axis, where ΔT is the temperature minus 25 degC; six
-    amplitudes m per triad."""
+    """Adds m·ΔT times the specific force along another sensor axis to the output of each axis, where ΔT is the temperature minus 25
+    degC. A triad has six amplitudes m."""
 
     id, stage, hypothesis = "accel_misalignment_temperature", "sensor", False
     about = About(
@@ -131,7 +132,7 @@ class AccelMisalignmentTemperature:
 
 
 class AccelThermalGradient:
-    """Output + k·dT/dt per axis, where T is the temperature of the sensor."""
+    """Adds k·dT/dt to the output of each axis, where T is the temperature of the sensor."""
 
     id, stage, hypothesis = "accel_thermal_gradient", "sensor", False
     about = About(
@@ -149,7 +150,7 @@ class AccelThermalGradient:
 
 
 class AccelBiasDrift:
-    """Bias + d·t per axis, where t is the time since power-on."""
+    """Adds d·t to the bias of each axis, where t is the time since power-on."""
 
     id, stage, hypothesis = "accel_bias_drift", "sensor", False
     about = About(
@@ -165,7 +166,7 @@ class AccelBiasDrift:
 
 
 class AccelThermalHysteresis:
-    """Output + h·s per axis, where s is the sign of the last temperature change (0 before the first change)."""
+    """Adds h·s to the output of each axis, where s is the sign of the last temperature change (0 before the first change)."""
 
     id, stage, hypothesis = "accel_thermal_hysteresis", "sensor", False
     about = About(
@@ -184,7 +185,7 @@ class AccelThermalHysteresis:
 
 
 class AccelNoiseExcess:
-    """A white noise density of the accelerometers that is larger than declared."""
+    """Raises the white noise density of the accelerometers above the declared density."""
 
     id, stage, outside, of_accelerometers = "accel_noise_excess", "covariance", "white", True
     about = About(
@@ -199,7 +200,7 @@ class AccelNoiseExcess:
 
 
 class AccelQuantization:
-    """A resolution of the accelerometers that is coarser than declared: every output is a multiple of a larger count."""
+    """Makes the resolution of the accelerometers coarser than declared: every output is a multiple of a larger count."""
 
     id, stage, outside, of_accelerometers = "accel_quantization", "covariance", "resolution", True
     about = About(

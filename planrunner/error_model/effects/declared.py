@@ -1,8 +1,8 @@
-"""Wrong declarations: axes, signs, units and senses of rotation that a plan or a bench file states differently from the recording.
+"""Wrong declarations: axes, signs, units and senses of rotation that the plan or the bench file states wrongly.
 
 These effects change a whole output. A diagnosis therefore does not evaluate them like other effects:
-`gap/hypotheses/declarations.py` finds them before the effects of the sensor are evaluated. A simulation to which such an effect is
-added makes recordings that contain the mistake.
+`gap/hypotheses/declarations.py` finds them before the effects of the sensor are evaluated. If such an effect is added to a
+simulation, the simulated recordings contain the mistake.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ CYCLES = ("xy", "yz", "zx", "xyz", "xzy")
 
 
 def _channels(observed: Observed) -> Iterator[tuple[str, int, int]]:
-    """The name (such as gyro_x), the index and the axis of every channel; empty for a sensor in unknown orientations."""
+    """The name (such as gyro_x), the index and the axis of every channel; empty if the orientations of the sensor are unknown."""
     if observed.along is None:
         for index, channel in enumerate(observed.channels):
             yield f"{channel.kind}_{'xyz'[channel.axis]}", index, channel.axis
 
 
 class AxisReversed:
-    """Output × −1: the channel has the opposite sign of its declaration. Amplitude 1: reversed; amplitude 0: as declared."""
+    """Multiplies the output of a channel by −1: its sign is the opposite of the declared sign. Amplitude 1 means reversed,
+    amplitude 0 means as declared."""
 
     id, stage, hypothesis = "axis_reversed", "output", False
     of_declaration: Literal[True] = True
@@ -55,8 +56,8 @@ class AxisReversed:
 
 
 class AxesMirrored:
-    """The outputs of the gyro and of the accelerometer along one axis × −1: the declared axes of the sensor form a left-handed
-    system."""
+    """Multiplies the outputs of the gyro and of the accelerometer along one axis by −1: the declared axes of the sensor form a
+    left-handed system."""
 
     id, stage, hypothesis = "axes_mirrored", "output", False
     of_declaration: Literal[True] = True
@@ -78,7 +79,7 @@ class AxesMirrored:
 
 
 class AxesExchanged:
-    """The names of two or three outputs of a triad are exchanged. Amplitude 1: exchanged; amplitude 0: as declared."""
+    """The names of two or three outputs of a triad are exchanged. Amplitude 1 means exchanged, amplitude 0 means as declared."""
 
     id, stage, hypothesis = "axes_exchanged", "output", False
     of_declaration: Literal[True] = True
@@ -102,7 +103,7 @@ class AxesExchanged:
 
 
 class UnitWrong:
-    """Output × (1 + e): the values are in another unit than declared, and 1 + e is the factor between the units."""
+    """Multiplies an output by 1 + e: its values are in another unit than declared, and 1 + e is the factor between the units."""
 
     id, stage, hypothesis = "unit_wrong", "output", False
     of_declaration: Literal[True] = True
@@ -124,7 +125,7 @@ class UnitWrong:
 
 
 class TableSenseReversed:
-    """The table turns in the opposite sense to the plan: rate and angle × −1."""
+    """Multiplies the rate and the angle of the table by −1: the table turns in the opposite sense to the plan."""
 
     id, stage, hypothesis = "table_sense_reversed", "stimulus", False
     of_declaration: Literal[True] = True
@@ -143,8 +144,8 @@ class TableSenseReversed:
 
 
 class MountTurned:
-    """The sensor is mounted in another orientation than declared. The amplitudes are the components of a rotation vector in sensor axes;
-    the rotation need not be small."""
+    """Turns the sensor on its mounting: its orientation on the table differs from the declared orientation. The amplitudes are the
+    components of a rotation vector in sensor axes; the rotation need not be small."""
 
     id, stage, hypothesis = "mount_turned", "stimulus", False
     of_declaration: Literal[True] = True
@@ -169,7 +170,7 @@ class MountTurned:
 
 
 def turned_back(observed: Observed) -> Observed:
-    """The recording with the opposite sense of rotation of the table, otherwise unchanged."""
+    """The recording as if the table turned in the opposite sense."""
     motions = tuple(replace(m, rate=-m.rate) if isinstance(m, Spin) else m for m in observed.motions)
     return replace(
         observed,

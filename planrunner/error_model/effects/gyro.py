@@ -15,7 +15,7 @@ DEG = np.pi / 180
 
 
 class GyroBiasTemperature:
-    """Bias + c1·ΔT + c2·ΔT² per axis, where ΔT is the temperature minus 25 degC."""
+    """Adds c1·ΔT + c2·ΔT² to the bias of each axis, where ΔT is the temperature minus 25 degC."""
 
     id, stage, with_temperature = "gyro_bias_temperature", "sensor", "c1"
     about = About(
@@ -33,7 +33,7 @@ class GyroBiasTemperature:
 
 
 class GyroScaleTemperature:
-    """Scale factor × (1 + k·ΔT) per axis, where ΔT is the temperature minus 25 degC."""
+    """Multiplies the scale factor of each axis by 1 + k·ΔT, where ΔT is the temperature minus 25 degC."""
 
     id, stage = "gyro_scale_temperature", "sensor"
     about = About(
@@ -50,7 +50,7 @@ class GyroScaleTemperature:
 
 
 class GyroScaleNonlinearity:
-    """Output + k·ω³ per axis, where ω is the rate about the axis: the lowest odd term beyond a scale factor."""
+    """Adds k·ω³ to the output of each axis, where ω is the rate about the axis: the lowest odd term beyond a scale factor."""
 
     id, stage = "gyro_scale_nonlinearity", "sensor"
     about = About(
@@ -66,7 +66,8 @@ class GyroScaleNonlinearity:
 
 
 class GyroScaleAsymmetry:
-    """Output + k·|ω| per axis, where ω is the rate about the axis: a scale factor that differs between the senses of rotation."""
+    """Adds k·|ω| to the output of each axis, where ω is the rate about the axis: the scale factor differs between the senses of
+    rotation."""
 
     id, stage = "gyro_scale_asymmetry", "sensor"
     about = About(
@@ -82,7 +83,8 @@ class GyroScaleAsymmetry:
 
 
 class GyroGSensitivity:
-    """Output + K·f, where f is the specific force in sensor axes and K is a 3×3 matrix (mass unbalance and its cross axes)."""
+    """Adds K·f to the outputs, where f is the specific force in sensor axes and K is a 3×3 matrix (sensitivity to mass unbalance
+    along each axis and across the axes)."""
 
     id, stage = "gyro_g_sensitivity", "sensor"
     about = About(
@@ -101,8 +103,8 @@ class GyroGSensitivity:
 
 
 class GyroG2Sensitivity:
-    """Output + K·[f_x², f_y², f_z², f_x·f_y, f_y·f_z, f_z·f_x], where f is the specific force in sensor axes and K is a 3×6 matrix
-    (anisoelasticity)."""
+    """Adds K·[f_x², f_y², f_z², f_x·f_y, f_y·f_z, f_z·f_x] to the outputs, where f is the specific force in sensor axes and K is a
+    3×6 matrix (anisoelasticity)."""
 
     id, stage = "gyro_g2_sensitivity", "sensor"
     about = About(
@@ -126,7 +128,7 @@ class GyroG2Sensitivity:
 
 
 class GyroThermalHysteresis:
-    """Output + h·s per axis, where s is the sign of the last temperature change (0 before the first change)."""
+    """Adds h·s to the output of each axis, where s is the sign of the last temperature change (0 before the first change)."""
 
     id, stage = "gyro_thermal_hysteresis", "sensor"
     about = About(
@@ -145,7 +147,7 @@ class GyroThermalHysteresis:
 
 
 class GyroThermalGradient:
-    """Output + k·dT/dt per axis, where T is the temperature of the sensor."""
+    """Adds k·dT/dt to the output of each axis, where T is the temperature of the sensor."""
 
     id, stage = "gyro_thermal_gradient", "sensor"
     about = About(
@@ -162,7 +164,7 @@ class GyroThermalGradient:
 
 
 class GyroScaleQuadratic:
-    """Output + k·ω² per axis, where ω is the rate about the axis: the lowest even term that is smooth at zero rate."""
+    """Adds k·ω² to the output of each axis, where ω is the rate about the axis: the lowest even term that is smooth at zero rate."""
 
     id, stage, hypothesis = "gyro_scale_quadratic", "sensor", False
     about = About(
@@ -178,7 +180,7 @@ class GyroScaleQuadratic:
 
 
 class GyroBiasTemperatureCubic:
-    """Bias + c3·ΔT³ per axis, where ΔT is the temperature minus 25 degC."""
+    """Adds c3·ΔT³ to the bias of each axis, where ΔT is the temperature minus 25 degC."""
 
     id, stage, hypothesis = "gyro_bias_temperature_cubic", "sensor", False
     about = About(
@@ -194,8 +196,8 @@ class GyroBiasTemperatureCubic:
 
 
 class GyroMisalignmentTemperature:
-    """Output + m·ΔT·(rate about another axis of the sensor) per axis, where ΔT is the temperature minus 25 degC; six amplitudes m
-    per triad."""
+    """Adds m·ΔT times the rate about another sensor axis to the output of each axis, where ΔT is the temperature minus 25 degC. A
+    triad has six amplitudes m."""
 
     id, stage, hypothesis = "gyro_misalignment_temperature", "sensor", False
     about = About(
@@ -211,7 +213,7 @@ class GyroMisalignmentTemperature:
 
 
 class GyroBiasDrift:
-    """Bias + d·t per axis, where t is the time since power-on."""
+    """Adds d·t to the bias of each axis, where t is the time since power-on."""
 
     id, stage, hypothesis = "gyro_bias_drift", "sensor", False
     about = About(
@@ -227,8 +229,8 @@ class GyroBiasDrift:
 
 
 class GyroAngularAcceleration:
-    """Output + k·dω/dt per axis, where ω is the rate about the axis. To the first order, a delay d of one axis has the same effect,
-    with k = −d."""
+    """Adds k·dω/dt to the output of each axis, where ω is the rate about the axis. To first order, a delay d of the output of one
+    axis has the same effect, with k = −d."""
 
     id, stage, hypothesis = "gyro_angular_acceleration", "sensor", False
     about = About(

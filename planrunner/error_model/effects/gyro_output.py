@@ -1,4 +1,5 @@
-"""Effects at a gyro's output: bandwidth, dead zone and limits, computed exactly at every grid value, and effects on the noise."""
+"""Effects at a gyro's output. Bandwidth, dead zone and limits are computed exactly at every value of the grid; further effects
+change the noise."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ def _frequencies(tau: float) -> Mapping[str, str]:
 
 
 class GyroBandwidth(Shaped):
-    """First-order lag 1/(τs + 1) of the output. The lag is in steady state when a segment begins; it has an effect only if the rate
-    changes."""
+    """Passes the output through a first-order lag 1/(τs + 1). The lag is in steady state when a segment begins, so it changes the
+    output only where the rate changes."""
 
     id, stage, shape_name, shape_unit = "gyro_bandwidth", "output", "tau", "s"
     about = About(
@@ -46,8 +47,8 @@ class GyroBandwidth(Shaped):
 
 
 def lagging(observed: Observed, tau: float) -> Array:
-    """The change (N, 3) of the nominal rate due to a first-order lag; zero in segments with a constant rate. While the table rocks,
-    its motion is taken as steady and harmonic with the angular frequency p: the lagged rate is (ω − τ·dω/dt)/(1 + (pτ)²)."""
+    """The change (N, 3) of the nominal rate due to a first-order lag; zero in segments with a constant rate. While the table rocks
+    with the angular frequency p, its motion is taken as steady and harmonic: the lagged rate is (ω − τ·dω/dt)/(1 + (pτ)²)."""
     change = observed.turn_lagged(tau)
     for rows in observed.rocked:
         squared = (observed.pulsation[rows] * tau) ** 2
@@ -57,8 +58,8 @@ def lagging(observed: Observed, tau: float) -> Array:
 
 
 class GyroAxisDelay:
-    """Each gyro has its own delay: at any moment, its output shows the rate at an earlier moment. The delay is negative if the gyro
-    is early."""
+    """Each gyro has its own delay: at any moment, its output shows the rate at an earlier moment. A negative delay means that the
+    output shows the rate at a later moment."""
 
     id, stage = "gyro_axis_delay", "acquisition"
     about = About(
@@ -73,7 +74,7 @@ class GyroAxisDelay:
         return self.around(observed, np.zeros(3))
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """One column per gyro, as a secant: the change of the output due to a delay, divided by the delay."""
+        """Gives one column per gyro: the change of its output due to a delay, divided by the delay."""
         gyros = [index for index in observed.of_kind("gyro") if observed.along is None]
         if not observed.unsteady.any() or not gyros:
             return []
@@ -87,7 +88,7 @@ class GyroAxisDelay:
 
 
 class GyroDeadZone(Shaped):
-    """Lock-in: an output y becomes 0 for |y| < d, otherwise sign(y)·√(y² − d²)."""
+    """Lock-in: an output y becomes 0 if |y| < d, otherwise sign(y)·√(y² − d²)."""
 
     id, stage, shape_name, shape_unit = "gyro_dead_zone", "output", "d", "deg/s"
     about = About(
@@ -107,7 +108,7 @@ class GyroDeadZone(Shaped):
 
 
 class GyroSaturation(Shaped):
-    """Output clipped at ±limit."""
+    """Clips the output at ±limit."""
 
     id, stage, shape_name, shape_unit = "gyro_saturation", "output", "limit", "deg/s"
     about = About(
@@ -129,9 +130,9 @@ class GyroSaturation(Shaped):
 
 
 class _OneSided(Shaped):
-    """Output clipped at one of its two limits. sign: 1 for the upper limit, −1 for the lower one. The shape is the magnitude of the
-    limit. The grid contains only limits that the output exceeds in both directions. For any other limit, the effect cannot be
-    distinguished from `gyro_saturation`."""
+    """Clips the output at one of its two limits. sign: 1 for the upper limit, −1 for the lower limit. The shape parameter is the
+    magnitude of this limit. The grid contains only limits whose magnitude the output exceeds in both directions. For any other
+    limit, the effect cannot be distinguished from `gyro_saturation`."""
 
     stage, shape_unit, acts_on = "output", "deg/s", "output"
     sign: int
@@ -154,19 +155,20 @@ class _OneSided(Shaped):
 
 
 class _Above(_OneSided):
-    """Output clipped at an upper limit."""
+    """Clips the output at an upper limit."""
 
     shape_name, sign = "upper", 1
 
 
 class _Below(_OneSided):
-    """Output clipped at a lower limit, whose magnitude is the shape."""
+    """Clips the output at a lower limit, whose magnitude is the shape."""
 
     shape_name, sign = "lower", -1
 
 
 class GyroSaturationAsymmetric:
-    """Output clipped at +upper or at −lower. The limits differ, for example because the output has an offset before it is clipped."""
+    """Clips the output at +upper and at −lower. The limits differ, for example because an offset is added to the output before
+    clipping."""
 
     id, stage, hypothesis = "gyro_saturation_asymmetric", "output", False
     about = About(
@@ -184,7 +186,7 @@ class GyroSaturationAsymmetric:
 
 
 class GyroSoftSaturation(Shaped):
-    """An output y becomes L·tanh(y/L), which approaches a limit L gradually."""
+    """Turns an output y into L·tanh(y/L), which approaches the limit L gradually."""
 
     id, stage, shape_name, shape_unit = "gyro_soft_saturation", "output", "limit", "deg/s"
     about = About(
@@ -207,7 +209,8 @@ class GyroSoftSaturation(Shaped):
 
 
 class GyroFoldOver(Shaped):
-    """An output y beyond ±L continues from the other end of the range, as if a counter overflows: y − 2L·floor((y + L)/2L)."""
+    """Turns an output y into y − 2L·floor((y + L)/2L): an output beyond ±L continues from the other end of the range, as if a
+    counter overflowed."""
 
     id, stage, hypothesis, shape_name, shape_unit = "gyro_fold_over", "output", False, "limit", "deg/s"
     about = About(
@@ -244,7 +247,7 @@ def _changed(
 
 
 class GyroBiasRandomWalk:
-    """A random walk of the bias beyond the declared noise, with the covariance q²·min(t, t') between the times t and t'."""
+    """Adds a random walk to the bias, beyond the declared noise, with the covariance q²·min(t, t') between the times t and t'."""
 
     id, stage, outside = "gyro_bias_random_walk", "covariance", "random walk"
     about = About(
@@ -259,7 +262,7 @@ class GyroBiasRandomWalk:
 
 
 class GyroNoiseExcess:
-    """A white noise density of the gyros that is larger than declared."""
+    """Raises the white noise density of the gyros above the declared density."""
 
     id, stage, outside = "gyro_noise_excess", "covariance", "white"
     about = About(
@@ -274,7 +277,7 @@ class GyroNoiseExcess:
 
 
 class GyroQuantization:
-    """A resolution of the gyros that is coarser than declared: every output is a multiple of a larger count."""
+    """Makes the resolution of the gyros coarser than declared: every output is a multiple of a larger count."""
 
     id, stage, outside = "gyro_quantization", "covariance", "resolution"
     about = About(

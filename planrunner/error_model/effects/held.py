@@ -1,4 +1,4 @@
-"""Stuck samples: stretches in which the outputs repeat their last value."""
+"""Stuck samples: periods in which the outputs repeat their last value."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from planrunner.error_model.observed import Observed
 
 
 class SamplesStuck:
-    """Outputs that keep the value of one sample, including its noise. They are stuck from a moment on, which is stated as a time
-    since power-on."""
+    """Outputs that, from a given time since power-on, keep the value of one sample, including its noise."""
 
     id, stage, outside, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
     about = About(
@@ -27,8 +26,8 @@ class SamplesStuck:
 
 
 def sticking(time: Array, values: Array, begin: float, lasting: float, before: float) -> Array:
-    """The values (n,) of an output at times (n,), s: from `begin` on, they repeat the last value before `begin` for `lasting`
-    seconds. before: the value before the first of `values`."""
+    """The values (n,) of an output at times (n,), s, where the values from `begin` on repeat the last value before `begin` for
+    `lasting` seconds. before: the value before the first of `values`."""
     inside = np.flatnonzero((time >= begin) & (time < begin + lasting))
     if not len(inside):
         return values

@@ -1,9 +1,10 @@
-"""Interface of effects: the physics of a sensor's errors, and of its surroundings, as columns over the samples of a recording.
+"""Defines the interface of effects. An effect describes errors of a sensor or of its surroundings by columns over the samples of a
+recording.
 
 An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator
 `error_model` fits their amplitudes to the means of segments, and the diagnosis decides whether the data support them. An effect may
-act on several channels at once, have a shape, or change the noise. An estimate fits effects without a shape, and effects with a
-shape that last longer than a segment.
+act on several channels simultaneously, have a shape (such as a time constant), or change the noise. An estimate fits effects
+without a shape, and effects with a shape that last longer than a segment.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -14,12 +15,12 @@ shape that last longer than a segment.
 
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect
 that acts on the noise states the kind of change in `outside`, such as 'random walk', 'white' or 'resolution'. If its stage is
-covariance, it has no columns. With `each = "orientation"`, an effect has independent amplitudes for every orientation. Its columns
-are then listed orientation by orientation, in the order of first use.
+covariance, it has no columns. With `each = "orientation"`, an effect has separate amplitudes for every orientation, which are
+independent of each other. The columns of such an effect are listed orientation by orientation, in the order of first use.
 
-An effect that becomes nonlinear when large also has a method `around` (see `Curved`). If `hypothesis = False`, the diagnosis
-evaluates the effect only if the effect is named explicitly. Every additional hypothesis changes the probabilities of all others, so
-an effect becomes a hypothesis only after blind trials.
+An effect whose columns are only valid for small amplitudes also has a method `around` (see `Curved`). If `hypothesis = False`, the
+diagnosis evaluates the effect only if the effect is named explicitly. Every additional hypothesis changes the probabilities of all
+others, so an effect becomes a hypothesis only after blind trials.
 """
 
 from __future__ import annotations
@@ -40,19 +41,19 @@ from planrunner.error_model.observed import Observed, TemperatureCourse
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One amplitude of an effect.
+    """One column of an effect, which is multiplied by one amplitude.
 
-    magnitude: prior scale of the amplitude in SI, relative to the effect's other columns.
-    unit, factor: unit for display and its SI value.
-    parts: channel index → signature (N,), SI output for an amplitude of 1 in SI.
+    magnitude: prior scale of the amplitude in SI, relative to the magnitudes of the effect's other columns.
+    unit: unit for display; factor: SI value of this unit.
+    parts: maps the index of each affected channel to the column (N,), which is the SI output for an amplitude of 1 in SI.
     segments: (S,), True for the segments in which the column acts; None for all segments.
     whole: True if the effect is either present or absent, so that its amplitude is not a parameter.
     along: the axis of the sensor (0, 1, 2) if the column is the input along this axis. If the channel measures along the same axis, the
         amplitude is the error of the scale factor.
     plain: `unit` without a factor that is not a unit of measurement, such as the strength of a field; empty if there is no such factor.
     axis: the axis (0, 1, 2) if the column belongs to one axis alone; the column's name then ends with "_" and the letter of the axis.
-        None for an amplitude of the whole sensor or of its surroundings. An effect must always state the axis, because a column of
-        one axis is reported for each output, and a column without axis once for all outputs.
+        None for an amplitude of the whole sensor or of its surroundings. An effect must always state `axis`, because a column of
+        one axis is reported for each output, and a column without an axis is reported once for all outputs.
     smallest, largest: the physically possible limits of the amplitude, SI.
     """
 
@@ -87,18 +88,20 @@ class Effect(Protocol):
     stage: str
 
     def variants(self, observed: Observed) -> list[Variant]:
-        """The variants of the effect for this recording; empty if it cannot act (the channel is missing, nothing rotates)."""
+        """The variants of the effect for this recording; empty if the effect cannot act, for example because the channel is missing
+        or nothing rotates."""
 
 
 @runtime_checkable
 class Explained(Effect, Protocol):
-    """An effect that states which segments determine it."""
+    """An effect with a text `shown_by` that states which segments determine it."""
 
     shown_by: str
 
 
 def effect_named(name: str) -> Effect:
-    """The installed effect with this name. Raises `InputError` if there is none, or if it acts on the covariance without stating how."""
+    """The installed effect with this name. Raises `InputError` if there is no such effect, or if the effect has the stage
+    covariance and no attribute `outside`."""
     made: Effect = plugins.load(plugins.EFFECTS, name)()
     if made.stage == "covariance" and not isinstance(made, OutsideCoefficients):
         message = f"the effect '{name}' has the stage covariance, but no attribute 'outside'"
@@ -108,28 +111,28 @@ def effect_named(name: str) -> Effect:
 
 
 def shown_by(effect: Effect) -> str:
-    """Description of the segments that determine an effect; empty if the effect does not state them."""
+    """A description of the segments that determine an effect; empty if the effect has none."""
     return effect.shown_by if isinstance(effect, Explained) else ""
 
 
 @runtime_checkable
 class ExplainsTurning(Effect, Protocol):
-    """An effect that describes what accelerometers measure while the table turns or rocks. Without such an effect, an estimate uses
-    accelerometers only at rest."""
+    """An effect that describes what accelerometers measure in addition while the table turns or rocks. Without such an effect, an
+    estimate uses accelerometers only in segments at rest."""
 
     explains_turning: Literal[True]
 
 
 @runtime_checkable
 class FollowsTemperature(Effect, Protocol):
-    """An effect with a single amplitude that is multiplied by the temperature: the drift of a bias with temperature.
-    with_temperature: name of the amplitude, without the letter of its axis."""
+    """An effect with a single amplitude for each axis, which is multiplied by the temperature: the change of a bias with
+    temperature. with_temperature: name of the amplitude, without the letter of its axis."""
 
     with_temperature: str
 
 
 class Follows(StrEnum):
-    """The quantities, besides the motion, to which an effect can be proportional."""
+    """The quantities, other than the motion, to which an effect can be proportional."""
 
     SUPPLY = "supply voltage"
     PRESSURE = "ambient pressure"
@@ -137,15 +140,15 @@ class Follows(StrEnum):
 
 @runtime_checkable
 class FollowsSurroundings(Effect, Protocol):
-    """An effect that is proportional to the supply voltage or to the ambient pressure. If the plan does not state this quantity,
-    the recording may contain it."""
+    """An effect that is proportional to the supply voltage or to the ambient pressure. If the plan does not state this quantity, it
+    may come from the recording."""
 
     follows: Follows
 
 
 @runtime_checkable
 class ShownInSome(Effect, Protocol):
-    """An effect that the diagnosis evaluates only in recordings that can distinguish it from similar effects."""
+    """An effect that the diagnosis evaluates only in recordings that can distinguish it from similar effects (`shown_in`)."""
 
     def shown_in(self, observed: Observed) -> bool: ...
 
@@ -177,16 +180,16 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
-    """An effect that a diagnosis finds in other coefficients of the data than those on which other effects act: noise of the gyros, a line
-    interference, or samples that repeat their values. An effect of stage covariance has no columns. A line interference has columns,
-    which a simulation adds."""
+    """An effect for which a diagnosis does not fit columns to the usual coefficients of the data: noise, a line interference, or
+    samples that repeat their values. An effect with the stage covariance has no columns. A line interference has columns, which
+    only a simulation uses."""
 
     outside: OutsideKind
 
 
 @runtime_checkable
 class OfAccelerometers(OutsideCoefficients, Protocol):
-    """An effect of the kind `OutsideCoefficients` that acts on the accelerometers instead of the gyros."""
+    """An effect of the kind `OutsideCoefficients` on accelerometers; without this mark, such an effect acts on gyros."""
 
     of_accelerometers: Literal[True]
 
@@ -198,7 +201,7 @@ def triad_of(effect: OutsideCoefficients) -> Literal["gyro", "accel"]:
 
 @runtime_checkable
 class PerOrientation(Effect, Protocol):
-    """An effect whose amplitudes are drawn anew for every orientation."""
+    """An effect with separate amplitudes for every orientation; a simulation draws these amplitudes at random."""
 
     each: Literal["orientation"]
 
@@ -217,9 +220,9 @@ class ChangesWithinSegments(HasShape, Protocol):
     """An effect that changes an output within segments, so that an estimate fits it to samples.
 
     acts_on: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the effect computes each
-    output from the value that this output would have without the effect at the same moment (`Observed.fitted`). With 'rate' and
-    with 'output', the effect has one column, which is the change of the output. 'amplitudes' if the effect has a few values of its
-    shape, and columns with amplitudes for each value.
+    output from the value that this output would have without the effect at the same moment (`Observed.fitted`). In these two cases
+    the effect has one column, which is the change of the output. 'amplitudes' if the effect has a few values of its shape, and
+    columns with amplitudes for each of these values.
     """
 
     acts_on: Literal["rate", "output", "amplitudes"]
@@ -227,40 +230,42 @@ class ChangesWithinSegments(HasShape, Protocol):
 
 @runtime_checkable
 class DependsOnPast(HasShape, Protocol):
-    """An effect that depends on the temperatures before the first sample (`Observed.past`). A simulation computes such an effect
-    block by block."""
+    """An effect that depends on the temperatures before the first sample (`Observed.past`). A simulation computes such an effect in
+    blocks of samples."""
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """A short past that can replace both the past before `observed` and the samples of `observed`: at this value of the shape,
-        it has the same effect on later samples. The length of this past does not grow with the number of samples."""
+        """Replaces the past before `observed` and the samples of `observed` by one short past, which has the same effect on later
+        samples at this value of the shape. The length of the short past does not grow with the number of samples."""
 
 
 @runtime_checkable
 class InEveryWorld(Effect, Protocol):
-    """An effect that every simulated world contains. Its parameter is a share: 1 leaves the effect unchanged, 0 removes it."""
+    """An effect that every simulation of a bench contains. Its parameter is a factor: 1 leaves the effect unchanged, 0 removes it."""
 
     in_every_world: Literal[True]
 
 
 @runtime_checkable
 class CurvedAndShaped(HasShape, Protocol):
-    """An effect that has a shape, and that is linear in its amplitudes only while they are small."""
+    """An effect that has a shape, and that is proportional to its amplitudes only while they are small."""
 
     def secant(self, amplitudes: Array) -> Shaped:
-        """The effect with secants as columns: multiplied by these amplitudes (SI) and added, the columns give the complete effect."""
+        """The effect with columns that are valid at `amplitudes` (SI): each column times its amplitude, added up, gives the
+        complete effect there."""
 
 
 @runtime_checkable
 class Curved(Effect, Protocol):
-    """An effect that is linear in its amplitudes only while they are small."""
+    """An effect that is proportional to its amplitudes only while they are small."""
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """Variants with secants as columns: multiplied by these amplitudes (SI) and added, the columns give the complete effect."""
+        """Variants with columns that are valid at `amplitudes` (SI): each column times its amplitude, added up, gives the complete
+        effect there."""
 
 
 class Shaped:
-    """An effect whose shape is one positive number, `shape_name`, in `shape_unit`. `grid` gives values of the shape, and `at` gives
-    the variant at one value; the diagnosis refines between the values of the grid."""
+    """An effect whose shape is one positive number, `shape_name`, in `shape_unit`. The method `grid` gives values of the shape, and
+    the method `at` gives the variant at one value. The diagnosis also searches between the values of the grid."""
 
     id: str
     stage: str
@@ -268,7 +273,7 @@ class Shaped:
     shape_unit: str
 
     def grid(self, observed: Observed) -> Array:
-        """Values of the shape; empty if the effect cannot act."""
+        """Values of the shape that the diagnosis tries first; empty if the effect cannot act."""
         raise NotImplementedError
 
     def at(self, observed: Observed, value: float) -> Variant:
@@ -282,21 +287,20 @@ class Shaped:
 @runtime_checkable
 class HasAlternatives(Effect, Protocol):
     """An effect that acts in one of several ways, each with its own shape, such as clipping at an upper or at a lower limit. A
-    diagnosis names the most probable way; a simulation may combine all ways whose shapes are stated. alternatives: effects of the
-    same `id` and `stage`, with distinct `shape_name`; each is fully determined by its shape."""
+    diagnosis names the most probable way; a simulation may combine all ways whose shapes are stated. alternatives: one effect for
+    each way, all with the same `id` and `stage` but with distinct `shape_name`; each is fully determined by its shape."""
 
     alternatives: Sequence[Shaped]
 
 
 def ways_of(effect: Effect) -> Sequence[Effect]:
-    """The ways in which an effect may act; usually there is only one."""
+    """The ways in which an effect may act, each as an effect; usually this is the effect itself."""
     return effect.alternatives if isinstance(effect, HasAlternatives) else (effect,)
 
 
 @runtime_checkable
 class ShapedOverSegments(HasShape, Protocol):
-    """An effect with one shape parameter. The means of segments determine this parameter, because the effect lasts longer than a
-    segment."""
+    """An effect with one shape parameter that the means of segments determine, because the effect lasts longer than a segment."""
 
     over_segments: Literal[True]
 
@@ -308,7 +312,8 @@ class ShapedOverSegments(HasShape, Protocol):
 def per_axis(
     observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
 ) -> list[Column]:
-    """One column per input axis of a triad. signature: (N,) for all axes, or (N, 3) with one signature per axis."""
+    """Makes one column for each input axis of a triad. signature: (N,) if all axes have the same signature, or (N, 3) with one
+    signature per axis."""
     columns = []
     for axis, index, share in observed.inputs(kind):
         own = signature if signature.ndim == 1 else signature[:, axis]
@@ -318,8 +323,8 @@ def per_axis(
 
 
 def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) -> Mapping[int, Array]:
-    """The parts of a column that changes the stimulus. omega, force: additional angular rate (N, 3) and specific force (N, 3); None
-    for no change."""
+    """The changes of the outputs, by index of the channel, due to a change of the stimulus. omega: (N, 3), additional angular rate;
+    force: (N, 3), additional specific force; None means no change."""
     parts = {}
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
@@ -329,8 +334,8 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """The parts of a column that changes the rate sensed by the gyros. omega: (N, 3), additional angular rate. The response of the
-    gyros in the fitted model is used if this response is known."""
+    """The changes of the gyros' outputs, by index of the channel, due to a change of the rate. omega: (N, 3), additional angular
+    rate. If the response of the gyros in the fitted model is known, it is used; otherwise the declared response."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}
@@ -341,8 +346,8 @@ def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
 def whole(
     parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None, *, either_sign: bool = False
 ) -> Column:
-    """The column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. either_sign: whether the
-    opposite of the effect exists too, as of a delay. A negative lag or dead zone does not exist."""
+    """The column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. either_sign: True if the
+    opposite of the effect also exists, as for a delay; a lag or a dead zone cannot be negative."""
     smallest = -np.inf if either_sign else 0.0
     return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None, smallest=smallest)
 
@@ -353,5 +358,5 @@ def single(columns: Sequence[Column]) -> list[Variant]:
 
 
 def is_whole(columns: Sequence[Column]) -> bool:
-    """Whether columns are those of an effect that is fully determined by its shape, such as a lag, a limit or a delay."""
+    """Whether these columns belong to an effect that is fully determined by its shape, such as a lag, a limit or a delay."""
     return len(columns) == 1 and columns[0].whole

@@ -1,8 +1,8 @@
-"""Line interference: a sine of one frequency in the outputs of a triad, from the electric supply or a vibration.
+"""Line interference: a sine of one frequency in the outputs of a triad, caused by the electric supply or a vibration.
 
-Interference and aliasing are one effect. The sine is taken at the times of the samples, so that a line above half of the sampling rate f_s
-appears at its folded frequency |f − n·f_s| (Oppenheim and Schafer, Discrete-Time Signal Processing, sampling theorem). The samples alone do
-not show which of these frequencies is the true one.
+Interference and its aliases are a single effect. The sine is taken at the times of the samples, so that a line above half of the
+sampling rate f_s appears at its folded frequency |f − n·f_s| (Oppenheim and Schafer, Discrete-Time Signal Processing, sampling
+theorem). The samples alone do not show which of these frequencies is the true one.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _about(triad: str) -> About:
 
 
 class _LineInterference(Shaped):
-    """Output + a·cos 2πft + b·sin 2πft per axis, where t is the time of a sample since power-on."""
+    """Adds a·cos 2πft + b·sin 2πft to the output of each axis, where t is the time of a sample since power-on."""
 
     stage, outside, shape_name, shape_unit = "output", "line", "frequency", "Hz"
     kind: str
@@ -51,12 +51,12 @@ class _LineInterference(Shaped):
 
 
 class GyroLineInterference(_LineInterference):
-    """Output of each gyro + a·cos 2πft + b·sin 2πft, with one frequency f for all gyros."""
+    """Adds a·cos 2πft + b·sin 2πft to the output of each gyro, with one frequency f for all gyros."""
 
     id, kind, about = "gyro_line_interference", "gyro", _about("gyro")
 
 
 class AccelLineInterference(_LineInterference):
-    """Output of each accelerometer + a·cos 2πft + b·sin 2πft, with one frequency f for all accelerometers."""
+    """Adds a·cos 2πft + b·sin 2πft to the output of each accelerometer, with one frequency f for all accelerometers."""
 
     id, of_accelerometers, kind, about = "accel_line_interference", True, "accel", _about("accelerometer")

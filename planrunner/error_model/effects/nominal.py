@@ -1,5 +1,4 @@
-"""Terms of the full nominal model (bias, scale factor, misalignment, Earth rate) as candidate effects if the nominal model is
-smaller."""
+"""The terms bias, scale factor, misalignment and Earth rate as candidate effects, for nominal models that lack one of them."""
 
 from __future__ import annotations
 
@@ -15,34 +14,35 @@ DEG = 3.141592653589793 / 180
 
 
 def felt(observed: Observed, kind: str) -> Array:
-    """The quantity that a triad measures, (N, 3): rate or specific force."""
+    """The quantity (N, 3) that a triad measures: angular rate or specific force."""
     return observed.omega if kind == "gyro" else observed.force
 
 
 def bias(observed: Observed, kind: str) -> list[Column]:
-    """A constant bias per axis."""
+    """Adds a constant bias to each axis."""
     unit, factor = ("deg/s", DEG) if kind == "gyro" else ("mg", 1e-3 * G)
     one = observed.time * 0 + 1
     return per_axis(observed, kind, "bias", unit, factor, factor, one)
 
 
 def scale_factor(observed: Observed, kind: str) -> list[Column]:
-    """Output + k·(input of the axis) per axis."""
+    """Adds k times the input of the axis to the output of each axis."""
     columns = per_axis(observed, kind, "k", "ppm", 1e-6, 1e-3, felt(observed, kind))
     return [replace(column, along=column.axis) for column in columns]
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
-    """Output + m·(input of another axis of the sensor) per axis; six amplitudes m per triad. In unknown orientations, a triad has
-    only three amplitudes: the sums of opposite misalignments."""
+    """Adds m times the input of another sensor axis to the output of each axis. A triad has six amplitudes m. In unknown
+    orientations, a triad has only three amplitudes, because only the sums of opposite misalignments can be determined."""
     return towards_others(observed, kind, "arcsec", 1e-3, inputs=True)
 
 
 def towards_others(
     observed: Observed, kind: str, unit: str, magnitude: float, factor: Array | float = 1.0, inputs: bool = False
 ) -> list[Column]:
-    """The response of each axis to the inputs of the other axes, multiplied by `factor`. unit: arcsec, or arcsec per SI unit of the
-    factor. inputs: True if the columns are the inputs themselves (`Column.along`)."""
+    """Columns for the response of each axis to the inputs of the other axes, multiplied by `factor`. unit: the unit of the
+    amplitudes, which is arcsec or arcsec per SI unit of the factor. inputs: True if the columns are the inputs of the sensor
+    themselves (`Column.along`)."""
     columns = []
     for other in range(3):
         signature = felt(observed, kind)[:, other] * factor
@@ -96,7 +96,7 @@ _ABOUT = {
 
 
 class _OfTriad:
-    """One part of the nominal model of one triad."""
+    """One term of the nominal model (bias, scale factor or misalignment) of one triad."""
 
     stage = "sensor"
 
@@ -110,7 +110,7 @@ class _OfTriad:
 
 
 class EarthRate:
-    """The Earth's rotation, if the nominal simulation omits it."""
+    """Adds the Earth's rotation, if the nominal simulation omits it."""
 
     id, stage, in_every_world = "earth_rate", "stimulus", True
     shown_by = "orientations that differ in the angle between the axis and the Earth's axis"

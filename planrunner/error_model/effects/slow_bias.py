@@ -1,5 +1,5 @@
-"""Biases that wander: a random walk of the accelerometers, and first-order Gauss–Markov processes. The random walk of the gyros, which a
-diagnosis evaluates, is in `gyro_output`."""
+"""Random changes of biases over time: a random walk of the accelerometers, and first-order Gauss–Markov processes. The random walk
+of the gyros' bias is in `gyro_output`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from planrunner.error_model.observed import Observed
 
 
 class AccelBiasRandomWalk:
-    """A random walk of the bias of each accelerometer, with the covariance q²·min(t, t') between the times t and t'."""
+    """Adds a random walk to the bias of each accelerometer, with the covariance q²·min(t, t') between the times t and t'."""
 
     id, stage, outside, of_accelerometers, hypothesis = (
         "accel_bias_random_walk",
@@ -30,7 +30,8 @@ class AccelBiasRandomWalk:
 
 
 class _GaussMarkov:
-    """Bias + b per axis with the covariance σ²·exp(−|t − t'|/τ) (IEEE Std 952, annex C, exponentially correlated noise)."""
+    """Adds a random process b to the bias of each axis, with the covariance σ²·exp(−|t − t'|/τ) (IEEE Std 952, annex C,
+    exponentially correlated noise)."""
 
     stage, outside, hypothesis, shape_name, shape_unit = "covariance", "gauss-markov", False, "tau", "s"
 
@@ -48,12 +49,12 @@ def _about(triad: str) -> About:
 
 
 class GyroBiasGaussMarkov(_GaussMarkov):
-    """A random change of the bias of each gyro over time, with the covariance σ²·exp(−|t − t'|/τ)."""
+    """Adds a random process to the bias of each gyro, with the covariance σ²·exp(−|t − t'|/τ) between the times t and t'."""
 
     id, about = "gyro_bias_gauss_markov", _about("gyro")
 
 
 class AccelBiasGaussMarkov(_GaussMarkov):
-    """A random change of the bias of each accelerometer over time, with the covariance σ²·exp(−|t − t'|/τ)."""
+    """Adds a random process to the bias of each accelerometer, with the covariance σ²·exp(−|t − t'|/τ) between the times t and t'."""
 
     id, of_accelerometers, about = "accel_bias_gauss_markov", True, _about("accelerometer")

@@ -1,4 +1,4 @@
-"""Effects of one moment, such as a shock: a step of a bias, a shift of the sensor on its mounting, or lost samples."""
+"""Effects that begin at one moment, such as a shock: a step of a bias, a shift of the sensor on its mounting, or lost samples."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def _about(triad: str) -> About:
 
 
 def _moments(observed: Observed) -> Array:
-    """The moments at which a diagnosis begins its search: the beginnings of segments, and the middles of the first and the last
-    segment. The diagnosis refines between these moments. Every interval between them has the same prior probability, so that the
-    evidence is averaged over the moment."""
+    """The moments with which a diagnosis starts its search: the starts of all segments but the first, and the middles of the first
+    and the last segment. The diagnosis then also searches between these moments. All intervals between neighbouring moments have
+    the same prior probability, and the evidence is averaged over these intervals."""
     bounds = observed.bounds
     middles = observed.time[[bounds[1] // 2, (bounds[-2] + bounds[-1]) // 2]]
     return np.unique(np.maximum([middles[0], *observed.time[bounds[1:-1]], middles[1]], 1e-9))
 
 
 class _BiasStep(Shaped):
-    """Bias + s per axis after a moment; the moment is the shape."""
+    """Adds s to the bias of each axis after a moment; this moment is the shape parameter."""
 
     stage, shape_name, shape_unit = "sensor", "time", "s"
     kind: str
@@ -62,19 +62,19 @@ class _BiasStep(Shaped):
 
 
 class GyroBiasStep(_BiasStep):
-    """Bias of each gyro + s after a moment, which is a time since power-on."""
+    """Adds s to the bias of each gyro after a moment, which is a time since power-on."""
 
     id, kind, about = "gyro_bias_step", "gyro", _about("gyro")
 
 
 class AccelBiasStep(_BiasStep):
-    """Bias of each accelerometer + s after a moment, which is a time since power-on."""
+    """Adds s to the bias of each accelerometer after a moment, which is a time since power-on."""
 
     id, kind, about = "accel_bias_step", "accel", _about("accelerometer")
 
 
 class MountShift(Shaped):
-    """The sensor is turned by three small angles about its own axes after a moment, which is a time since power-on. A rotation by θ
+    """Turns the sensor by three small angles about its own axes after a moment, which is a time since power-on. A rotation by θ
     changes a vector v in sensor axes by −θ×v."""
 
     id, stage, shape_name, shape_unit = "mount_shift", "stimulus", "time", "s"
@@ -97,7 +97,7 @@ class MountShift(Shaped):
 
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
-        """Columns of the shift. felt: (N, 12): angular rate, specific force, and both again with the opposite sign."""
+        """The columns of the shift. felt: (N, 12), angular rate, specific force, and then both with the opposite sign."""
         after, acting = _after(observed, value, felt)
         parts: list[dict[int, Array]] = [{}, {}, {}]
         for index, channel in enumerate(observed.channels):
@@ -123,9 +123,9 @@ class MountShift(Shaped):
 
 
 class SamplesDropped(Shaped):
-    """Samples of the sensor are lost at a moment, a time since power-on, and the times of later samples do not include the lost samples.
-    From then on, the gyros show a later motion. lost: lost time [s] at which the columns are exact. For a short lost time, the change of
-    the rate is the lost time multiplied by the angular acceleration."""
+    """Samples of the sensor are lost at a moment, a time since power-on, and the times of later samples do not include the lost
+    samples. After the loss, the gyros show the motion at a later time than stated. lost: the lost time [s] for which the columns
+    are exact. For a short lost time, the change of the rate is the lost time multiplied by the angular acceleration."""
 
     id, stage, hypothesis, shape_name, shape_unit = "samples_dropped", "acquisition", False, "time", "s"
     about = About(
@@ -142,7 +142,8 @@ class SamplesDropped(Shaped):
         return SamplesDropped(float(amplitudes[0]))
 
     def grid(self, observed: Observed) -> Array:
-        """Possible moments: from the beginning of the first to the end of the last segment in which the rate changes."""
+        """Possible moments of the loss, from the start of the first segment in which the rate changes to the end of the last such
+        segment."""
         if not observed.unsteady.any() or not observed.of_kind("gyro") or observed.along is not None:
             return np.empty(0)
         moments, first = _moments(observed), int(np.flatnonzero(observed.unsteady)[0])
@@ -172,7 +173,7 @@ class SamplesDropped(Shaped):
         return float(observed.time[observed.bounds[np.flatnonzero(observed.unsteady)[-1] + 1] - 1])
 
     def _shown(self, observed: Observed) -> Array:
-        """The change (N, G) of the gyros' outputs per lost time."""
+        """The change (N, G) of the outputs of G gyros, divided by the lost time."""
         later = observed.turn_before(-self.lost) / self.lost if self.lost else observed.swing
         return np.column_stack(list(on_rate(observed, later).values()))
 
@@ -182,8 +183,9 @@ def _both_signs(observed: Observed) -> Array:
 
 
 def _after(observed: Observed, moment: float, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """A copy of a table (N, P) with zeros before a moment, and True for the segments (S,) that end after this moment. If no segment
-    contains the moment, the table itself is returned, because columns of one table are evaluated together."""
+    """A copy of a table (N, P) with zeros before a moment, and a mask (S,) that is True for the segments that end after this
+    moment. If no segment contains the moment, the table itself is returned, because columns that come from one table are evaluated
+    together."""
     first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
     acting = np.asarray(last >= moment)
     if not (acting & (first < moment)).any():

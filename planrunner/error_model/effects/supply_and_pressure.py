@@ -16,8 +16,8 @@ DEG = np.pi / 180
 
 
 class _Quantity(NamedTuple):
-    """A quantity to which errors are proportional. unit: unit of its excess over the nominal value; size: this unit in SI. name,
-    acts, remedy, shown_by: texts for `About` and `shown_by`."""
+    """A quantity to which errors are proportional. unit: display unit of the excess over the nominal value; size: this unit in SI;
+    name, acts, remedy, shown_by: texts for `About` and `shown_by`."""
 
     unit: str
     size: float
@@ -63,8 +63,9 @@ def _about(kind: str, error: str, follows: Follows, because: str = "") -> About:
 
 
 class _OfSurroundings:
-    """An error of each axis of a triad that is proportional to such a quantity. kind: kind of the triad; natural: usual change per
-    V or hPa: of a bias in the unit of `_BIAS`, or of a scale factor as a fraction."""
+    """An error of each axis of a triad that is proportional to the supply voltage or to the ambient pressure. kind: kind of the
+    triad, gyro or accel; natural: usual change per V or per hPa; for a bias in the unit of `_BIAS`, for a scale factor as a
+    fraction."""
 
     stage, hypothesis = "sensor", False
     kind: str
@@ -72,11 +73,12 @@ class _OfSurroundings:
     natural: float
 
     def _excess(self, observed: Observed) -> Array:
-        """The excess (N,) over the nominal supply voltage of the sensor, V, or over the standard atmosphere of 1013.25 hPa, Pa."""
+        """The excess (N,) of the supply voltage [V] over its nominal value, or of the pressure [Pa] over the standard atmosphere of
+        1013.25 hPa."""
         return observed.overvoltage if self.follows is Follows.SUPPLY else observed.overpressure
 
     def shown_in(self, observed: Observed) -> bool:
-        """Whether the means of segments differ in the quantity by more than the usual variation from regulation and weather."""
+        """Whether the voltage or the pressure differs between segments by more than it usually varies due to regulation or weather."""
         excess = observed.excess_voltage if self.follows is Follows.SUPPLY else observed.excess_pressure
         if excess is None:
             return False
@@ -85,7 +87,7 @@ class _OfSurroundings:
 
 
 class _Bias(_OfSurroundings):
-    """Bias + c·e per axis, where e is the excess of the supply voltage or the pressure over its nominal value."""
+    """Adds c·e to the bias of each axis, where e is the excess of the supply voltage or of the pressure over its nominal value."""
 
     @property
     def shown_by(self) -> str:
@@ -100,7 +102,8 @@ class _Bias(_OfSurroundings):
 
 
 class _ScaleFactor(_OfSurroundings):
-    """Scale factor × (1 + k·e) per axis, where e is the excess of the supply voltage or the pressure over its nominal value."""
+    """Multiplies the scale factor of each axis by 1 + k·e, where e is the excess of the supply voltage or of the pressure over its
+    nominal value."""
 
     @property
     def shown_by(self) -> str:
@@ -116,56 +119,56 @@ class _ScaleFactor(_OfSurroundings):
 
 
 class GyroBiasSupply(_Bias):
-    """Bias + c·ΔV per axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
+    """Adds c·ΔV to the bias of each axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "gyro_bias_supply", "gyro", Follows.SUPPLY, 1e-3
     about = _about(kind, "bias", follows)
 
 
 class GyroScaleSupply(_ScaleFactor):
-    """Scale factor × (1 + k·ΔV) per axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
+    """Multiplies the scale factor of each axis by 1 + k·ΔV, where ΔV is the excess over the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "gyro_scale_supply", "gyro", Follows.SUPPLY, 1e-4
     about = _about(kind, "scale factor", follows)
 
 
 class AccelBiasSupply(_Bias):
-    """Bias + c·ΔV per axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
+    """Adds c·ΔV to the bias of each axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "accel_bias_supply", "accel", Follows.SUPPLY, 100.0
     about = _about(kind, "bias", follows)
 
 
 class AccelScaleSupply(_ScaleFactor):
-    """Scale factor × (1 + k·ΔV) per axis, where ΔV is the excess over the nominal supply voltage of the sensor."""
+    """Multiplies the scale factor of each axis by 1 + k·ΔV, where ΔV is the excess over the nominal supply voltage of the sensor."""
 
     id, kind, follows, natural = "accel_scale_supply", "accel", Follows.SUPPLY, 1e-4
     about = _about(kind, "scale factor", follows)
 
 
 class GyroBiasPressure(_Bias):
-    """Bias + c·Δp per axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
+    """Adds c·Δp to the bias of each axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "gyro_bias_pressure", "gyro", Follows.PRESSURE, 1e-5
     about = _about(kind, "bias", follows)
 
 
 class GyroScalePressure(_ScaleFactor):
-    """Scale factor × (1 + k·Δp) per axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
+    """Multiplies the scale factor of each axis by 1 + k·Δp, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "gyro_scale_pressure", "gyro", Follows.PRESSURE, 1e-6
     about = _about(kind, "scale factor", follows, ", for example because the air damps a vibrating structure")
 
 
 class AccelBiasPressure(_Bias):
-    """Bias + c·Δp per axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
+    """Adds c·Δp to the bias of each axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "accel_bias_pressure", "accel", Follows.PRESSURE, 1.0
     about = _about(kind, "bias", follows)
 
 
 class AccelScalePressure(_ScaleFactor):
-    """Scale factor × (1 + k·Δp) per axis, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
+    """Multiplies the scale factor of each axis by 1 + k·Δp, where Δp is the excess over the standard atmosphere of 1013.25 hPa."""
 
     id, kind, follows, natural = "accel_scale_pressure", "accel", Follows.PRESSURE, 1e-6
     about = _about(kind, "scale factor", follows)

@@ -1,4 +1,4 @@
-"""Effects of the site, of the position of the sensor, and of data acquisition."""
+"""Effects of the site, of the position of the sensor on the table, and of data acquisition."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DEG = np.pi / 180
 
 
 class MagneticSensitivity:
-    """Gyro output + K·m, where K is a 3×3 matrix and m is the Earth's magnetic field in sensor axes."""
+    """Adds K·m to the outputs of the gyros, where K is a 3×3 matrix and m is the Earth's magnetic field in sensor axes."""
 
     id, stage = "magnetic_sensitivity", "sensor"
     about = About(
@@ -44,7 +44,7 @@ class MagneticSensitivity:
 
 
 class AccelMagneticSensitivity:
-    """Accelerometer output + K·m, where K is a 3×3 matrix and m is the Earth's magnetic field in sensor axes."""
+    """Adds K·m to the outputs of the accelerometers, where K is a 3×3 matrix and m is the Earth's magnetic field in sensor axes."""
 
     id, stage, hypothesis = "accel_magnetic_sensitivity", "sensor", False
     about = About(
@@ -60,7 +60,8 @@ class AccelMagneticSensitivity:
 
 
 def _response_to_field(observed: Observed, kind: str, unit: str, factor: float) -> list[Column]:
-    """The columns of a 3×3 matrix of sensitivities, per strength of the Earth's magnetic field; none if the field is not declared."""
+    """The columns for the nine elements of a 3×3 matrix of sensitivities to the magnetic field; no columns if the field is not
+    declared. The strength of the field at the site counts as 1."""
     if observed.magnetic is None:
         return []
     field = observed.in_sensor_axes(observed.magnetic / np.linalg.norm(observed.magnetic))
@@ -71,8 +72,8 @@ def _response_to_field(observed: Observed, kind: str, unit: str, factor: float) 
 
 
 class SiteLatitude:
-    """The Earth rate was computed for the wrong latitude. A small error changes the rate by Ω·(0, −sin φ, cos φ) per radian, in
-    East-North-Up."""
+    """The Earth rate was computed for the wrong latitude. If the latitude is wrong by a small angle δ, the Earth rate is wrong by
+    Ω·(0, −sin φ, cos φ)·δ in East-North-Up, where φ is the latitude."""
 
     id, stage = "site_latitude", "stimulus"
     about = About(
@@ -98,9 +99,9 @@ class SiteLatitude:
 
 
 class LeverArm:
-    """Accelerometers off the axis of rotation also sense ω×(ω×r) + α×r = ω·(ω·r) − ω²·r + α×r, where r is their position in sensor
-    axes, and ω and α are the rate and the angular acceleration of the table. If other accelerometers show the motion, r is the
-    position relative to these."""
+    """Accelerometers that are not on the axis of rotation also sense ω×(ω×r) + α×r = ω·(ω·r) − ω²·r + α×r, where r is their
+    position in sensor axes, and ω and α are the rate and the angular acceleration of the table. If other accelerometers record the
+    motion, r is the position relative to those accelerometers."""
 
     id, stage = "lever_arm", "stimulus"
     about = About(
@@ -127,7 +128,8 @@ class LeverArm:
 
 
 class ReferenceLatency(Shaped):
-    """The channels that show a recorded motion are late by a constant delay: the sensor shows a later motion than they do."""
+    """The channels of a recorded motion are late by a constant delay: at the same time stamp, the sensor shows a later motion than
+    these channels."""
 
     id, stage, hypothesis, shape_name, shape_unit = "reference_latency", "acquisition", False, "delay", "s"
     about = About(
@@ -148,7 +150,7 @@ class ReferenceLatency(Shaped):
 
 
 class TimeLatency(Shaped):
-    """Sensor data are late by a constant delay: they show an earlier stimulus."""
+    """The data of the sensor are late by a constant delay: they show an earlier stimulus than their time stamps state."""
 
     id, stage, shape_name, shape_unit = "time_latency", "acquisition", "delay", "s"
     about = About(

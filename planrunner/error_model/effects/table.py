@@ -1,4 +1,4 @@
-"""Effects of the table: errors of its orientation and of its rotation."""
+"""Effects of the table: errors of its orientation and of its rate."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
     """The column for a table base that is turned by an angle ε about a site axis. The sensor senses every site vector v as v −
     ε·axis × v.
 
-    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), with its attitude A at table angle 0 and the rotation R(−θ) of the table.
-    The axis of the table turns with the base, so the sensor senses the rate of the table as before. turned: (3,), rad, the complete
-    rotation vector of the base, which determines the secant (see `secant`); zero for small angles.
+    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), where A is the attitude at table angle 0 and R(−θ) is the rotation of the
+    table. The axis of the table turns with the base, so the rate of the table about this axis is unchanged for the sensor. turned:
+    (3,), rad, the complete rotation vector of the base, for which the column is exact (see `secant`); zero for small angles.
     """
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
     omega = observed.in_sensor_axes(secant(axis, earth, turned))
@@ -32,16 +32,16 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
 
 
 def secant(axis: Array, vector: Array, turned: Array) -> Array:
-    """Change of a vector per radian of rotation about an axis, as a secant. turned: (3,), rad, the rotation vector φ of the
-    complete rotation. The sum of the changes over the axes, weighted by the components of φ, is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v
-    + ((1 − cos φ) ÷ φ²)·φ × (φ × v) (Rodrigues)."""
+    """The change of a vector, per radian of rotation about one axis, that is exact for a complete rotation by `turned`. turned:
+    (3,), rad, the complete rotation vector φ. If the changes for the three axes are multiplied by the components of φ and added,
+    the sum is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v) (Rodrigues)."""
     first = np.cross(axis, vector)
     angle = float(np.linalg.norm(turned)) / np.pi
     return np.asarray(-np.sinc(angle) * first + np.sinc(angle / 2) ** 2 / 2 * np.cross(turned, first))
 
 
 class TableTilt:
-    """The base of the table is not level: two angles, about east and about north."""
+    """The base of the table is not level, but tilted by two small angles, about east and about north."""
 
     id, stage = "table_tilt", "stimulus"
     about = About(
@@ -62,7 +62,7 @@ class TableTilt:
 
 
 class TableAzimuth:
-    """The north direction of the table is not true north: one angle about up."""
+    """The assumed north direction of the table is not true north: the base is turned by one angle about up."""
 
     id, stage = "table_azimuth", "stimulus"
     about = About(
@@ -82,8 +82,8 @@ class TableAzimuth:
 
 
 class TablePositionError:
-    """Each orientation has a small random error: three angles in sensor axes. The error is the same each time the orientation is
-    set."""
+    """Each orientation has a small random error, given by three angles in sensor axes. The error is the same each time the
+    orientation is set."""
 
     id, stage, each = "table_position_error", "stimulus", "orientation"
     about = About(
@@ -110,7 +110,7 @@ class TablePositionError:
 
 
 class TableRateRipple:
-    """Rate × (1 + a·cos(nθ + φ)), with n = 1 or 2 per turn: a ripple that the encoder does not show."""
+    """Multiplies the rate of the table by 1 + a·cos(nθ + φ), with n = 1 or 2 per turn: a ripple that the encoder does not show."""
 
     id, stage, shape_name, shape_unit = "table_rate_ripple", "stimulus", "n", "per turn"
     about = About(
@@ -146,7 +146,7 @@ class TableRateRipple:
 
 
 class TableWobble:
-    """While the table turns, attitude = (I + [δ×])·R(θ) with δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes; the rate changes
+    """While the table turns, its attitude is (I + [δ×])·R(θ) with δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes; the rate changes
     accordingly.
 
     With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]). Seen from the turning table, the payload is tilted by the constant δ₀ = a·(cos φ,
@@ -177,7 +177,8 @@ class TableWobble:
 
 
 class TableRateError:
-    """True rate = commanded rate × (1 + ε). A nominal model with free scale factors absorbs this error."""
+    """Multiplies the rate of the table by 1 + ε: it turns at another rate than commanded. If the nominal model has free scale
+    factors, they absorb this error."""
 
     id, stage = "table_rate_error", "stimulus"
     about = About(

@@ -1,4 +1,4 @@
-"""Thermal lag: the temperature of the sensing element follows the temperature of the thermometer with a delay."""
+"""Thermal lag: the temperature of the sensing element follows the temperature that the thermometer shows with a delay."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def _about(triad: str) -> About:
 
 
 class _BiasTemperatureLagged(Shaped):
-    """Bias + c·(Tₑ − T) per axis, where Tₑ is the temperature of the sensing element and T that of the thermometer: the difference
-    between a bias that depends on Tₑ and a bias that depends on T. The model is τ·dTₑ/dt = T − Tₑ, with Tₑ = T when the recording
-    begins."""
+    """Adds c·(Tₑ − T) to the bias of each axis, where Tₑ is the temperature of the sensing element and T is the temperature that
+    the thermometer shows. This is the difference between a bias that depends on Tₑ and a bias that depends on T. The model is
+    τ·dTₑ/dt = T − Tₑ, with Tₑ = T when the recording begins."""
 
     stage, shape_name, shape_unit = "sensor", "tau", "s"
     shown_by = "a recorded temperature ramp, or segments soon after a change of temperature"
@@ -47,29 +47,32 @@ class _BiasTemperatureLagged(Shaped):
         return Variant(tuple(per_axis(observed, self.kind, "c", unit, factor, natural * factor, behind)), value)
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """A short past with the same effect on later samples: one instant at the temperature of the element, without a lag, and one
-        instant at the temperature of the thermometer."""
+        """Replaces the past by two instants with the same effect on later samples: at the first, T and Tₑ have the last value of
+        Tₑ; at the second, T jumps to its last value, and Tₑ does not change."""
         time, shown, behind = observed.time[-1:], observed.temperature[-1:], lag(observed, value)[-1]
         rate = float(observed.temperature_rate[-1])
         return TemperatureCourse(time, shown + behind, 0.0), TemperatureCourse(time, shown, rate)
 
 
 class GyroBiasTemperatureLagged(_BiasTemperatureLagged):
-    """Bias of each gyro + c·(Tₑ − T), where Tₑ is the temperature T after a first-order lag."""
+    """Adds c·(Tₑ − T) to the bias of each gyro, where T is the temperature that the thermometer shows, and Tₑ is T after a
+    first-order lag."""
 
     id, kind, about = "gyro_bias_temperature_lagged", "gyro", _about("gyro")
 
 
 class AccelBiasTemperatureLagged(_BiasTemperatureLagged):
-    """Bias of each accelerometer + c·(Tₑ − T), where Tₑ is the temperature T after a first-order lag."""
+    """Adds c·(Tₑ − T) to the bias of each accelerometer, where T is the temperature that the thermometer shows, and Tₑ is T after a
+    first-order lag."""
 
     id, hypothesis, kind, about = "accel_bias_temperature_lagged", False, "accel", _about("accelerometer")
 
 
 def lag(observed: Observed, tau: float) -> Array:
-    """Tₑ − T (N,), K, where Tₑ is the temperature T after a first-order lag of `tau` [s]. Between two segments the temperature
-    approaches its next value exponentially. This approach begins with the slope at the end of the earlier segment. If this slope is
-    zero or points away from the next value, the temperature changes at once."""
+    """The difference Tₑ − T (N,), K, where T is the temperature that the thermometer shows, and Tₑ is T after a first-order lag of
+    `tau` [s]. Between two segments, the temperature is assumed to approach its next value exponentially. The slope of this approach
+    starts with the slope at the end of the earlier segment. If this slope is zero or points away from the next value, the
+    temperature is assumed to change in a step."""
     found = np.empty(len(observed.time))
     behind, before = 0.0, None
     for course in observed.past.get(tau, ()):
@@ -87,9 +90,9 @@ def lag(observed: Observed, tau: float) -> Array:
 
 
 def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind: float, tau: float) -> float:
-    """Tₑ − T at the beginning of a temperature course. behind: Tₑ − T at the end of the preceding course. Between the courses, T =
-    T₁ + D·exp(−t/s), and Tₑ − T₁ is a sum of two terms: its first value, decaying with τ, and the convolution of D·exp(−t/s)
-    with exp(−t/τ)/τ."""
+    """The lag Tₑ − T at the first instant of a record of temperatures `course`, K. behind: Tₑ − T at the end of the preceding
+    record `before`, K. Between the two records, T = T₁ + D·exp(−t/s). Tₑ − T₁ is then a sum of two terms: its first value, decaying
+    with the time constant τ, and the convolution of D·exp(−t/s) with exp(−t/τ)/τ."""
     if before is None:
         return 0.0
     gap = float(course.time[0] - before.time[-1])
@@ -102,8 +105,9 @@ def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind
 
 
 def _through(course: TemperatureCourse, tau: float, behind: float) -> Array:
-    """Tₑ − T (n,) along a course. behind: Tₑ − T at the beginning of the course. The temperature changes linearly between samples.
-    With d = Tₑ − T, q = exp(−h/τ) and g = τ/h, a step of length h gives d₁ = q·d₀ − g·(1 − q)·(T₁ − T₀)."""
+    """The lag Tₑ − T (n,), K, at the times of a record of temperatures. behind: Tₑ − T at the first of these times, K. The
+    temperature changes linearly between samples. With d = Tₑ − T, q = exp(−h/τ) and g = τ/h, a step of length h gives d₁ = q·d₀ −
+    g·(1 − q)·(T₁ − T₀)."""
     from scipy.signal import lfilter
 
     since = course.time - course.time[0]

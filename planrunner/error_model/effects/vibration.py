@@ -16,9 +16,9 @@ _SHOWN_BY = "segments at rest, and rocking segments of two intensities"
 
 
 class GyroVibrationRectification:
-    """Bias + k·⟨|ω'|²⟩ per axis, where ω' is the oscillating part of the angular rate of the table, and ⟨ ⟩ is the mean over time
-    (IEEE Std 528, vibration rectification error, here due to angular vibration). A term in ω² also acts at steady rates; this
-    effect does not."""
+    """Adds k·⟨|ω'|²⟩ to the bias of each axis, where ω' is the oscillating part of the angular rate of the table, and ⟨ ⟩ is the
+    mean over time (IEEE Std 528, vibration rectification error, here due to angular vibration). Unlike a term in ω², this effect
+    does not act at steady rates."""
 
     id, stage = "gyro_vibration_rectification", "sensor"
     about = About(
@@ -40,9 +40,9 @@ class GyroVibrationRectification:
 
 
 class AccelVibrationRectification:
-    """Bias + k·⟨|α'|²⟩ per axis, where α' is the oscillating part of the angular acceleration of the table. The acceleration of the
-    vibration is proportional to α'. IEEE Std 1293 calls this effect vibration rectification error; its coefficient per g² is k
-    divided by the square of the distance from the axis."""
+    """Adds k·⟨|α'|²⟩ to the bias of each axis, where α' is the oscillating part of the angular acceleration of the table, and ⟨ ⟩
+    is the mean over time. The linear acceleration of the vibration is proportional to α'. IEEE Std 1293 calls this effect vibration
+    rectification error; its coefficient per g² is k divided by the square of the distance from the axis."""
 
     id, stage = "accel_vibration_rectification", "sensor"
     about = About(
@@ -64,6 +64,7 @@ class AccelVibrationRectification:
 
 
 def _two_intensities(mean_square: Array) -> bool:
-    """Whether the largest of the mean squares (N,) of rocking segments is more than `_TWO` times the smallest."""
+    """Whether the rocking segments have at least two intensities: their largest mean square is more than `_TWO` times their
+    smallest. mean_square: (N,), zero at samples of other segments."""
     rocks = mean_square[mean_square > 0]
     return bool(len(rocks) and rocks.max() > _TWO * rocks.min())

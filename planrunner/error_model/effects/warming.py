@@ -1,4 +1,4 @@
-"""The warm-up of a triad: an exponential decay since power-on."""
+"""The warm-up of a triad: an error that decays exponentially after power-on."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _about(triad: str) -> About:
 
 
 class _WarmUp(Shaped):
-    """Output + a·exp(−t/τ) per axis, where t is the time since power-on."""
+    """Adds a·exp(−t/τ) to the output of each axis, where t is the time since power-on."""
 
     stage, shape_name, shape_unit = "sensor", "tau", "s"
     shown_by, over_segments = "the same state at several times since power-on, beginning early", True
@@ -42,7 +42,8 @@ class _WarmUp(Shaped):
         return np.geomspace(60.0, 7200.0, 13) if observed.of_kind(self.kind) else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        """The amplitudes of the columns are those that remain when the recording begins, which may be long after power-on."""
+        """Scales the columns so that an amplitude is the error that remains when the recording begins, which may be long after
+        power-on."""
         unit, factor, magnitude = _SCALES[self.kind]
         decay = np.exp(-(observed.time - observed.time[0]) / value)
         left = max(float(np.exp(-observed.time[0] / value)), 1e-300)
@@ -50,12 +51,12 @@ class _WarmUp(Shaped):
 
 
 class GyroWarmUp(_WarmUp):
-    """Bias of each gyro + a·exp(−t/τ), where t is the time since power-on."""
+    """Adds a·exp(−t/τ) to the bias of each gyro, where t is the time since power-on."""
 
     id, kind, about = "gyro_warm_up", "gyro", _about("gyro")
 
 
 class AccelWarmUp(_WarmUp):
-    """Bias of each accelerometer + a·exp(−t/τ), where t is the time since power-on."""
+    """Adds a·exp(−t/τ) to the bias of each accelerometer, where t is the time since power-on."""
 
     id, hypothesis, kind, about = "accel_warm_up", False, "accel", _about("accelerometer")
