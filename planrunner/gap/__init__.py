@@ -1,1 +1,2 @@
-"""Diagnosis of the gap between a recording and the simulation of the same plan: where they differ and which effect explains it."""
+"""Diagnosis of the gap between a recording and the simulation of the same plan: where the two differ, and which effect explains the
+difference."""

@@ -1,1 +1,1 @@
-"""Answers: posterior, verdict, place of the gap, closure, and what to measure next."""
+"""What a diagnosis answers: the posterior, the verdict, the place of the gap, the closure, and what to measure next."""

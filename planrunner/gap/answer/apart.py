@@ -1,13 +1,16 @@
-"""Effects that a recording shows outside the coefficients on which other effects act, such as a line of one frequency.
+"""Effects that do not appear in the coefficients of a recording, on which all other effects act. An example is a line of one
+frequency.
 
-They are found first and removed from the samples, so that the other effects are evaluated without them. Each of these effects is
-present or absent independently of the other effects, so its log evidence is added to theirs.
+Such effects are found first and removed from the samples, so that the other effects are evaluated without them. Each of them is
+present or absent independently of the other effects, so its log evidence is added to the log evidence of the others.
 
-One such effect is a stuck output: it keeps one value for longer than its noise allows. White noise repeats a count with a probability r, so
-that the number of equal samples is geometric: P(L) = (1 − r)·r^(L−1). r is the share of samples in a segment that repeat the sample before,
-without the longest run. A stuck stretch may have any length, equally likely in its logarithm. The evidence compares stuck stretches with
-the repeats of white noise; one stuck stretch is expected in the recording. Real noise is correlated, so √r is used instead of r. Channels
-with coarse counts are not used, because their noise stays within a count for long. Means over bins do not show repeated samples.
+One effect of this kind is a stuck output, which keeps one value for longer than its noise allows. With white noise, a sample
+repeats the previous count with a probability r, so the number L of equal samples in a row has the geometric distribution P(L) = (1
+− r)·r^(L−1). r is estimated as the fraction of a segment's samples that repeat the previous sample; the longest row of equal
+samples is not counted. A stuck stretch may have any length; its prior is uniform in the logarithm of the length. The evidence
+compares stuck stretches with the repeats of white noise. The prior expects one stuck stretch in a recording. Real noise is
+correlated, so √r is used instead of r. Channels with coarse counts are not used, because their noise often stays within one count
+for a long time. Recordings that contain means over bins are not examined, because such means do not show repeated samples.
 """
 
 from __future__ import annotations
@@ -53,7 +56,7 @@ class Repeated:
 
 
 def repeated(observed: Observed) -> Repeated:
-    """The stuck stretches of a recording of single samples."""
+    """Finds the stuck stretches of a recording of single samples; finds none if the recording contains means over bins."""
     held = np.zeros(observed.values.shape, dtype=bool)
     found: list[RepeatedStretch] = []
     total, chance = 0.0, 1.0 / max(held.size, 2)
@@ -84,9 +87,10 @@ _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with 
 
 @dataclass(frozen=True)
 class Apart:
-    """Effects that were found outside the coefficients. log_bayes: log BF of these effects. parameters: the parameters of these effects.
-    lines: the effects among them that are tones. removed: (N, K), SI, contribution of the effects to the samples; None if nothing was
-    found. outside: evidence for the patterns outside the basis; None if it must be computed again because `removed` changes it."""
+    """Effects that were found outside the coefficients of the recording. log_bayes: log BF of these effects. parameters: estimated
+    parameters of these effects. lines: those of these effects that are tones. removed: (N, K), SI, contribution of the effects to
+    the samples; None if nothing was found. outside: evidence for patterns that the basis of the coefficients cannot represent; None
+    if it must be computed again because `removed` changes it."""
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, list[ParameterEstimate]] = field(default_factory=dict)
@@ -96,8 +100,8 @@ class Apart:
 
 
 def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | None:
-    """The stretches of repeated samples; None if stuck samples are not among `effects`, or if the recording does not show such stretches
-    clearly."""
+    """Finds stretches of repeated samples. Returns None if `effects` does not include stuck samples, or if the recording does not
+    clearly show such stretches."""
     if not any(isinstance(effect, OutsideCoefficients) and effect.outside == "stuck" for effect in effects):
         return None
     found = repeated(observed)
@@ -105,9 +109,9 @@ def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | 
 
 
 def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> list[ParameterEstimate]:
-    """Time and duration of the longest stretch of repeated samples: one duration if all outputs repeat their values, otherwise one
-    for each affected output. Begin and end of the stretch are each uniform within one interval between samples, so the duration has
-    the triangular distribution of their difference."""
+    """Time and duration of the longest stretch of repeated samples. There is one duration if all outputs repeat their values,
+    otherwise one for each affected output. The start and the end of the stretch are each uniformly distributed over one interval
+    between samples, so the duration has the triangular distribution of their difference."""
     step = 1 / observed.sample_rate
     longest = found.stretches[0]
     alike = {one.channel: one for one in reversed(found.stretches) if abs(one.first - longest.first) <= 1}
@@ -123,8 +127,8 @@ def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> lis
 
 
 def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated | None = None) -> Apart:
-    """The effects outside the coefficients that the recording shows. A line counts as an effect only if it is a separate cause and not a
-    part of the noise (`open_set`)."""
+    """Finds the effects that the recording shows outside its coefficients. A line counts as an effect only if it is a cause of its
+    own and not a part of the noise (`open_set`)."""
     seen, observed = outside(weighing), weighing.observed
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)
@@ -159,9 +163,10 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
     """Fits one line, which is a tone of one frequency. Returns the frequency of the line and its standard uncertainty, Hz; the
     columns of the effect at this frequency; and the amplitudes and their standard uncertainties (P, 2), SI.
 
-    frequency: where the search begins, within the resolution of the recording. The fit uses Gauss–Newton steps in the frequency,
-    which all channels share. The basis vectors of the segments are projected out of every column, because they have also been
-    removed from the samples. The noise level of a channel is that of the samples without the line.
+    frequency: start of the search; it must agree with the line within the resolution of the recording. The fit takes Gauss–Newton
+    steps in the frequency, which is the same for all channels. The basis vectors of the segments are projected out of every column,
+    because they have been removed from the samples as well. The noise level of a channel is computed from the samples without the
+    line.
     """
     observed = weighing.observed
     used = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]

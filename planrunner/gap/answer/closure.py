@@ -1,8 +1,9 @@
-"""Closure: reduction of the gap on segments that were not used to choose or fit the effect.
+"""Closure: how much smaller the gap becomes, measured on segments that were not used to choose or fit the effect.
 
-Segments are held out in groups, each with segments of every kind of motion, and the effect is chosen again without each group. The
-difference d between the predictions with and without the effect is then known exactly. The unknown is the gap g itself: its size is
-|g| before and |g − d| after. Two cases are averaged, weighted by their probability in the diagnosis.
+Segments are held out in groups. Each group contains segments of every kind of motion, and for each group the effect is chosen again
+from the other segments. The difference d between the predictions with and without the effect is then known exactly. The unknown is
+the gap g itself: its size is |g| before and |g − d| after. The result is an average over two cases, weighted by their probability
+in the diagnosis.
 
 - An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments. The errors of
   the amplitudes have the covariance that follows from the noise.
@@ -11,9 +12,9 @@ difference d between the predictions with and without the effect is then known e
   from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
 
 Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only half and
-twice its level. The level is therefore measured, from the residuals that the most probable effects leave: by triad, and separately
-for the segment means and for the changes within segments. A level from few residuals is uncertain, so errors have Student's t
-distribution with their degrees of freedom.
+twice its level. The level is therefore measured from the residuals that the most probable effects leave: separately for gyros and
+accelerometers, and for the segment means and the changes within segments. A level from few residuals is uncertain, so errors have
+Student's t distribution with their degrees of freedom.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 class ChannelClosure:
     """The closure of one channel. before, after: size of the held-out gap in standard deviations of the noise, root mean square
     over the coefficients; before_value, after_value: size of this gap in `unit`, root mean square over the samples. shrinks_by,
-    interval_90: as in `Closure`."""
+    interval_90: the same quantities as in `Closure`, for this channel."""
 
     channel: str
     unit: str
@@ -75,11 +76,11 @@ class NotMeasured(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Result of the check on held-out data: how much of the gap the effects explain. before, after: size of the held-out gap in
-    standard deviations of the noise, root mean square over coefficients. shrinks_by: relative reduction, 1 for a closed gap.
-    interval_90: 90 % interval of `shrinks_by`. reason: why the data do not determine the reduction; all numbers are then NaN.
-    channels: one entry for each channel whose data determine the reduction. unpredicted: the named effects that remain in the gap,
-    because other segments cannot predict them."""
+    """Result of the check on held-out data, which shows how much of the gap the effects explain. before, after: size of the
+    held-out gap without and with the effects, in standard deviations of the noise, root mean square over coefficients. shrinks_by:
+    relative reduction, 1 for a closed gap. interval_90: 90 % interval of `shrinks_by`. reason: why the data do not determine the
+    reduction (all numbers are then NaN), or None. channels: one entry for each channel whose data determine the reduction.
+    unpredicted: named effects whose part of the gap remains, because the other segments cannot predict it."""
 
     before: float
     after: float
@@ -100,10 +101,10 @@ def not_measured(reason: NotMeasured) -> Closure:
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """A form of an effect or set of effects that a fold may choose. effect: name of the effect or set. raw: for each channel, the
-    columns (M, p) of the form in magnitudes, not whitened; widths: number of columns of each effect. probability: probability that
-    this form is the whole cause. prior: logarithm of the prior probability among the forms of the same effect, apart from a
-    constant. whole: True if the amplitude is fixed at 1."""
+    """A form of an effect, or of a set of effects, that can be chosen in a fold. effect: name of the effect or set. raw: for each
+    channel, the columns (M, p) of the form in magnitudes, not whitened; widths: number of columns of each effect. probability:
+    probability that this form is the whole cause. prior: log prior probability of this form among the forms of the same effect, up
+    to a constant. whole: True if the amplitude is fixed at 1 and not fitted."""
 
     effect: str
     raw: tuple[Array, ...] = field(repr=False)
@@ -113,7 +114,7 @@ class FoldChoice:
     whole: bool = False
 
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) of the amplitudes, from information (p, p) and score (p,)."""
+        """Mean (p,) and covariance (p, p) of the amplitudes, computed from the information (p, p) and the score (p,)."""
         if self.whole:
             return np.ones(1), np.zeros((1, 1))
         return best_amplitudes(gram, score, self.widths)
@@ -126,9 +127,10 @@ class FoldChoice:
 
 @dataclass(frozen=True)
 class MeasuredNoise:
-    """The noise of the coefficients. weights: weights of each channel at the most probable level of flicker. scale: for each
-    channel (M,), measured standard deviation of the whitened coefficients, which is 1 if `weights` are right. group: for each
-    channel (M,), the group of each coefficient; degrees: (groups,), degrees of freedom of the measured level of each group."""
+    """The measured noise of the coefficients. weights: weights of each channel, at the most probable level of flicker. scale: for
+    each channel (M,), measured standard deviation of the whitened coefficients, which is 1 if `weights` are right. group: for each
+    channel (M,), the number of the noise group to which each coefficient belongs; degrees: (groups,), degrees of freedom of the
+    measured level of each group."""
 
     weights: tuple[ChannelWeights, ...] = field(repr=False)
     scale: tuple[Array, ...] = field(repr=False)
@@ -138,16 +140,16 @@ class MeasuredNoise:
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Amplitudes that are fitted to all segments. mean: (p,); roots: (groups + 1, p, p), a root of the covariance of the errors
-    that each group of coefficients causes, and one for the prior; degrees: (groups + 1,), as in `MeasuredNoise`, and infinite for
-    the prior."""
+    """Amplitudes that are fitted to all segments. mean: (p,), mean of the amplitudes; roots: (groups + 1, p, p), one root of the
+    covariance for the errors that each noise group causes, and a last one for the prior; degrees: (groups + 1,), degrees of freedom
+    of each root, as in `MeasuredNoise`, and infinite for the prior."""
 
     mean: Array
     roots: Array = field(repr=False)
     degrees: Array
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
-        """Random amplitudes (count, p). Errors have Student's t distribution in each group."""
+        """Draws random amplitudes (count, p). The errors that a noise group causes have Student's t distribution."""
         out = np.tile(self.mean, (count, 1))
         for root, degrees in zip(self.roots, self.degrees, strict=True):
             larger = np.sqrt(degrees / draw.chisquare(degrees, (count, 1))) if np.isfinite(degrees) else 1.0
@@ -157,8 +159,8 @@ class Amplitudes:
 
 @dataclass(frozen=True)
 class KnownCause:
-    """A cause from the catalogue. gram: (p, p), inner products of its held-out signatures with each other; along: (p,), inner products of
-    these signatures with d."""
+    """A cause from the catalogue. d is the difference between the predictions with and without the chosen effect. gram: (p, p),
+    inner products of the held-out signatures of the cause with each other; along: (p,), inner products of these signatures with d."""
 
     probability: float
     gram: Array = field(repr=False)
@@ -168,9 +170,10 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """The held-out rows of one fold. channel, group: (m,), index of the channel of every row, and its group of noise as in
-    `MeasuredNoise`. residual, difference: (m,), whitened; signatures: (m, p), for each choice; told: (p, p), information about the
-    amplitudes of each choice from the other segments."""
+    """The held-out rows of one fold. channel, group: (m,), channel and noise group (as in `MeasuredNoise`) of each row. residual:
+    (m,), whitened residuals of the nominal simulation; difference: (m,), whitened change of the prediction by the chosen effect;
+    signatures: one array (m, p) for each choice; told: one matrix (p, p) for each choice, the information that the other segments
+    contain about its amplitudes."""
 
     channel: NDArray[np.int64]
     group: NDArray[np.int64]
@@ -181,8 +184,8 @@ class _Fold:
 
 
 def choices_of(effect: str, members: Sequence[tuple[Weighed, Candidate]], probability: float) -> list[FoldChoice]:
-    """The choices for an effect or a set of effects: the best form, and its variation by the probable shapes of one effect at a time.
-    members: the best form of each effect, and the effect with all its forms."""
+    """The choices for an effect or a set of effects: its best form, and the forms in which one of the effects has another probable
+    shape. members: for each effect, its best form and the candidate with all its forms."""
     best = [form for form, _ in members]
     varied = [(best, 0.0)]
     for number, (form, candidate) in enumerate(members):
@@ -201,8 +204,9 @@ def choices_of(effect: str, members: Sequence[tuple[Weighed, Candidate]], probab
 
 
 def _probable_shapes(best: Weighed, candidate: Candidate) -> list[tuple[Weighed, float]]:
-    """Forms of an effect with other shapes, at most `SHAPES`, with the logarithm of their prior probability relative to `best`. The
-    prior is uniform in the logarithm of the shape, so a form counts in proportion to the distance between its neighbours."""
+    """Returns at most `SHAPES` forms of an effect with other shapes than the best one, each with its log prior probability relative
+    to `best`. The prior is uniform in the logarithm of the shape, so the weight of a form is proportional to the logarithmic
+    distance between the shapes on either side of it."""
     known = {
         form.variant.shape: form for form in candidate.variants if form.trace > 0 and form.variant.shape is not None
     }
@@ -222,8 +226,8 @@ def _probable_shapes(best: Weighed, candidate: Candidate) -> list[tuple[Weighed,
 
 
 def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], beyond: float) -> Closure:
-    """Computes the closure. choices: the effects and pairs among which each fold chooses again. beyond: probability that none of them is
-    the whole cause."""
+    """Computes the closure. choices: the effects and sets of effects among which each fold chooses again. beyond: probability that
+    none of `choices` is the whole cause."""
     if not choices:
         return not_measured(NotMeasured.NO_EFFECT)
     if len(weighing.observed) < FEWEST:
@@ -252,9 +256,10 @@ def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoi
 def measured_noise(
     weighing: Weighing, choice: FoldChoice, log_bayes: Array, walking: bool, explained: bool
 ) -> MeasuredNoise:
-    """The noise that remains beside an effect. log_bayes: (G,), log BF of the effect at each setting of the noise. walking: True if
-    a random walk acts too. A walk belongs to the gap, not to the noise. explained: True if the effect leaves only noise. If it is
-    False, the residuals contain a part of the gap, so the noise is at most as large as the residuals."""
+    """Measures the noise that remains after the fit of an effect. log_bayes: (G,), log BF of the effect at each setting of the
+    noise. walking: True if a random walk of the gyros acts in addition; the random walk belongs to the gap, not to the noise.
+    explained: True if the effect leaves only noise. If False, the residuals contain a part of the gap, so the measured noise is
+    limited to the declared noise."""
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
     still = next(k for k, one in enumerate(weighing.settings["gyro"]) if one.flicker == flicker and one.walk == 0)
@@ -282,7 +287,8 @@ def measured_noise(
 
 @dataclass(frozen=True)
 class _Fit:
-    """A choice fitted to all segments. gram: (p, p), score: (p,); rows and columns: for each channel, whitened."""
+    """A choice fitted to all segments. gram (p, p) and score (p,) are sums over all channels; rows and columns have one whitened
+    entry for each channel."""
 
     gram: Array
     score: Array
@@ -318,7 +324,8 @@ def _fit(choice: FoldChoice, noise: MeasuredNoise, rows: list[_Rows]) -> _Fit:
 
 
 def _shares(choices: Sequence[FoldChoice], fits: Sequence[_Fit]) -> Array:
-    """The probabilities of the choices. The probabilities of the forms of one effect are computed again with the measured noise."""
+    """The probabilities of the choices. The probability of an effect is divided among its forms again, with evidence at the
+    measured noise."""
     shares = np.array([choice.probability for choice in choices])
     for effect in {choice.effect for choice in choices if choice.probability > 0}:
         own = np.array([choice.effect == effect for choice in choices]) & (shares > 0)
@@ -349,8 +356,8 @@ def _measured_rows(
 
 
 def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure, residual: Array) -> ChannelClosure:
-    """The closure of a channel, with the sizes of the gap also in the channel's unit. Coefficients count in proportion to the mean
-    square of their noise."""
+    """The closure of a channel, with the sizes of the gap also in the channel's unit. A size in standard deviations is converted
+    with the root mean square of the noise of the coefficients."""
     channel, weight = weighing.observed.channels[index], noise.weights[index]
     every = np.ones(len(weight.scale), dtype=bool)
     sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)) * noise.scale[index] ** 2)))
@@ -371,8 +378,8 @@ def predictions(
     weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row.
-    change: (M, K), coefficients of the change of the outputs. Tests in which the true gap is known use this function. worth: the
-    least log BF at which a fold selects one of the choices."""
+    change: (M, K), coefficients of the known change in the outputs. This function serves tests in which the true gap is known.
+    worth: the log BF that a choice must reach to be selected in a fold."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
@@ -391,9 +398,9 @@ def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
 
 
 def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
-    """The fold (S,) of each segment. Segments of one kind of motion are distributed in turn over the folds, and each round begins
-    with the next fold. Plans are often periodic, so without this shift every fourth segment might contain all segments of one
-    orientation."""
+    """The number (S,) of the fold to which each segment belongs. The segments of one kind of motion are distributed over the folds
+    in turn; each new round starts one fold later. Many plans are periodic: without this shift, one fold could contain all segments
+    of one orientation."""
     order = np.argsort(np.unique(kinds, return_inverse=True)[1], kind="stable")
     place = np.arange(len(kinds))
     dealt = np.empty(len(kinds), dtype=np.int64)
@@ -402,8 +409,8 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
-    """The fraction of an effect's energy in held-out segments that the other segments determine, for amplitudes of the estimated
-    size. The fraction is 0 if only one segment shows the effect."""
+    """The fraction of an effect's energy in the held-out segments that the other segments determine, if the amplitudes have the
+    estimated size. The fraction is 0 if only one segment shows the effect."""
     size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0
     for fold in folds:
@@ -421,10 +428,10 @@ def measured(
     beyond: float = 1.0,
     degrees: Array | None = None,
 ) -> Closure:
-    """The closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). beyond: the probability that
-    the cause is none of `known`. Only the ratios of `beyond` and the probabilities of `known` matter; their sum need not be 1.
-    degrees: (m,), degrees of freedom of the measured noise of each residual; residuals with equal degrees share one level of the
-    noise. None if the level is known."""
+    """Computes the closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). beyond: the
+    probability that the cause is none of `known`. `beyond` and the probabilities of `known` are used only in proportion to each
+    other; their sum need not be 1. degrees: (m,), degrees of freedom of the measured noise of each residual; residuals with equal
+    degrees share one noise level. None means that the noise level is known."""
     m = len(residual)
     if float(np.linalg.norm(difference)) < 1e-9 or m < 3:
         return not_measured(NotMeasured.WIDE)
@@ -449,7 +456,8 @@ def measured(
 
 
 def _levels(degrees: Array, draw: np.random.Generator) -> Array:
-    """Random variances (`LEVELS`, m) of the noise of each residual, relative to the measured variance: ν/χ² with ν degrees of freedom."""
+    """Draws random variances (`LEVELS`, m) of the noise of each residual, relative to the measured variance: ν/χ², where χ² has ν
+    degrees of freedom."""
     known = ~np.isfinite(degrees)
     if known.all():
         return np.ones((1, len(degrees)))
@@ -460,8 +468,9 @@ def _levels(degrees: Array, draw: np.random.Generator) -> Array:
 
 
 def _unknown(residual: Array, difference: Array, level: Array, count: int, draw: np.random.Generator) -> Array:
-    """Random values of the squared size of the gap before and after, (count, 2), for an unknown composition of the gap. level: (m,),
-    variance of the noise of each residual; across the difference, their mean is used."""
+    """Draws random values (count, 2) of the squared size of the gap before and after, if the composition of the gap is unknown.
+    level: (m,), variance of the noise of each residual; for the part of the gap orthogonal to `difference`, the mean of `level` is
+    used."""
     from scipy.special import chndtr
 
     m, size = len(residual), float(np.linalg.norm(difference))
@@ -477,7 +486,8 @@ def _unknown(residual: Array, difference: Array, level: Array, count: int, draw:
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """Random values of the squared size of the gap before and after, (count, 2), if a known cause is the whole gap. squared: |d|²."""
+    """Draws random values (count, 2) of the squared size of the gap before and after, if a known cause is the whole gap. squared:
+    |d|², squared size of the difference between the predictions with and without the chosen effect."""
     amplitudes = cause.amplitudes.drawn(count, draw)
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
     return np.column_stack([before, before - 2 * amplitudes @ cause.along + squared])
@@ -490,7 +500,8 @@ def _fold(
     held: NDArray[np.bool_],
     worth: float = WORTH,
 ) -> _Fold:
-    """The held-out rows of all channels in one fold. The effect is chosen from the other rows."""
+    """Returns the held-out rows of all channels in one fold; the effect is chosen with the other rows. The effect is chosen from
+    the other rows."""
     used = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([choice.raw[0].shape[1] for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]
@@ -514,7 +525,7 @@ def _fold(
 
 
 class _Rows:
-    """The chosen coefficients of one channel, whitened and without the part that the nominal parameters explain."""
+    """The chosen coefficients of one channel, whitened, from which the part that the nominal parameters explain has been removed."""
 
     def __init__(self, weighing: Weighing, noise: MeasuredNoise, channel: int, chosen: NDArray[np.bool_]):
         self.weight = noise.weights[channel]
@@ -532,7 +543,7 @@ class _Rows:
         self.residual = self.project(self.values[chosen])
 
     def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """A function that whitens some rows of coefficients, (n,) or (n, P), with the measured level of the noise."""
+        """Returns a function that whitens the coefficients (n,) or (n, P) of the given rows with the measured level of the noise."""
         whiten, scale = self.weight.whitening(rows), self.scale[rows]
         return lambda columns: (whiten(columns).T / scale).T
 
@@ -541,10 +552,12 @@ class _Rows:
         return whitened - self.basis @ (self.basis.T @ whitened)
 
     def predict(self, signatures: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Held-out residual (m,) without an effect, and the change (m, p) of the prediction by signatures (M, p), both whitened.
+        """Returns the held-out residual (m,) of a prediction without effects, and the change (m, p) of the prediction that the
+        signatures (M, p) cause, both whitened.
 
-        The nominal parameters are fitted to the chosen rows without and with the effect; their covariance adds to the held-out noise: with
-        U its whitened root, (I + UUᵀ)^−½ acts in the span of U alone. The part that the chosen rows do not determine is projected out.
+        The nominal parameters are fitted to the chosen rows, once without and once with the effect. Their covariance adds to the
+        held-out noise: if U is the whitened root of this covariance, the factor (I + UUᵀ)^−½ changes only components in the span of
+        U. Directions that the chosen rows do not determine are projected out.
         """
         both = np.column_stack([self.values, signatures])
         fitted = self.parameters @ (self.basis.T @ self.whiten(both[self.chosen]))

@@ -1,9 +1,9 @@
-"""Comparison of a recording with two simulations of its plan: one without, and one with the effects that a diagnosis found.
+"""Comparison of a recording with two simulations of its plan: one without the effects that a diagnosis found, and one with them.
 
-All three are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow changes, and the harmonics of
-turns and of rocking. The nominal motion of each is subtracted first, so that times and table angles need not agree exactly. The
-nominal parameters of the simulated sensor are not those of the recorded one; therefore the nominal columns are fitted to the
-difference.
+The recording and both simulations are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow
+changes, and the harmonics of turns and of rocking. The outputs that follow from the nominal motion are subtracted first, so that
+times and table angles need not agree exactly. The simulated sensor has other nominal parameters than the recorded one; therefore
+the nominal columns are fitted to the difference.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """The comparison of one channel, in its `unit`. before, after: difference between the recording and the simulation without
-    (before) and with the effects (after): root mean square over the segments. Each segment contributes its mean, slow changes and
-    harmonics. noise: the difference that noise alone causes. before_sigma, after_sigma: the same differences in standard deviations
-    of the noise, 1 for noise alone. sample_noise: standard deviation of a sample in the recording and in both simulations. means:
-    offset of each common segment (S,), in the recording and both simulations, after the fit of the nominal parameters; sigma: (S,),
-    standard uncertainty of the offsets in the recording, from noise."""
+    """The comparison of one channel, in its `unit`. before, after: size of the difference between the recording and the simulation
+    without (before) and with the effects (after), root mean square over the segments. Each segment contributes its mean, slow
+    changes and harmonics. noise: size of the difference that noise alone causes. before_sigma, after_sigma: `before` and `after` in
+    standard deviations of the noise; 1 if there is only noise. sample_noise: standard deviation of a single sample in the recording
+    and in both simulations. means: offset of each common segment (S,), in the recording and both simulations, after the fit of the
+    nominal parameters; sigma: (S,), standard uncertainty of the offsets in the recording, from noise."""
 
     unit: str
     before: float
@@ -47,7 +47,7 @@ class ChannelComparison:
 
 @dataclass(frozen=True)
 class GapComparison:
-    """The comparison of all channels. labels: labels of the common segments."""
+    """The comparison of all channels. labels: labels of the segments that the recording and both simulations share."""
 
     labels: tuple[str, ...]
     channels: dict[str, ChannelComparison]
@@ -85,8 +85,9 @@ class GapComparison:
 
 
 def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> GapComparison:
-    """Compares a recording with two simulations. nominal: terms that are fitted to the differences. Raises `ObservationError` if
-    recording and simulations have too few segments or no channels in common."""
+    """Compares the recording in `weighing` with the simulations without (`before`) and with the effects (`after`). nominal: names
+    of the terms that the nominal simulation fits. Raises `ObservationError` if the recording and the simulations share too few
+    segments, or if a simulation lacks a channel of the recording."""
     recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white)
     first, second = (_Reduced.simulated(one, nominal) for one in (before, after))
     labels = [name for name in recorded.observed.labels if name in first.rows and name in second.rows]
@@ -101,9 +102,10 @@ def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A recording or simulation, reduced to coefficients. values: (M, K), SI, coefficients as root mean squares over their
-    segments; counts: (M,), number of samples of the segment of each coefficient. rows: maps each segment to its rows, the first of
-    which is its mean. columns: maps each channel to its column. white: (K,), standard deviation of the white noise of a sample."""
+    """A recording or simulation, reduced to coefficients. values: (M, K), SI, coefficients, each scaled to a root mean square over
+    its segment; counts: (M,), number of samples in the segment of each coefficient. rows: the rows of each segment, by label; the
+    first row is the mean. columns: the column of each channel, by name. white: (K,), standard deviation of the white noise of a
+    single sample."""
 
     observed: Observed
     values: Array
@@ -130,15 +132,16 @@ class _Reduced:
 
 @dataclass(frozen=True)
 class _Common:
-    """Rows that the recording and both simulations share. rows: indices (m,) in each of the three; means: (m,), True for rows that
-    are means of segments."""
+    """Rows that the recording and both simulations have in common. rows: indices (m,) of these rows in the recording and in each
+    simulation; means: (m,), True for rows that are means of segments."""
 
     rows: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
     means: NDArray[np.bool_]
 
 
 def _common(labels: Sequence[str], *three: _Reduced) -> _Common:
-    """Common rows: all coefficients of segments that have the same basis in all three, and the means of the other segments."""
+    """Finds the common rows: for segments with the same basis in the recording and both simulations, all coefficients; for other
+    segments, only the mean."""
     found: list[list[NDArray[np.int64]]] = [[], [], []]
     means = []
     for label in labels:
@@ -189,7 +192,8 @@ def _channel(
 
 
 def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
-    """Variance (m,) of slow noise and rounding in the means of the recording; zero for other coefficients."""
+    """Variance (m,) that slow noise and rounding cause in the segment means of the recording; zero for coefficients that are not
+    means."""
     weight, found = weighing.weights[index][0], weighing.spectrum
     counts = weighing.observed.counts.astype(float)
     whole = np.diag(weight.covariance(found.frequency == 0)) / counts - weighing.white[index] ** 2 / counts
@@ -199,7 +203,7 @@ def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
 
 
 def _left(values: Array, nominal: Array, variance: Array) -> Array:
-    """Residuals (m,) of a weighted fit of the nominal columns (m, q)."""
+    """Residuals (m,) that remain after a weighted fit of the nominal columns (m, q)."""
     if not nominal.shape[1]:
         return values
     weight = 1 / np.sqrt(variance)

@@ -1,7 +1,7 @@
-"""Confusability: which effects this plan can distinguish, before and after it is recorded.
+"""Confusability: which effects a plan can distinguish, before and after it is recorded.
 
-ρ(A|B) is the share of A's projected, whitened signature energy that B reproduces with its own amplitudes. For an effect fitted with the
-energy λ, λ(1 − ρ) is the non-centrality of the test between A and B.
+ρ(A|B) is the fraction of the energy of effect A's projected, whitened signature that effect B reproduces with its own amplitudes.
+If effect A is fitted with the energy λ, λ(1 − ρ) is the non-centrality of the test between A and B.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def energy(signature: Sequence[Array]) -> float:
 
 
 def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
-    """The fraction of a signature's energy that the best of several variants reproduces."""
+    """The fraction of a signature's energy that the best of the `rivals` reproduces."""
     total = energy(signature)
     if total <= 0:
         return 0.0
@@ -43,8 +43,8 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def beside(together: EffectSet, name: str) -> float:
-    """The fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. Imperfect
-    forms of the other effects cannot leave this energy as a residue."""
+    """The fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. An
+    imperfect form of the other effects cannot leave residuals with this energy."""
     weighed, own = together.weighed, together.columns(name)
     amplitudes, _ = weighed.amplitudes
     others = np.ones(len(amplitudes), dtype=bool)
@@ -55,7 +55,7 @@ def beside(together: EffectSet, name: str) -> float:
 
 
 def shared(best: Sequence[Weighed]) -> Array:
-    """The confusability ρ(A|B), with one row for each A, before data are recorded. ρ is an average over amplitudes from A's prior,
+    """The confusability ρ(A|B) before data are recorded, one row for each A. It is averaged over amplitudes from A's prior: ρ =
     tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
     parts = [slice(low, high) for low, high in pairwise(bounds)]
@@ -70,6 +70,7 @@ def shared(best: Sequence[Weighed]) -> Array:
 
 
 def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
-    """Names and ρ(A|B) of all candidates with a signature, each at its most probable shape; the matrix has one row for each A."""
+    """Names of all candidates that have a signature, and their ρ(A|B), each at its most probable shape; the matrix has one row for
+    each A."""
     present = [candidate for candidate in candidates if np.isfinite(candidate.log_bayes).any()]
     return [c.id for c in present], shared([candidate.best for candidate in present])

@@ -61,8 +61,9 @@ _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
-    """Options of a diagnosis. nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by
-    default all that are installed. given: effects that are known to act. They are fitted, and the remaining gap is diagnosed."""
+    """Options of a diagnosis. nominal: names of the terms that the nominal simulation fits, from `candidates.FULL`; effects: names
+    of the candidates, by default all installed effects. given: names of effects that are known to act. Given effects are fitted,
+    and the gap that remains is diagnosed."""
 
     nominal: tuple[str, ...] = FULL
     effects: tuple[str, ...] | None = None
@@ -71,8 +72,9 @@ class DiagnosisOptions:
 
 @dataclass(frozen=True)
 class Grounds:
-    """Basis of a diagnosis, for further analysis. nominal: names of the terms that the nominal simulation fits; choices: the choices of
-    the closure; noise: the noise in the closure, None if no effect is named that other segments can predict."""
+    """Data on which a diagnosis is based, for further analysis. nominal: names of the terms that the nominal simulation fits;
+    choices: the effects and sets among which the closure chooses; noise: the noise measured for the closure, None if the diagnosis
+    names no effect that other segments can predict."""
 
     weighing: Weighing
     candidates: tuple[Candidate, ...]
@@ -84,10 +86,11 @@ class Grounds:
 @dataclass(frozen=True)
 class Diagnosis:
     """Result of a diagnosis. gap: size of the gap of each channel, in its unit. noise: the noise of every channel. posterior:
-    probabilities of all hypotheses. absorbed: effects that the nominal parameters reproduce almost completely → the share of their
-    energy that remains. unknown: form of a gap that the catalogue does not contain, if the verdict is unknown. rest: the part that
-    the named effects do not explain; None if no effect is named, or if a random walk is among the named effects. pictures: data for
-    plots. given: parameters of the effects that are known to act, fitted together with the named effects."""
+    probabilities of all hypotheses. absorbed: effects that the nominal parameters reproduce almost completely, each with the
+    fraction of its energy that remains. unknown: form of a gap that the catalogue does not contain, if the verdict is unknown.
+    rest: the part of the gap that the named effects do not explain; None if no effect is named, or if a random walk is among the
+    named effects. pictures: data for plots. given: parameters of the effects that are known to act, fitted together with the named
+    effects."""
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]
@@ -247,7 +250,8 @@ def _closure(
 
 
 def _given(candidates: Sequence[Candidate], names: Sequence[str]) -> list[Member]:
-    """The effects that are known to act, each in its best form. Raises `ObservationError`."""
+    """The given effects, which are known to act, each in its best form. Raises `ObservationError` for an effect that cannot be
+    fitted to this recording."""
     by_id = {candidate.id: candidate for candidate in candidates}
     for name in names:
         if name not in by_id:
@@ -273,7 +277,7 @@ def _parameters_of_given(
     by_id: Mapping[str, Candidate],
     names: Sequence[str],
 ) -> list[ParameterEstimate]:
-    """Estimates of the effects that are known to act, fitted together with the named effects."""
+    """Estimates the parameters of the effects that are known to act; they are fitted together with the named effects."""
     if not given:
         return []
     beside = named.members if named is not None else [Member.best(by_id[name]) for name in names]
@@ -290,8 +294,8 @@ def _parameters_of_given(
 
 
 def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) -> list[Effect]:
-    """The effects with these names. Without names, the result is all installed effects that are hypotheses. An effect that only
-    some recordings can show is included if `observed` can show it."""
+    """Returns the effects with these names. Without names, returns all installed effects that are hypotheses. An effect that only
+    some recordings can show is included only if `observed` can show it."""
     if names is not None:
         return [effect_named(name) for name in names]
     installed = [effect_named(name) for name in plugins.names(plugins.EFFECTS)]
@@ -305,7 +309,7 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """The forms of an effect that is fully determined by its shape, if the search finds the shape exactly."""
+    """The forms of an effect that its shape determines completely; empty unless the search finds the shape exactly."""
     effect = shape_alone(candidate)
     found = whole_forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}
@@ -314,8 +318,9 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 def _choices(
     found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
-    """The choices for the folds of the closure: probable effects and sets of effects; hypotheses that differ only in effects on the
-    noise are one choice. If a random walk of the bias or something else acts too, no effect is the whole cause."""
+    """The choices for the folds of the closure: probable effects and probable sets of effects. Hypotheses that differ only in
+    effects on the noise become one choice. A hypothesis that includes a random walk or something else adds nothing to the
+    probability that a choice is the whole cause."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
         parts = name.split("+")
@@ -329,7 +334,7 @@ def _choices(
 def _forms(
     found: Posterior, by_id: Mapping[str, Candidate], exact: Mapping[str, Forms], key: str, p: float
 ) -> list[FoldChoice]:
-    """The choices for one effect or set of effects, which has the probability p."""
+    """The choices for one effect or set of effects; p is its probability."""
     if key in exact:
         return [
             FoldChoice(key, weighed.raw, (1,), p * share, whole=True)
@@ -353,7 +358,8 @@ def _parameters(
     apart: Apart,
     ratios: Array | None,
 ) -> list[ParameterEstimate]:
-    """Estimates for the most probable effects. The effects of a set are fitted together. ratios: as in `estimates.amplitudes`."""
+    """Estimates the parameters of the effects that the verdict names. The effects of a set are fitted together. ratios: as in
+    `estimates.amplitudes`."""
     listed: list[ParameterEstimate] = []
     walking = any(
         isinstance(e, OutsideCoefficients) and e.outside == "random walk" and e.id in said.effects for e in effects

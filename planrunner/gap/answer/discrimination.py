@@ -1,9 +1,10 @@
-"""Expected evidence between rival explanations from further measurements, computed before they are made.
+"""Log evidence between rival explanations that is expected from further measurements, computed before they are made.
 
-Every rival is a linear model with the nominal parameters and normal amplitudes. The posterior from the recording is the prior for the next
-measurements. If A is true, the expected log evidence of A against B is therefore the Kullback-Leibler divergence of the two predictions:
-the criterion of Box and Hill (Technometrics 9, 1967), T-optimality (Atkinson and Fedorov, Biometrika 62, 1975) averaged over the
-uncertainty of the amplitudes. New measurements enter only through their information matrix, regardless of the number of samples.
+Every rival is a linear model that consists of the nominal parameters and of effects with normally distributed amplitudes. The
+posterior from the recording is the prior for the next measurements. If A is true, the expected log evidence of A against B is
+therefore the Kullback-Leibler divergence of the two predictions. This is the criterion of Box and Hill (Technometrics 9, 1967):
+T-optimality (Atkinson and Fedorov, Biometrika 62, 1975), averaged over the uncertainty of the amplitudes. New measurements enter
+only through their information matrix, so the cost does not depend on the number of samples.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 
 @dataclass(frozen=True)
 class Rival:
-    """A rival explanation after a recording. columns: (p,), indices of its columns among all columns; mean (p,), precision (p, p):
-    of the amplitudes of these columns."""
+    """A rival explanation after a recording. columns: (p,), indices of the rival's columns among all columns; mean (p,) and
+    precision (p, p): posterior of the amplitudes of these columns."""
 
     name: str
     probability: float
@@ -36,8 +37,9 @@ class Rival:
     def learnt(
         cls, name: str, probability: float, columns: NDArray[np.int64], prior: Array, information: Array, score: Array
     ) -> Rival:
-        """The rival after a recording. prior: (p,), precision of its amplitudes about zero before the recording, 0 for a nominal
-        parameter. information (P, P), score (P,): what the recording gives for all columns, in units of the noise."""
+        """The rival with the posterior of its amplitudes after a recording. prior: (p,), precision of the amplitudes about zero
+        before the recording, 0 for a nominal parameter. information (P, P) and score (P,): information matrix and score vector of
+        the recording for all columns of all rivals, in units of the noise."""
         own = information[np.ix_(columns, columns)]
         precision = own + np.diag(prior + _FLAT * np.maximum(np.diag(own), 1.0))
         mean = np.asarray(np.linalg.solve(precision, score[columns]))
@@ -93,7 +95,8 @@ def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
 
 
 def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> Array:
-    """The loss averaged over the rivals. evidence: (…, R, R); the result has the shape (…)."""
+    """Averages a measure of the posterior odds against the true rival over the rivals and over the random log evidence. evidence:
+    (…, R, R); the result has the shape (…). measure: function of the odds."""
     share = np.array([rival.probability for rival in rivals])
     share = share / share.sum()
     total = np.zeros(evidence.shape[:-2])

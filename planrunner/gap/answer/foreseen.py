@@ -1,7 +1,7 @@
-"""The information about given columns that further segments would provide, computed before these segments are measured.
+"""The information that further segments would provide about given columns, computed before these segments are measured.
 
-Of each segment, only a few seconds with whole turns or periods are sampled like the recording. The remaining length counts as a
-repetition of these seconds.
+Only a few seconds of each segment, with whole turns or periods, are sampled in the same way as the recording. The rest of the
+segment counts as a repetition of these seconds.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Information from a segment about P columns, for K channels, in units of the noise. within: (P, P), information per second from the
-    changes within the segment. means: (K, P), mean of each column over the segment. noise: (K,), white noise density of each channel;
-    flicker: (K,), declared bias instability."""
+    """Information that a segment gives about P columns from K channels, in units of the noise. within: (P, P), information per
+    second from changes within the segment. means: (K, P), mean of each column over the segment. noise: (K,), white noise density of
+    each channel; flicker: (K,), declared bias instability of each channel."""
 
     segment: Segment
     within: Array
@@ -58,10 +58,11 @@ class Foreseen:
 def foresee(
     observed: Observed, white: Array, segments: Sequence[Segment], columns: Columns, widths: Sequence[int]
 ) -> Iterator[Foreseen]:
-    """Information of each segment if it were measured after the recording. white: (K,), standard deviation of a sample.
+    """Yields the information that each segment would give if it were measured after the recording. white: (K,), standard deviation
+    of the white noise of a sample.
 
-    columns: computes groups of columns for a recording; widths: number of columns in each group. Columns are identified by their order. A
-    column is zero in a channel that it does not affect.
+    columns: function that computes groups of columns for a recording; widths: number of columns in each group. A column is
+    identified by its place in this order. A column is zero in a channel that it does not affect.
     """
     noise = white / math.sqrt(observed.sample_rate)
     flicker = np.array([channel.flicker for channel in observed.channels])
@@ -88,12 +89,12 @@ def foresee(
 
 
 def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array, seconds: float) -> Array:
-    """Information (P, P) per second that a segment does not give because the angle of the turning table is unknown. rows: by channel, (n,
-    P); noise: (K,), white noise density; seconds: dwell.
+    """Information (P, P) per second that a segment loses because the angle of the turning table is unknown. rows: for each channel,
+    the columns (n, P); noise: (K,), white noise density; seconds: dwell.
 
-    A component in phase, with the signal c·√2·cos θ, competes with the input of amplitude A and unknown phase
-    (`Observed.unknown_phase`). With the covariance σ²·I + A²·w·wᵀ of the samples, where w = cos θ and |w|² = T/2 for a dwell T and
-    unit density of the noise, the share A²T/2 ÷ (σ² + A²T/2) of the information about this component is lost (Sherman and
+    A component c·√2·cos θ, which is in phase with the turning, competes with the input of amplitude A and unknown phase
+    (`Observed.unknown_phase`). Let the samples have the covariance σ²·I + A²·w·wᵀ, where w = cos θ and |w|² = T/2 for a dwell T and
+    unit density of the noise. Then the fraction A²T/2 ÷ (σ² + A²T/2) of the information about this component is lost (Sherman and
     Morrison). The same holds for sin θ."""
     amplitude = planned.unknown_phase[number]
     size = rows[0].shape[1]
@@ -110,11 +111,11 @@ def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array,
 def following(
     observed: Observed, segments: Sequence[Segment], near: Sequence[int] | range
 ) -> tuple[Observed, list[slice]]:
-    """The recording followed by additional segments, which have a motion but no outputs; and for each additional segment, the slice of
-    its samples.
+    """Returns the recording followed by additional segments, which have a motion but no outputs, and for each additional segment
+    the slice of its samples.
 
-    Segments that are not in `near` are reduced to a few samples. Thus properties of the whole set of segments, such as its orientations,
-    do not depend on how many segments are evaluated in full.
+    Segments whose index is not in `near` are represented by a few samples. Thus properties of the whole set of segments, such as
+    its orientations, do not depend on how many segments are sampled in full.
     """
     stubs = np.concatenate([np.arange(p.start, min(p.start + _STUB, p.stop)) for p in observed.segments()])
     counts = [min(_STUB, p.stop - p.start) for p in observed.segments()]
@@ -151,7 +152,8 @@ def following(
 
 
 def _times(segment: Segment, rate: float) -> Array:
-    """Sample times since the beginning of the segment: all times of a ramp, otherwise whole turns or periods for a few seconds."""
+    """Sample times from the start of the segment: all times for a ramp; for other motions, a few seconds with whole turns or
+    periods."""
     assert segment.dwell is not None
     span, begin = _SAMPLED, 0.0
     if segment.ramp_to is not None:
@@ -168,6 +170,6 @@ def _times(segment: Segment, rate: float) -> Array:
 
 
 def _temperatures(segment: Segment, now: float) -> tuple[float, float]:
-    """Temperature [degC] at a segment's beginning and end."""
+    """Temperature [degC] at a segment's start and end."""
     start = now if segment.temperature is None else segment.temperature - ZERO_CELSIUS
     return start, start if segment.ramp_to is None else segment.ramp_to - ZERO_CELSIUS

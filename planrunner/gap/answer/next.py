@@ -1,8 +1,8 @@
-"""What to measure next: the segments that a bench can execute and that separate the remaining explanations in the shortest time.
+"""What to measure next: segments that the bench can execute and that distinguish the remaining explanations in the shortest time.
 
-The choice is greedy: the next segment is the one with the most expected evidence per second of test time, including moves and temperature
-changes. The search ends when the true explanation is expected to be identified, or when nothing helps. For comparison, repeating the
-recorded segments is evaluated in the same way.
+The choice is greedy: each step takes the segment with the most expected evidence per second of test time, which includes moves and
+temperature changes. The search ends when the expected probability of the true explanation is high enough, or when no segment helps.
+A repetition of the recorded segments is evaluated in the same way, for comparison.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ _HELPS = 0.005  # smallest reduction of the expected loss that justifies a segme
 
 @dataclass(frozen=True)
 class SegmentProposal:
-    """Proposed segments. segments: the proposed segments in order; empty if nothing on the bench helps. rivals: names and present
-    probabilities of the remaining explanations. now: expected probability of the true rival at present; probability: expected
-    probability of the true rival after `seconds` of test time. repeating: time [s] and expected probability if the recorded
-    segments are repeated. sensor: an instrument that could separate the rivals if the segments of the bench cannot."""
+    """Segments that a diagnosis proposes to measure next. segments: the proposed segments in order; empty if nothing on the bench
+    helps. rivals: names and present probabilities of the remaining explanations (rivals). now: expected probability of the true
+    rival at present; probability: expected probability of the true rival after `seconds` of test time. repeating: time [s] of
+    repeating the recorded segments, and the expected probability of the true rival after it. sensor: description of an instrument
+    that could distinguish the rivals if the segments of the bench cannot."""
 
     segments: tuple[Segment, ...]
     rivals: tuple[tuple[str, float], ...]
@@ -62,10 +63,10 @@ def propose(
     seconds: Seconds,
     lasted: float,
 ) -> SegmentProposal | None:
-    """The segments to measure next; None if one explanation is clear.
+    """Proposes the segments to measure next; None if one explanation is clear.
 
-    options: segments that the bench can execute; seconds: computes the test time of a segment after another one (or as the first),
-    including moves, settling and dwell; lasted: test time of the recording, s.
+    options: segments that the bench can execute; seconds: function that computes the test time of a segment, including moves,
+    settling and dwell, from the previous segment (None for the first) and the segment; lasted: test time of the recording, s.
     """
     listed = explanations(found, candidates)
     if not options or not _open(listed):
@@ -88,7 +89,7 @@ def propose(
 
 
 def _open(listed: Sequence[Explanation]) -> bool:
-    """Whether a measurement can still change the answer."""
+    """True if a further measurement can still change the answer."""
     if len(listed) < 2:
         return False
     least = FAINT if listed[0].name in SILENT else 0.0
@@ -111,8 +112,8 @@ def _lasting(segments: Sequence[Segment], seconds: Seconds) -> float:
 
 
 def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Seconds) -> list[Foreseen]:
-    """The greedy choice, without unnecessary segments and grouped by temperature. The time before the first segment, such as a soak
-    of the sensor, is the same for all and does not influence the choice."""
+    """Chooses segments greedily, removes unnecessary ones, and groups the others by temperature. The time before the first segment,
+    such as a soak of the sensor, is the same for all segments and does not influence the choice."""
     size = len(options[0].within)
     held = [item.segment for item in options if item.segment.ramp_to is None] or [item.segment for item in options]
     ahead = min(seconds(None, segment) - (segment.dwell or 0.0) for segment in held)
@@ -147,7 +148,8 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
 
 
 def _gains(rivals: Sequence[Rival], total: Array, loss: float, moves: Sequence[Sequence[Foreseen]]) -> list[float]:
-    """Reduction of the loss by each move, if the information `total` (P, P) is already available."""
+    """Reduction of the expected loss that each move causes if the information `total` (P, P) is already available. A move is one
+    segment or a bundle of segments."""
     after = np.array([total + _sum(move, len(total)) for move in moves])
     gains: list[float] = (loss - expected_loss(rivals, after)).tolist()
     return gains
@@ -170,7 +172,8 @@ def _shortened(
     last: Segment | None,
     seconds: Seconds,
 ) -> tuple[list[list[Foreseen]], list[float], list[float]]:
-    """A short list: the best moves by gain and by gain per second, and bundles of the best moves at each temperature."""
+    """Shortens the list of moves: keeps the best by gain and by gain per second, and adds bundles of the best moves at each
+    temperature."""
     by_gain, by_rate = np.argsort(-np.array(gains)), np.argsort(-np.array(gains) / np.array(costs))
     temperatures: dict[float | None, list[int]] = {}
     for index in by_gain:
@@ -194,8 +197,8 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """The chosen segments without those that are not needed to reach the target or, if the target is out of reach, the best
-    possible value."""
+    """Removes chosen segments without which the target is still reached. If the target is out of reach, the probability expected
+    from all chosen segments takes its place."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:
@@ -208,14 +211,15 @@ def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[
 
 
 def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
-    """The segments grouped by temperature, in the order of the first segment of each temperature."""
+    """The segments grouped by temperature; the groups have the order in which their temperatures first appear."""
     order = list(dict.fromkeys(_warmth(item.segment) for item in chosen))
     return sorted(chosen, key=lambda item: order.index(_warmth(item.segment)))
 
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
-    """Time [s] of repeating the recorded segments until the true explanation has the expected probability `aim`, and the
-    probability reached. If no repetition is enough, both values are those of the longest repetition considered."""
+    """Test time [s] of the repetitions of the recorded segments after which the true explanation has the expected probability
+    `aim`, and the expected probability reached. If no number of repetitions is enough, both values belong to the largest number
+    considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:

@@ -1,5 +1,5 @@
-"""The noise of each channel in the recording, compared with its declaration. Noise is reported, but does not compete with the
-effects as an explanation.
+"""The noise of each channel in the recording, compared with its declaration. Noise is reported, but is not a rival of the effects
+as an explanation.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from planrunner.gap.hypotheses.open_set import Line
 
 @dataclass(frozen=True, slots=True)
 class NoiseFound:
-    """Noise of a channel, in its unit. white, declared: standard deviation of a sample, as found and as declared; `declared`
-    includes the rounding to `declared_count`, and is 0 if no noise is declared. count, declared_count: size of one count, as found
-    in the recording and as declared; 0 if there is none. slow: amplitude density at the lowest measured frequency, relative to the
-    white level, 1 for white noise. quietest, loudest: standard deviation in the quietest and in the loudest segment, relative to
-    the white level. line: the strongest tone, None if there is none."""
+    """Noise of a channel, in the channel's unit. white, declared: standard deviation of a sample, as found in the recording and as
+    declared; `declared` includes the rounding to `declared_count`, and is 0 if no noise is declared. count, declared_count: size of
+    one count, as found in the recording and as declared; 0 if there are no counts. slow: amplitude density at the lowest measured
+    frequency, relative to that of the white noise; 1 for white noise alone. quietest, loudest: standard deviation in the quietest
+    and in the loudest segment, relative to the white level. line: the strongest tone, None if there is none."""
 
     channel: str
     unit: str

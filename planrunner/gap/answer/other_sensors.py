@@ -1,9 +1,9 @@
-"""Instruments that a bench lacks and that could separate explanations when its own segments cannot.
+"""Instruments that a bench lacks, but with which it could distinguish explanations that its own segments cannot.
 
-Such an instrument is evaluated in the same way as a further segment.
+Such an instrument is evaluated in the same way as an additional segment.
 
-Effects of the table and the site act on every instrument on the table. Effects of the sensor under test and of its data do not act on
-other instruments.
+Effects of the table and of the site act on every instrument on the table. Effects of the sensor under test and of its data do not
+act on other instruments.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
 def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
-    """The explanations, extended by the instrument's own nominal parameters, and the information that all options together give
-    with this instrument."""
+    """The rivals, extended by the instrument's own nominal parameters, and the total information from all options when they are
+    measured with this instrument in addition."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)
@@ -81,7 +81,8 @@ def _with(
 
 
 def _further(observed: Observed, own: int, layout: Layout) -> list[Column]:
-    """Nominal parameters of the channels that the sensor under test does not have."""
+    """Nominal parameters of the additional channels: those with indices of `own` and above, which the sensor under test does not
+    have."""
     return [column for column in nominal_columns(observed, layout.nominal) if min(column.parts) >= own]
 
 
@@ -99,7 +100,7 @@ def _columns(layout: Layout, channels: tuple[Channel, ...]) -> Callable[[Observe
 
 
 def _seen(layout: Layout) -> Array:
-    """Information (P,) about the amplitudes of table effects that are angles, from a direct measurement of pointing."""
+    """Information (P,) that a direct measurement of pointing gives about the amplitudes of table effects that are angles."""
     found = [np.zeros(layout.widths[0])]
     for part, width in zip(layout.parts, layout.widths[1:], strict=True):
         columns = part.weighed.variant.columns

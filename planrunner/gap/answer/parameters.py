@@ -1,5 +1,5 @@
-"""Estimates of parameters: the amplitudes and shapes of the effects that a diagnosis names, and the terms that the nominal simulation fits.
-The specification of the sensor is compared with these terms.
+"""Estimates of parameters: amplitudes and shapes of the effects that a diagnosis names, and the terms that the nominal simulation
+fits. The terms are compared with the specification of the sensor.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def amplitudes(
     walking: bool = False,
     ratios: Array | None = None,
 ) -> list[ParameterEstimate]:
-    """Means and standard deviations of the amplitudes at the most probable prior size. columns: the columns of a pair that belong
-    to the effect. walking: whether a random walk of the gyros acts in addition. ratios: (K,), variance of the residuals of each channel
-    relative to that of the noise at its most probable setting; None if the residuals are noise. An amplitude that is fixed at 1 is
-    not a parameter."""
+    """Means and standard deviations of the amplitudes of an effect, at the most probable prior size of the amplitudes. columns: in
+    a set of effects, the columns that belong to this effect. walking: True if a random walk of the gyros acts in addition. ratios:
+    (K,), for each channel, variance of the residuals divided by the variance of the noise at its most probable setting; None if the
+    residuals are only noise. An amplitude that is fixed at 1 is not a parameter."""
     if weighed.held:
         return []
     mean, covariance = weighing.amplitudes(weighed, walking)
@@ -63,8 +63,8 @@ def amplitudes(
 
 
 def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array | None) -> list[ParameterEstimate]:
-    """Estimates of a shape with uncertainties for residuals that are more than noise. ratios: as in `amplitudes`; their mean, weighted by
-    the energy of the effect in each channel, multiplies the variance."""
+    """Increases the uncertainties of shape estimates, because the residuals are more than noise. ratios: as in `amplitudes`; the
+    variance is multiplied by their mean, weighted by the energy of the effect in each channel."""
     if ratios is None:
         return list(listed)
     energy = np.array([float((own**2).sum()) for own in weighed.by_channel])
@@ -73,7 +73,7 @@ def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array |
 
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
-    """The shape of an effect with its uncertainty, from the evidence for each evaluated value of the shape."""
+    """The shape of an effect and its uncertainty, computed from the evidence for each value of the shape that was evaluated."""
     effect = candidate.effect
     if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
         # One of a few numbers, of which the amplitudes belong to the best.
@@ -101,7 +101,7 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
 
 
 def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[ParameterEstimate]:
-    """The shape of an effect without amplitude, from its forms and their probabilities."""
+    """The shape of an effect that has no amplitude, computed from its forms and their probabilities."""
     values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
     mean = float(share @ values)
     spread = float(np.sqrt(share @ (values - mean) ** 2))
@@ -109,8 +109,8 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """The shape of an effect without amplitude, with a negative sign, if the data require the effect with the opposite sign. The
-    size of the shape is the fitted amplitude times the shape of the best form. A negative delay means that the table's angle is
+    """The shape of an effect that has no amplitude, with a negative sign, for data that require the effect with the opposite sign.
+    The size of the shape is the fitted amplitude times the shape of the best form. A negative delay means that the table's angle is
     delayed instead of the outputs."""
     (share,), ((variance,),) = best.amplitudes
     size = float(best.variant.shape or 0.0)
@@ -122,8 +122,8 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
 
 
 def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterEstimate]:
-    """Parameters of an effect on the noise: white level or resolution of each channel of the triad, or the density of the random
-    walk."""
+    """Parameters of an effect on the noise: white noise density or resolution of each channel of the triad, or the density of the
+    random walk."""
     observed, name, noise = weighing.observed, effect.id, effect.outside
     gyros = observed.of_kind("gyro")
     triad = observed.of_kind(triad_of(effect))
@@ -161,9 +161,9 @@ _UNDETERMINED = 1e-6
 
 
 def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:
-    """Bias, scale factor and misalignment of every channel by weighted least squares. Terms that the plan does not determine are
-    omitted. The field `effect` of each estimate is the term, such as `accel_bias`. The values contain the influence of effects that
-    are not in the simulation."""
+    """Estimates bias, scale factor and misalignment of every channel by weighted least squares. Terms that the plan does not
+    determine are omitted. The field `effect` of each estimate contains the name of the term, such as `accel_bias`. The estimates
+    include the influence of effects that are not in the simulation."""
     terms = [
         f"{kind}_{part}"
         for kind in ("gyro", "accel")

@@ -1,4 +1,4 @@
-"""Data for the plots of a diagnosis, and the gap by channel, as plain data in the units of the channels."""
+"""Plain data for the plots of a diagnosis, and the gap of each channel in the channel's unit."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
-    """For each channel: the gap, which is the root mean square over the samples of the residual of the nominal simulation (the part in
-    the coefficients); the same value for noise alone; and the unit. The gap does not depend on the sampling rate: a constant offset
-    contributes its full size."""
+    """For each channel: the gap, the gap that noise alone would cause, and the unit. The gap is the root mean square over the
+    samples of the residual of the nominal simulation, as far as the coefficients represent this residual. The gap does not depend
+    on the sampling rate, and a constant offset enters with its full size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
         gap, noise = weighing.weights[index][0].gap_and_noise()
@@ -29,8 +29,8 @@ def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
 
 
 def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed | None) -> JsonObject:
-    """Data for all plots. heat: energy by segment and channel in units of the noise; confusability; means before and after the
-    effects; spectra."""
+    """Data for all plots. The data are: a heat map of the energy by segment and channel, in units of the noise; the confusability;
+    segment means before and after the effects are fitted; spectra."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = len(observed)
     amplitudes = None if after is None else after.amplitudes[0]
@@ -62,9 +62,9 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
 
 
 def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> JsonObject:
-    """One-sided density by band (as square root of the power) before and after the effect, with the white level. Segment means are
-    omitted, because they have no frequency within a segment. For a long recording only the segments with the largest bins are used,
-    up to half the bin rate."""
+    """One-sided amplitude spectral density in each frequency band, before and after the effect is fitted, and the density of the
+    white noise. Segment means are omitted, because their frequency is zero. If segments have bins of different sizes, only those
+    with the largest bins are used; the spectrum ends at half their bin rate."""
     observed, spectrum = weighing.observed, weighing.spectrum
     size = observed.bin_size.max()
     shown = observed.bin_size == size

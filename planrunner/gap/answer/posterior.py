@@ -1,12 +1,12 @@
 """The posterior over {none, each effect, sets of effects, unknown, sets with something else}, with fixed and published priors.
 
-The evidence determines directly the probability that effects of the catalogue are the whole cause, that they act together with
-something else, and that none of them acts. The probability of effects is then divided among sets of them. For this, the evidence is
+The evidence directly determines three probabilities: effects of the catalogue are the whole cause, they act together with something
+else, or none of them acts. The probability of effects is then divided among the sets of effects. For this division, the evidence is
 computed with the noise enlarged by the dispersion of the residuals (`gap.answer.remainder`). If even the best set leaves more than
-noise, the evidence for the effects that it names is weaker by this factor.
+noise, the evidence that distinguishes the sets becomes weaker by the dispersion.
 
-Noise is never a rival of a cause. Hypotheses that differ only in an effect on the level of the noise are the same cause, and their
-probabilities are added. The probability of each effect on the noise is stated in addition.
+A level of noise is never a rival of a cause. Hypotheses that differ only in an effect on the level of the noise count as the same
+cause, and their probabilities are added. The probability of each effect on the noise level is stated separately.
 """
 
 from __future__ import annotations
@@ -43,11 +43,12 @@ _Key = TypeVar("_Key", str, tuple[str, ...])
 class Posterior:
     """The posterior probabilities of the hypotheses. probability: probability of every cause. A set of effects has a name such as
     'a+b', in alphabetical order, or 'a+b+unknown' if something else acts in addition. An effect on the level of the noise is a
-    cause only if nothing else acts. noise: probability of each effect on the level of the noise, whatever the cause. log_evidence:
-    log evidence of each hypothesis relative to none; for effects, from the coefficients alone. pairs: the evaluated columns of sets
-    of two or more deterministic effects. sets: the sets of `pairs`, with their effects. kinds: log evidence, relative to none, of
-    the patterns that "unknown" could be. by_channel: log BF (K,) of each pattern in one channel alone. levels: effects that only
-    raise the noise level. lines: tones. beside: probability of a tone or bursts in addition to an effect."""
+    cause only if nothing else acts. noise: probability of each effect on the level of the noise, summed over all causes.
+    log_evidence: log evidence of each hypothesis relative to "none"; for effects, it is computed from the coefficients alone.
+    pairs: evaluated columns of each set of two or more deterministic effects. sets: the sets in `pairs`, each with its effects.
+    kinds: log evidence, relative to "none", of each pattern that "unknown" can mean. by_channel: log BF (K,) of each pattern,
+    computed in each channel alone. levels: effects that only change the noise level. lines: tones in the recording. beside:
+    probability that a tone or bursts are present in addition to an effect."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -61,8 +62,8 @@ class Posterior:
     sets: Mapping[str, EffectSet] = field(default_factory=dict, repr=False)
 
     def of_effects(self) -> dict[str, float]:
-        """Probability of none, unknown and every set of effects, with or without something else in addition; the most probable
-        first."""
+        """Probability of "none", of "unknown" and of every set of effects, the most probable first. The probability of a set
+        includes the case that something else acts in addition."""
         found: dict[str, float] = {}
         for name, value in self.probability.items():
             key = without_unknown(name)
@@ -71,16 +72,16 @@ class Posterior:
 
 
 def without_unknown(name: str) -> str:
-    """The effects of a hypothesis, without the "something else" that acts in addition."""
+    """The name of a hypothesis without the part "something else" that acts in addition to the effects."""
     return "+".join(part for part in name.split("+") if part != UNKNOWN) or UNKNOWN
 
 
 @dataclass(frozen=True)
 class _NoiseOnly:
-    """Effects on the noise. walk: a random walk of the gyros, or ''; others: maps each state of the noise of a triad, gyro or
-    accel, to its effect; levels: log density of the measured white noise for each combination of states. apart: log BF of the
-    effects that the recording shows outside the coefficients, such as a line; each of these effects is present or absent
-    independently of the others."""
+    """Effects on the noise. walk: name of the random walk of the gyros, or ''; others: maps each state of the noise of a triad
+    (gyro or accel) to the effect that causes it; levels: log density of the measured white noise for each combination of states.
+    apart: log BF of the effects that the recording shows outside the coefficients, such as a line; each of these effects is present
+    or absent independently of the others."""
 
     walk: str
     others: Mapping[tuple[str, Level], str]
@@ -89,13 +90,13 @@ class _NoiseOnly:
 
     @property
     def declared(self) -> float:
-        """Log density of the measured white noise if the noise is as declared."""
+        """Log density of the measured white noise if the declared noise is right."""
         return self.levels["declared", "declared"]
 
     @property
     def states(self) -> dict[tuple[str, ...], float]:
         """Maps each possible combination of effects on the noise to the log density of the measured white noise. A combination has
-        at most one effect on the white noise of each triad, and any of the effects `apart`, whose log BF is added."""
+        at most one effect on the white noise of each triad, and any of the effects in `apart`, whose log BF is added."""
         found: dict[tuple[str, ...], float] = {}
         for (gyro, accel), value in self.levels.items():
             acting = [(kind, level) for kind, level in (("gyro", gyro), ("accel", accel)) if level != "declared"]
@@ -109,7 +110,7 @@ class _NoiseOnly:
 def posterior(
     weighing: Weighing, effects: Sequence[Effect], candidates: Sequence[Candidate], apart: Apart | None = None
 ) -> Posterior:
-    """Evaluates all hypotheses. effects: all installed effects; candidates: the effects with signatures, already evaluated; apart:
+    """Evaluates all hypotheses. effects: all effects that are hypotheses; candidates: evaluated effects with signatures; apart:
     effects that were found outside the coefficients."""
     apart = apart or Apart()
     nothing = np.zeros(len(weighing.base))
@@ -172,7 +173,8 @@ def posterior(
 
 
 def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str, float]:
-    """Shares of the causes, added up over all effects on the level of the noise. levels: effects on the level of the noise."""
+    """Probabilities of the causes. Hypotheses that differ only in effects on the level of the noise are added up. levels: names of
+    the effects on the level of the noise."""
     found: dict[str, float] = {}
     for name, share in shares.items():
         key = key_of(part for part in name.split("+") if part not in levels) or name
@@ -183,9 +185,9 @@ def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str
 def _of_noise(
     shares: Mapping[str, float], levels: Set[str], noise: _NoiseOnly, found: Mapping[str, float], count: int
 ) -> dict[str, float]:
-    """Probability of each effect on the level of the noise. The share of a hypothesis with something else includes all states of
-    the noise, so it is divided among them. levels: effects on the level of the noise; found: the hypotheses that `posterior`
-    evaluated directly, in whose size "unknown" counts as an effect."""
+    """Probability of each effect on the level of the noise. The probability of a hypothesis with something else covers all states
+    of the noise, so it is divided among them. levels: names of the effects on the level of the noise; found: the hypotheses that
+    `posterior` evaluated directly; for the size of these hypotheses, "unknown" counts as an effect."""
     total = dict.fromkeys(sorted(levels), 0.0)
     for name, share in shares.items():
         parts = name.split("+")
@@ -199,12 +201,12 @@ def _of_noise(
 
 
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
-    """The increase of the log weight of a cause of `size` effects if its noise may also differ from the declared noise."""
+    """Amount that is added to the log weight of a cause of `size` effects, because its noise may differ from the declared noise."""
     return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
 
 
 def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, ...], float]:
-    """Log weight of each state of the noise beside a cause of `size` effects, relative to noise as declared."""
+    """Log weight of each state of the noise together with a cause of `size` effects, relative to the declared noise."""
     return {
         other: density - noise.declared + _log_prior_of(size + len(other), count) - _log_prior_of(size, count)
         for other, density in noise.states.items()
@@ -215,7 +217,8 @@ def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, 
 def _of_effects(
     weighing: Weighing, candidates: Sequence[Candidate], noise: _NoiseOnly, refit: bool = True
 ) -> tuple[dict[str, float], dict[str, EffectSet]]:
-    """Log evidence, relative to "none", of "none" itself, of single effects and of sets; and the sets that were evaluated in full."""
+    """Returns the log evidence, relative to "none", of "none", single effects and sets of effects; and the sets that were evaluated
+    in full."""
     nothing = np.zeros(len(weighing.base))
     start = weighing.evidence(nothing) + noise.declared
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
@@ -239,7 +242,7 @@ def _of_effects(
 
 
 def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
-    """The candidate, evaluated again with other noise. The cost of its shape stays the same."""
+    """Evaluates a candidate again with the noise of another `weighing`. The cost of its shape does not change."""
     if not np.isfinite(candidate.log_bayes).any():
         return candidate
     usable = [item for item in candidate.variants if item.trace > 0]
@@ -251,7 +254,8 @@ def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
 
 
 def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candidate]) -> list[tuple[str, Weighed]]:
-    """The effects of a hypothesis that have signatures, as a chain of sets: from the first chosen effect to all of them."""
+    """The effects of a hypothesis that have signatures, as a chain of growing sets: from the first chosen effect alone to all
+    effects."""
     by_id = {c.id: c for c in candidates}
     known = [part for part in name.split("+") if part in by_id]
     if len(known) == 1:
@@ -270,9 +274,9 @@ def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candid
 def _with_something_else(
     weighing: Weighing, chain: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
 ) -> dict[str, float]:
-    """Log weights of something else in addition to sets of effects. If something else may act in addition to all effects of a
-    chain, something else is also evaluated with fewer of these effects, because some of the effects may only imitate it. Amplitudes
-    that physics excludes are left out."""
+    """Log weights of hypotheses in which something else acts in addition to a set of effects. If something else may act in addition
+    to all effects of a chain, it is also evaluated in addition to fewer of them, because some of the effects may only imitate it.
+    Sets whose amplitudes are physically impossible are left out."""
     made: dict[str, float] = {}
     for key, weighed in reversed(chain):
         if weighed.excluded:
@@ -287,10 +291,12 @@ def _with_something_else(
 def _as_named(
     logs: Mapping[str, float], named: Mapping[str, float], more: Mapping[str, float], walk: str
 ) -> dict[str, float]:
-    """Log weights in which the probability of effects is divided as in `named`, and which include something else.
+    """Divides the probability of effects among the sets as in `named`, and adds the hypotheses with something else; returns log
+    weights.
 
-    more: log weights of sets together with something else. Each weight is divided in the same way among the probable sets of the
-    same size. Sets with a random walk (`walk`) are excluded, because a random walk explains the same part as something else.
+    more: log weights of sets of effects in combination with something else. Each of these weights is divided among the probable
+    sets of the same size, in proportion to `named`. Sets with a random walk (`walk`) are excluded, because a random walk explains
+    the same part as something else.
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}
@@ -310,28 +316,29 @@ def _as_named(
 
 
 def _shared(logs: Mapping[str, float]) -> dict[str, float]:
-    """Shares of the sets of effects without something else."""
+    """Normalised probabilities of the sets of effects, without "none", "unknown" and other hypotheses that have a fixed prior."""
     return _shares({name: value for name, value in logs.items() if name not in PRIORS})
 
 
 def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
-    """Weights that are normalised to the sum 1, computed from their logarithms."""
+    """Weights with the sum 1, computed from their logarithms."""
     total = np.logaddexp.reduce(list(logs.values()))
     return {name: float(np.exp(value - total)) for name, value in logs.items()}
 
 
 def _beside(kinds: Kinds) -> float:
-    """log BF of any effect, averaged over whether a tone or bursts from an independent cause are present."""
+    """Log BF that is added to every hypothesis with an effect, because a tone or bursts with an independent cause may or may not be
+    present."""
     return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
 
 
 def _acting(log_evidence: Mapping[str, float]) -> int:
-    """The number of effects that the plan can excite. An effect that it cannot excite counts as absent."""
+    """The number of effects that the plan can excite. Effects that the plan cannot excite count as absent."""
     return sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
 
 
 def log_prior(name: str, acting: int) -> float:
-    """Log prior of a hypothesis. All sets of the same number of effects share the prior equally, if the plan can excite their
+    """Log prior of a hypothesis. All sets with the same number of effects have the same prior, if the plan can excite their
     effects."""
     if name in PRIORS:
         return float(np.log(PRIORS[name]))
@@ -340,7 +347,7 @@ def log_prior(name: str, acting: int) -> float:
 
 
 def _log_prior_of(size: int, acting: int, besides: bool = False) -> float:
-    """Log prior of one set of `size` effects. besides: whether something else acts in addition."""
+    """Log prior of one set of `size` effects. besides: True if something else acts in addition."""
     share = PRIORS["several"] / 2 ** (size + 1 if besides else size - 1)
     if not besides and size < 3:
         share = PRIORS["single" if size == 1 else "pair"]

@@ -1,15 +1,17 @@
-"""What a fit leaves: a goodness-of-fit test in every channel, the size of the unexplained part, and the dispersion that corrects evidence.
+"""What a fit leaves unexplained: a goodness-of-fit test in every channel, the size of the unexplained part, and the dispersion that
+corrects evidence.
 
-The whitened residuals of a channel are compared with noise alone: their sum of squares with the χ² distribution, with Bonferroni's
-correction for the number of tests. The remainder is the part of a gap that the named effects, fitted to all segments, do not explain.
+The whitened residuals of a channel are compared with noise alone: the sum of their squares is tested against the χ² distribution,
+with Bonferroni's correction for the number of tests. The remainder is the part of a gap that the named effects, fitted to all
+segments, do not explain.
 
-The dispersion is the ratio of the residuals to the noise, if the test shows that noise alone does not explain the residuals. If no
-explanation leaves only noise, differences of evidence are too large by the ratio χ²/ν of the residuals. The reason is that all
-samples contain the same errors of the explanation, but count as independent. Evidence is then computed with the noise enlarged by that
-ratio. This is the dispersion of quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989, section 4.5), in metrology the
-squared Birge ratio (Birge, Physical Review 40, 1932), and corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson,
-Journal of the American Statistical Association 114, 2019). If chance explains the ratio, it is set to 1, so that evidence without misfit
-does not change.
+The dispersion is the ratio χ²/ν of the residuals if the test shows that noise alone does not explain them. If no explanation leaves
+only noise, differences of log evidence are too large by this ratio. The reason is that the errors of an explanation are the same in
+all samples, while the evidence treats the samples as independent. The evidence is then computed with the variance of the noise
+multiplied by the dispersion. This is the dispersion of quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989,
+section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932). It corresponds to a likelihood raised to
+the power ν/χ² (Miller and Dunson, Journal of the American Statistical Association 114, 2019). If chance can explain the ratio, the
+dispersion is 1, so that evidence without misfit does not change.
 """
 
 from __future__ import annotations
@@ -31,8 +33,8 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
     """The dispersion of one channel. Two sums of squares are tested against χ²: the sum over all coefficients, and the sum over the
     means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
 
-    rest: (M,), whitened residuals; degrees: degrees of freedom of `rest`. means: (S,), indices of the coefficients of order 0, which
-    collect the errors in the form of an effect. tests: number of tests in all channels, for Bonferroni's correction.
+    rest: (M,), whitened residuals; degrees: degrees of freedom of `rest`. means: (S,), indices of the coefficients of order 0, in
+    which errors of the form of an effect accumulate. tests: number of tests in all channels, for Bonferroni's correction.
     """
     from scipy.special import chdtrc
 
@@ -49,7 +51,7 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
 
 
 def dispersions(weighing: Weighing, known: Weighed, setting: int = 0) -> Array:
-    """Dispersion (K,) of the residuals that remain after the fit of known effects, at one setting of the noise."""
+    """Dispersion (K,) of the residuals that remain after known effects have been fitted at one setting of the noise."""
     amplitudes = known.amplitudes_at(setting)[0]
     found, count = [], len(weighing.weights)
     for weight, columns in weighing.whitened_at(known, setting):
@@ -64,11 +66,12 @@ VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of th
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
-    """The part of a gap that the named effects do not explain. share: unexplained share of the gap, as a ratio of root mean squares
-    without noise; 0 if noise alone explains the residuals. times_noise: by channel, root mean square of the residual coefficients
-    in standard deviations of the noise, 1 for noise alone. sigma: by channel, size of all residuals in standard deviations, the
-    square root of χ² − ν; 0 if they are not larger than the noise. p: p-value of the test. passes: True if noise alone explains the
-    residuals, in every channel and for every pattern outside the catalogue."""
+    """The part of a gap that the named effects do not explain. share: size of the unexplained part relative to the gap, both as
+    root mean squares without noise; 0 if noise alone explains the residuals. times_noise: for each channel, root mean square of the
+    coefficients' residuals in standard deviations of the noise; 1 for noise alone. sigma: for each channel, the size of all
+    residuals in standard deviations, √(χ² − ν); 0 if they are not larger than the noise. p: p-value of the goodness-of-fit test
+    over all channels. passes: True if noise alone explains the residuals in every channel, and no pattern outside the catalogue
+    explains them better. A misfit of less than `VISIBLE` times the noise passes, too."""
 
     share: float
     times_noise: Mapping[str, float]
@@ -78,8 +81,8 @@ class Remainder:
 
 
 def remainder(weighing: Weighing, named: Weighed, something_else: bool = False) -> Remainder:
-    """The part of a gap that effects leave unexplained if they are fitted together. something_else: True if this part follows a
-    pattern outside the catalogue."""
+    """The part of a gap that remains unexplained after the named effects have been fitted together. something_else: True if this
+    part follows a pattern outside the catalogue."""
     from scipy.special import chdtrc
 
     amplitudes = named.amplitudes[0]

@@ -1,4 +1,5 @@
-"""The explanations that remain after a diagnosis, as predictive models: columns over any recording, and their posterior."""
+"""The explanations that remain after a diagnosis, as models that predict further recordings: columns for any recording, and the
+posterior of their amplitudes."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ class ExplanationPart:
         return self.effect.id, self.weighed.variant.shape
 
     def on(self, observed: Observed) -> Sequence[Column]:
-        """The columns of the effect over another recording; empty if the effect cannot act in that recording."""
+        """The columns of the effect for another recording; empty if the effect cannot act in that recording."""
         shape = self.weighed.variant.shape
         if isinstance(self.effect, Shaped):
             return self.effect.at(observed, float(shape or 0.0)).columns
@@ -49,10 +50,10 @@ class Explanation:
 
 
 def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Explanation]:
-    """The most probable explanations, at most `MOST`, that predict different recordings.
+    """The most probable explanations that predict different recordings, at most `MOST`.
 
-    Effects that act only on the noise predict nothing, so an explanation with and without such an effect counts once. "Unknown"
-    predicts nothing either, so it counts together with "none", under the name of the more probable of the two.
+    Effects that act only on the noise predict nothing: explanations that differ only in such effects count as one. "Unknown"
+    predicts nothing, like "none": the two count as one, under the name of the more probable one.
     """
     by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
     silent = max(SILENT, key=lambda name: found.probability[name])
@@ -65,8 +66,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """Counts a set together with a smaller subset of its effects if the subset is more probable, because the added effect may be
-    absent."""
+    """Adds the probability of a set to that of one of its subsets if the subset is more probable, because the additional effect may
+    be absent."""
     found: dict[str, float] = {}
     for name, value in sorted(total.items(), key=lambda item: item[0].count("+")):
         parts = set(name.split("+"))
@@ -90,14 +91,14 @@ def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple
 
 
 def _size(weighed: Weighed, columns: slice) -> float:
-    """Mean square of the amplitudes after the recording has been taken into account."""
+    """Mean square of the posterior amplitudes."""
     mean, covariance = weighed.amplitudes
     return float(np.mean(mean[columns] ** 2 + np.diag(covariance)[columns]))
 
 
 @dataclass(frozen=True)
 class Layout:
-    """All columns of several explanations: nominal parameters first, then the effects, identified by the names of their columns."""
+    """All columns of several explanations: nominal parameters first, then effects; each effect is identified by its name and shape."""
 
     nominal: tuple[str, ...]
     parts: tuple[ExplanationPart, ...]
@@ -106,7 +107,8 @@ class Layout:
 
     @classmethod
     def of(cls, listed: Sequence[Explanation], weighing: Weighing, nominal: Sequence[str], whole: Observed) -> Layout:
-        """The layout of explanations. whole: the recording with all segments that may follow; it determines the columns."""
+        """Makes the layout of the listed explanations. whole: the recording followed by all segments that may be measured next; it
+        determines which columns exist."""
         distinct = tuple({part.key: part for item in listed for part in item.parts}.values())
         names = tuple(tuple(column.name for column in part.on(whole)) for part in distinct)
         return cls(tuple(nominal), distinct, names, _fitted(weighing))
@@ -116,7 +118,7 @@ class Layout:
         return [len(self.coefficients), *(len(names) for names in self.names)]
 
     def columns(self, observed: Observed) -> list[Sequence[Column]]:
-        """Groups of columns over a recording, in the layout's order."""
+        """The groups of columns for a recording: nominal parameters first, then one group for each effect."""
         nominal = nominal_columns(observed, self.nominal)
         output = simulated(observed, self.nominal)
         for column, value in zip(nominal, self.coefficients, strict=True):
@@ -128,7 +130,7 @@ class Layout:
         return [nominal, *(part.on(observed) for part in self.parts)]
 
     def learnt(self, listed: Sequence[Explanation], weighing: Weighing) -> tuple[list[Rival], Array]:
-        """The explanations after the recording has been taken into account, and the information (P, P) that the recording gives."""
+        """The posterior of the explanations, and the information (P, P) from the recording."""
         information, score = self._recorded(weighing)
         starts = np.concatenate(([0], np.cumsum(self.widths)))
         rivals = []
@@ -146,7 +148,7 @@ class Layout:
         return rivals, information
 
     def _recorded(self, weighing: Weighing) -> tuple[Array, Array]:
-        """Information (P, P) and score (P,) of the recording."""
+        """Information (P, P) and score (P,) that the recording gives about all columns."""
         size = sum(self.widths)
         starts = np.concatenate(([0], np.cumsum(self.widths)))
         information, score = np.zeros((size, size)), np.zeros(size)
@@ -164,7 +166,7 @@ class Layout:
 
 
 def _fitted(weighing: Weighing) -> tuple[float, ...]:
-    """The nominal parameters that fit the recording best without effects, in magnitudes."""
+    """The nominal parameters, in magnitudes, from an unweighted fit to the recording without effects."""
     values = np.zeros(len(weighing.nominal_columns))
     for channel, nominal in enumerate(weighing.whole):
         own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]

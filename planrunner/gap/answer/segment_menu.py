@@ -1,6 +1,6 @@
-"""The options for further segments: orientations, rates, rocking and temperatures, as lines of a plan.
+"""The menu of further segments: orientations, rates, rocking and temperatures, as lines of a plan.
 
-The options form a coarse grid. The schedule decides whether the bench can execute an option.
+The menu is a coarse grid of options. The schedule decides whether the bench can execute an option.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class MenuEntry:
 
 
 def menu(recorded: Sequence[Segment], models: BenchModels) -> list[MenuEntry]:
-    """The options for further segments after the recorded ones. The options state a temperature only if the recorded plan does."""
+    """The options for segments that may follow the recorded ones. An option states a temperature only if the recorded plan does."""
     usual = float(np.median([segment.dwell for segment in recorded if segment.dwell]))
     places = _orientations(recorded, models)
     upright = list({tuple(np.round(place[:, 2], 3)): place for place in places}.values())
@@ -84,8 +84,8 @@ def _turning(place: Array, rate: float, seconds: float, kelvin: float | None) ->
 
 
 def _orientations(recorded: Sequence[Segment], models: BenchModels) -> list[Array]:
-    """Lists the recorded orientations first, then others along the site's axes, then oblique ones. If nothing can turn the sensor,
-    lists only the recorded orientations."""
+    """Lists the recorded orientations, then others along the site's axes, then oblique ones. If nothing can turn the sensor, lists
+    only the recorded orientations."""
     visited = {
         tuple(np.round(item.attitude, 6).ravel() + 0.0): item.attitude for item in recorded if item.attitude is not None
     }
@@ -111,8 +111,8 @@ def _oblique() -> list[Array]:
 
 
 def _largest_rate(recorded: Sequence[Segment], models: BenchModels) -> float:
-    """Largest rate [rad/s], limited by the table and the gyros' full scale. For a recording that is played back, it is the largest
-    recorded rate."""
+    """Largest rate [rad/s] that the table and the full scale of the gyros allow. For a recording that is played back, it is derived
+    from the largest recorded rate."""
     visited = max((abs(item.motion.rate) for item in recorded if isinstance(item.motion, Spin)), default=0.0)
     if models.table is None:
         return visited / RATE_SHARES[0]
@@ -137,8 +137,8 @@ def _rocking(recorded: Sequence[Segment], models: BenchModels) -> Iterator[tuple
 
 
 def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[float | None]:
-    """Temperatures [K], the most frequent one first; None if the plan does not set the chamber. If the plan has a single
-    temperature, common temperatures are offered in addition."""
+    """Temperatures [K], the most frequent one first. An entry is None if the plan does not set the chamber. If the plan has fewer
+    than two temperatures, common temperatures are added."""
     stated = [item.temperature for item in recorded if item.temperature is not None]
     visited = list(dict.fromkeys(round(kelvin, 2) for kelvin in stated))
     visited.sort(key=lambda kelvin: -sum(round(other, 2) == kelvin for other in stated))
@@ -157,7 +157,7 @@ def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[floa
 def _ramps(
     recorded: Sequence[Segment], models: BenchModels, place: Array, warm: Sequence[float | None]
 ) -> Iterator[MenuEntry]:
-    """Temperature ramps during which samples are recorded, starting at the most frequent temperature."""
+    """Temperature ramps during which samples are recorded, starting from the most frequent temperature."""
     if models.chamber is None:
         done = {(item.ramp_to, item.dwell) for item in recorded if item.ramp_to is not None}
         ramps = [(kelvin, dwell or 0.0) for kelvin, dwell in done]

@@ -1,9 +1,9 @@
 """Sets of two or more effects. The search adds one effect at a time to the most probable smaller sets and fits all amplitudes
-again; in the most probable set it also fits the shapes again (forward selection with a beam).
+again; in the most probable set, it also fits the shapes again (forward selection with a beam).
 
-For a quick evaluation, a set keeps its most probable amplitudes, and every form of every other effect is evaluated on the
-residuals. The best sets are then evaluated in full: every effect has its own strength, and every setting of the noise that matters
-is used, also with a random walk of the gyros.
+In a quick evaluation, the amplitudes of a set are fixed at their most probable values, and every form of every other effect is
+evaluated on the residuals. The best sets are then evaluated in full: with a separate strength for every effect, at every setting of
+the noise that matters, and also with a random walk of the gyros.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 @dataclass(frozen=True)
 class Member:
-    """An effect of a set in one form. candidate: the effect with its forms, evaluated alone or beside the other effects of the set.
-    form: the chosen form. cost: logarithm of the factor by which averaging over the shape of the effect reduces the evidence; never
-    positive."""
+    """An effect of a set, in one of its forms. candidate: the effect with all its forms, evaluated alone or in addition to the
+    other effects of the set. form: the chosen form. cost: logarithm of the factor by which averaging over the shape of the effect
+    reduces the evidence; never positive."""
 
     candidate: Candidate
     form: Weighed
@@ -59,9 +59,9 @@ class Member:
 
 @dataclass(frozen=True)
 class EffectSet:
-    """A set of effects that act together. members: the effects, in the order of the columns. weighed: the result for all columns
-    together. log_bayes: (G,), log BF at each setting of the noise. evidence: log evidence without a random walk of the gyros; walking:
-    log evidence with a random walk, −∞ if it was not evaluated."""
+    """A set of effects that act together. members: the effects, in the order of their columns. weighed: the evaluation of all
+    columns together. log_bayes: (G,), log BF at each setting of the noise. evidence: log evidence without a random walk of the
+    gyros; walking: log evidence with a random walk, −∞ if it was not evaluated."""
 
     members: tuple[Member, ...]
     weighed: Weighed = field(repr=False)
@@ -82,8 +82,8 @@ class EffectSet:
 
 @dataclass(frozen=True)
 class Sets:
-    """The evaluated sets of effects. quick: log evidence of pairs that were evaluated only at the declared noise. full: the sets
-    evaluated in full, by key."""
+    """The evaluated sets of effects. quick: log evidence of each pair at the declared noise, from the quick evaluation. full: the
+    sets evaluated in full, by key."""
 
     quick: dict[str, float]
     full: dict[str, EffectSet] = field(repr=False)
@@ -96,8 +96,9 @@ def key_of(names: Sequence[str] | Iterator[str]) -> str:
 def sets_of(
     weighing: Weighing, candidates: Sequence[Candidate], prior: Callable[[int], float], walks: bool, refit: bool = True
 ) -> Sets:
-    """Pairs and larger sets of effects with signatures. prior: log prior of one set of a given number of effects; walks: whether a
-    random walk is a hypothesis; refit: whether the shapes of the most probable set are fitted again."""
+    """Evaluates pairs and larger sets of effects that have signatures. prior: function that returns the log prior of one set of a
+    given number of effects; walks: True if a random walk is a hypothesis; refit: True to fit the shapes of the most probable set
+    again."""
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     quick, level = _pairs(weighing, usable)
     full = {one.key: one for one in level}
@@ -122,8 +123,8 @@ def sets_of(
 
 
 def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
-    """Log evidence of pairs, each of a probable effect and any other effect. The best pairs are evaluated in full. The other pairs
-    keep their evidence at the declared noise."""
+    """Log evidence of pairs that consist of a probable effect and any other effect, from a quick evaluation at the declared noise;
+    and the best pairs, evaluated in full."""
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
     quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
     for first in map(Member.best, ranked):
@@ -139,7 +140,7 @@ def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, f
 
 
 def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate]) -> list[EffectSet]:
-    """The most probable sets, each extended by one effect."""
+    """Extends the most probable sets by one effect each, and evaluates the best of the larger sets in full."""
     quick: dict[str, tuple[float, tuple[Member, ...]]] = {}
     for one in level:
         inside = {member.id for member in one.members}
@@ -153,7 +154,7 @@ def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[C
 
 
 def together(weighing: Weighing, members: Sequence[Member]) -> Weighed:
-    """The columns of several effects side by side."""
+    """Evaluates the columns of several effects side by side."""
     columns = [member.form.variant.columns for member in members]
     raw = [np.hstack(blocks) for blocks in zip(*(member.form.raw for member in members), strict=True)]
     whole = Variant(tuple(column for own in columns for column in own), widths=tuple(map(len, columns)))
@@ -168,7 +169,7 @@ def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
 
 
 def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """The same set, with the evidence for a random walk computed as well."""
+    """The same set, with its evidence also computed for a random walk in addition."""
     if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
         return one
     log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])
@@ -176,7 +177,7 @@ def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], log_prior: Array) -> Array:
-    """log BF (G,) at those settings of the noise that matter under the given prior; −∞ at the others."""
+    """Log BF (G,) of the set at each setting of the noise that matters under the given prior; −∞ at the other settings."""
     widths = weighed.variant.widths
     traces = [member.form.trace for member in members]
     scales = best_scales(weighed.gram[0], weighed.score[0], widths)
@@ -195,8 +196,8 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
 
 
 def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """The set after the shape of each effect has been fitted together with the other effects; a new shape is kept only if it
-    explains more."""
+    """Fits the shape of each effect again, together with the other effects of the set. A new shape is kept only if the evidence of
+    the set increases."""
     for number, member in enumerate(one.members):
         if not isinstance(member.candidate.effect, Shaped):
             continue
@@ -215,7 +216,7 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
-    """For each other effect, the form that fits the data best when the effect `a` is included at its most probable size, and the
+    """For each of the other effects, yields the form that fits best if the effect `a` also acts at its most probable size, and the
     log BF that this form adds."""
     if not others:
         return

@@ -1,4 +1,5 @@
-"""The form of a gap whose cause the catalogue does not contain: its channels, the factor on which it depends, and its share.
+"""The form of a gap whose cause the catalogue does not contain: the channels that show it, the factor that it follows, and its
+fraction of the whole gap.
 
 The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable of them determines the factor
 that the gap follows. The residuals of the simulation give the form of the gap.
@@ -24,7 +25,8 @@ SEEN = 3.0
 
 @dataclass(frozen=True)
 class FormPoint:
-    """Offsets of the channels at one level of the factor, with standard uncertainties from noise, in the units of the channels."""
+    """Offsets of the channels at one level of the factor, and their standard uncertainties due to noise, in the units of the
+    channels."""
 
     level: str
     values: tuple[float, ...]
@@ -33,9 +35,9 @@ class FormPoint:
 
 @dataclass(frozen=True)
 class UnknownForm:
-    """The form of an unknown cause. pattern: description in words. factor: the factor that the gap follows. channels, units:
-    channels that show the gap, and their units. share: share of the energy of the gap in all channels; None for noise and tones,
-    which are outside the analysed frequencies. points: offsets for a pattern of offsets; empty for other patterns."""
+    """The form of an unknown cause. pattern: name of the pattern in words. factor: the factor that the gap follows. channels,
+    units: channels that show the gap, and their units. share: fraction of the gap's energy in all channels; None for noise and
+    tones, which lie outside the coefficients. points: offsets at each level if the pattern consists of offsets; otherwise empty."""
 
     pattern: str
     factor: Factor
@@ -83,7 +85,7 @@ def unknown_form(weighing: Weighing, found: Posterior) -> UnknownForm | None:
 
 
 def _labels(weighing: Weighing, factor: Factor) -> list[str]:
-    """The level of the factor in each segment. Without a common factor, each segment has a different level."""
+    """The level of the factor in each segment, as text. For a factor without common levels, each segment has its own level."""
     observed = weighing.observed
     if factor is Factor.TEMPERATURE:
         middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
@@ -92,20 +94,20 @@ def _labels(weighing: Weighing, factor: Factor) -> list[str]:
 
 
 def _excess(weighing: Weighing, index: int, rows: NDArray[np.bool_]) -> float:
-    """Energy of some coefficients of a channel, minus the energy that the noise is expected to have."""
+    """Energy of the selected coefficients (`rows`) of a channel, minus the energy that noise alone would have."""
     residual = weighing.weights[index][0].residual[rows]
     return float(residual @ residual) - len(residual)
 
 
 def _share(weighing: Weighing, part: float) -> float:
-    """A part of the gap's energy as a fraction of the total energy of the gap."""
+    """Converts a part of the gap's energy to a fraction of the total energy, limited to 0 … 1."""
     every = np.ones(len(weighing.spectrum.segment), dtype=bool)
     whole = sum(_excess(weighing, index, every) for index in range(len(weighing.weights)))
     return float(np.clip(part / max(whole, 1e-300), 0.0, 1.0))
 
 
 def _of_levels(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -> float:
-    """The fraction of the gap that one offset for each level explains."""
+    """The fraction of the gap's energy that a constant offset at each level of the factor explains."""
     _, which = np.unique(np.array(labels), return_inverse=True)
     count = np.bincount(which)
     total = 0.0

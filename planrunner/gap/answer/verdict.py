@@ -1,11 +1,11 @@
 """Derives a verdict from a posterior: none, one effect, a pair, several effects, unknown, or a class that this plan cannot
 distinguish.
 
-An effect that explains nearly all of a gap is named, whatever else acts. The rest of the gap is reported as a remainder. This
-remainder may consist of terms of the full nominal model that a reduced model lacks. For example, if the simulation of a sensor has
-no bias, a small additional deviation that no hypothesis explains must not prevent the naming of the bias. Effects can also be so
-strong that the deviation from their idealised form is visible. The energy that a flexible "something else" then explains is called
-form residue.
+An effect that explains nearly all of a gap is named, whatever else acts in addition. The other part of the gap is reported as a
+remainder. This remainder may consist of terms of the full nominal model that a reduced model lacks. For example, the simulation of
+a sensor may have no bias: then a small additional deviation that no hypothesis explains must not prevent the naming of the bias.
+Effects can also be so strong that the deviation from their idealised form is visible. If a flexible "something else" explains the
+energy of this deviation, it is called form residue.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ TWO_NAMES = 4.0  # nats of evidence between hypotheses that may have the same ca
 
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
-    """The effect or pair that explains, at more than 50 σ, nearly as much as the most probable hypothesis `top`, and the part of
-    `top` that is then a remainder. None if there is no such effect, or if it is `top` itself.
+    """Finds an effect or pair that explains, at more than 50 σ, nearly as much as the most probable hypothesis `top`. Returns this
+    effect or pair, and the effects of `top` that then count as a remainder. Returns None if there is no such effect, or if `top`
+    consists only of terms of the nominal model.
 
     log_evidence: log evidence of every hypothesis relative to none; for a strong effect, this is half the explained energy.
-    signatures: effects that do not only change the noise.
+    signatures: effects that change more than the noise.
     """
     parts = set(top.split("+"))
     if parts <= set(NOMINAL_TERMS):
@@ -51,8 +52,8 @@ def _most(log_evidence: Mapping[str, float], among: Collection[str], least: floa
 
 
 def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
-    """Hypotheses with their probability relative to `best`. Hypotheses that explain clearly more of the gap than `best` are left
-    out."""
+    """Hypotheses, each with its probability relative to that of `best`, at most 1. Hypotheses that explain clearly more of the gap
+    than `best` are left out."""
     away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
@@ -66,11 +67,11 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the most probable
-    effects. members: the hypotheses that this plan cannot distinguish, `effects` included; a set of effects is written 'a+b'.
-    residue: an effect, or "unknown", that may be only form residue of the strongest named effect; this effect may itself be among
-    the named effects. something_else: whether something that the catalogue does not contain acts beside the named effects. noise:
-    effects on the level of the noise that probably act in addition."""
+    """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the effects of the most
+    probable hypothesis. members: the hypotheses that this plan cannot distinguish, including `effects`; a set of effects is written
+    'a+b'. residue: an effect, or "unknown", that may be only form residue of the strongest named effect; this effect can be one of
+    the named effects. something_else: True if something that the catalogue does not contain acts in addition to the named effects.
+    noise: effects on the level of the noise that probably act in addition."""
 
     kind: str
     effects: tuple[str, ...] = ()
@@ -81,18 +82,18 @@ class Verdict:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The effects of the cause, and the effects on the noise that act in addition."""
+        """The effects of the cause, followed by the effects on the noise that act in addition."""
         return self.effects + self.noise
 
     @property
     def key(self) -> str:
-        """The hypothesis that the verdict names."""
+        """The name of the hypothesis that the verdict states."""
         return key_of([*self.effects, *([UNKNOWN] if self.something_else else [])]) if self.effects else self.kind
 
 
 def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
-    """Derives the verdict from the posterior. Nothing is named if P(none) is 5 % or more. A single member of a class that the plan
-    cannot separate is never named."""
+    """Derives the verdict from the posterior. No effect is named if P(none) is 5 % or more. If the plan cannot distinguish the
+    members of a class, the class is named, not a single member."""
     said = _cause(weighing, found, candidates)
     if said.kind == "none":
         return said
@@ -102,7 +103,7 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
 
 
 def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
-    """The verdict about the cause, without the effects on the noise that act beside it."""
+    """The verdict about the cause, without effects on the noise that act in addition."""
     probability = found.of_effects()
     if probability["none"] >= NAMEABLE:
         return Verdict("none")
@@ -130,22 +131,22 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
 
 
 def _without(name: str, effect: str) -> str:
-    """The other effects of a set that contains `effect`; empty otherwise."""
+    """The key of the effects that remain if `effect` is removed from a set; empty if the set does not contain `effect`."""
     parts = name.split("+")
     return key_of(part for part in parts if part != effect) if effect in parts else ""
 
 
 def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None, left: bool) -> Verdict:
-    """The named effects, or their class if they have rivals."""
+    """The verdict that names the effects or, if they have rivals, the class of effects and rivals."""
     if len(rivals) > 1:
         return Verdict("indistinguishable", effects, rivals, residue, left)
     return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)
 
 
 def ambiguity_set(probability: Mapping[str, float], said: Verdict) -> list[str]:
-    """The most probable hypotheses with a total probability of 95 %, the most probable first, and always the hypothesis of the
-    verdict. The verdict may be less probable than these hypotheses if the residuals count as form residue, or if "none" is so
-    probable that nothing is named."""
+    """The most probable hypotheses, in descending order, up to a total probability of 95 %; and, if it is not among them, the
+    hypothesis of the verdict. The verdict may be less probable than these hypotheses if the residuals count as form residue, or if
+    "none" is so probable that nothing is named."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)
@@ -165,8 +166,8 @@ def _confusable(weighed: Weighed, rivals: Sequence[Weighed]) -> bool:
 
 
 def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], top: str) -> tuple[str, ...]:
-    """Single effects that cannot be distinguished from `top`; the list begins with `top`. Effects on the noise are distinguished
-    only by their evidence."""
+    """Single effects that cannot be distinguished from `top`; the first one is `top`. Effects on the noise have no signature, so
+    only their probabilities are compared."""
     found = [top]
     for name, value in probability.items():
         if name == top or "+" in name or name in ("none", "unknown") or value < RIVAL * probability.get(top, 0.0):
@@ -182,8 +183,7 @@ def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], to
 def _rival_sets(
     probability: Mapping[str, float], sets: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
 ) -> tuple[str, ...]:
-    """Sets that result from `top` if one effect is replaced by another one that cannot be distinguished from it; the list begins
-    with `top`."""
+    """Sets that differ from `top` in one effect and cannot be distinguished from it; the first one is `top`."""
     found = [top]
     mine = set(top.split("+"))
     for name, value in probability.items():
@@ -203,10 +203,11 @@ def _rival_sets(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
-    """The effects of a set that are named, and the weakest effect of the set if it may be form residue of the strongest. This is so
-    if, at more than 50 σ, the weakest effect explains less than the fraction `RESIDUE` of what all effects explain together. If it
-    explains less than the fraction `FORM`, it is not named. An effect is not form residue if it acts on channels on which the
-    others do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
+    """Returns the effects of a set that are named, and the weakest effect of the set if it may be form residue of the strongest.
+    The weakest effect may be form residue if the other effects explain more than 50 σ and it adds less than the fraction `RESIDUE`
+    of what all effects explain together. If it adds less than the fraction `FORM`, it is not named. An effect is not form residue
+    if most of its energy is in channels on which the other effects do not act, or if it raises the noise level. Terms of a nominal
+    model are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

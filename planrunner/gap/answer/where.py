@@ -1,10 +1,11 @@
-"""Locates the gap: its channel, the factor that it follows, and the most conspicuous level of this factor.
+"""Locates the gap: the channel, the factor that the gap follows, and the most conspicuous level of this factor.
 
-Factors are orientation, rate, temperature, time, the table's angle and the frequency band. The evidence determines which factor the
-whitened residual of a channel follows, using the patterns of the open set. Levels are scored by their energy. Under pure noise each
-level has different degrees of freedom, and many levels are examined. The p-value is therefore the probability that the highest
-score of all places is at least as high, from residuals of pure noise, projected like the data (max-statistic parametric bootstrap;
-Westfall and Young, Resampling-Based Multiple Testing, 1993).
+Factors are orientation, rate, temperature, time, angle of the table, and frequency band. The evidence for the patterns of the open
+set determines which factor the whitened residual of a channel follows. Levels are compared by a score, which is their energy in
+standard deviations of the energy of pure noise. With pure noise, levels have different degrees of freedom, and many levels are
+examined. The p-value of a place is therefore the probability that, for pure noise projected like the data, the highest score of all
+places is at least as high as the score of this place (max-statistic parametric bootstrap; Westfall and Young, Resampling-Based
+Multiple Testing, 1993).
 """
 
 from __future__ import annotations
@@ -35,9 +36,10 @@ _NEAR = math.sqrt(2 - 2 * 0.999)
 
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
-    """A part of the recording where the gap appears. share: fraction of all energy above the noise. Every factor divides the same
-    energy: within one factor, over all channels, the shares add up to at most 1; shares of several factors overlap. of: `noise` if
-    the share refers to the noise of the channel, as for energy outside the basis. p: p-value, adjusted for the number of places."""
+    """A part of the recording where the gap appears. share: fraction of the energy above the noise. Every factor divides the same
+    energy: the shares of one factor, over all channels, add up to at most 1; shares of different factors overlap. of: what `share`
+    is a fraction of: the gap, or `noise` for energy outside the basis, which is compared with the noise of the channel. p: p-value,
+    adjusted for the number of places."""
 
     channel: str
     factor: Factor
@@ -48,11 +50,12 @@ class MisfitPlace:
 
 
 def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPlace]:
-    """All places, the most conspicuous first. kinds: for each pattern outside the catalogue, the log BF (K,) of the pattern in each
-    channel alone.
+    """Lists all places, the most conspicuous first. kinds: for each pattern outside the catalogue, the log BF (K,) of the pattern
+    in each channel alone.
 
-    A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns of the
-    factor, which penalises factors with many levels. The other levels of a factor follow in the order of their scores.
+    The best level of each channel and factor is ranked by the evidence that the residual of the channel follows the factor. This
+    evidence is the mean over the patterns of the factor, which penalises factors with many levels. The other levels of a factor
+    follow in the order of their scores.
     """
     outside = _outside(weighing, kinds)
     evidence = _by_factor(outside[1], kinds)
@@ -71,7 +74,7 @@ def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPla
 
 
 def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, Array]:
-    """log BF (K,) of each factor. noisier: log BF (K,) of more white noise than declared."""
+    """Log BF (K,) of each factor. noisier: log BF (K,) that the white noise is larger than declared."""
     sorted_: dict[Factor, list[Array]] = {Factor.BAND: [noisier]}
     for pattern, values in kinds.items():
         sorted_.setdefault(pattern.factor, []).append(values)
@@ -79,15 +82,16 @@ def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, A
 
 
 def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
-    """log BF (3, K) of slow changes within segments, of more white noise than declared, and of a tone outside the basis."""
+    """Log BF (3, K) of three hypotheses: slow changes within segments, more white noise than declared, and a tone outside the
+    basis."""
     none = np.full(len(weighing.observed.channels), -np.inf)
     more = excess_by_channel(weighing.declared, weighing.white, weighing.white_degrees)
     return np.array([kinds.get(WHOLE[Sort.TRANSIENT], none), more, kinds.get(TONE, none)])
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
-    """The place for noise, or for a tone, outside the basis. Its p-value is Markov's bound: for noise alone, a Bayes factor of B or
-    more has at most the probability 1/B."""
+    """The place that represents noise or a tone outside the basis. The p-value of this place is Markov's bound: for noise alone, a
+    Bayes factor of B or more has at most the probability 1/B."""
     declared = weighing.declared.channels[channel]
     level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[
         channel
@@ -97,7 +101,8 @@ def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -
 
 
 def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
-    """The standardised energy of every channel at every level."""
+    """Yields, for every channel and level, the place and its score, which is the energy in standard deviations of the energy of
+    pure noise."""
     channels = [channel.name for channel in weighing.observed.channels]
     listed = list(_masks(weighing))
     masks = np.array([mask for _, _, mask in listed], dtype=float)
@@ -118,7 +123,7 @@ def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
 
 
 def _replicates(weighing: Weighing) -> Iterator[Array]:
-    """By channel, squared residuals of pure noise, (M, replicates), projected like the data."""
+    """Yields, for each channel, the squared residuals (M, replicates) of simulated pure noise that is projected like the data."""
     draw = np.random.default_rng(SEED)
     rows = len(weighing.spectrum.segment)
     for weights in weighing.weights:
@@ -128,7 +133,8 @@ def _replicates(weighing: Weighing) -> Iterator[Array]:
 
 
 def _masks(weighing: Weighing) -> Iterator[tuple[Factor, str, NDArray[np.bool_]]]:
-    """Yields each factor and level, and the coefficients (M,) that belong to the level. The first entry contains all coefficients."""
+    """Yields each factor, each of its levels, and a mask (M,) of the coefficients that belong to the level. The first mask contains
+    all coefficients."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segment = spectrum.segment
     yield Factor.CHANNEL, "all", np.ones(len(segment), dtype=bool)
@@ -150,7 +156,7 @@ def _masks(weighing: Weighing) -> Iterator[tuple[Factor, str, NDArray[np.bool_]]
 
 
 def state_labels(observed: Observed) -> dict[Factor, list[str]]:
-    """Orientation and rate of each segment in words."""
+    """Describes the orientation and the motion of each segment in words."""
     middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
     orientations = [_words(attitude) if observed.along is None else _up(attitude) for attitude in observed.attitude]
     rates = np.degrees(observed.rate[middles])
@@ -167,7 +173,7 @@ def _binned(values: Array, unit: str) -> list[str]:
 
 
 def _up(attitude: Array) -> str:
-    """The vertical direction in the sensor's axes, which is the only known property of a pose."""
+    """Describes the vertical direction in the sensor's axes; nothing else is known of a pose."""
     return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
 
 

@@ -1,1 +1,2 @@
-"""Evidence: whitens a recording by its noise, and evaluates how much better it is explained with certain amplitudes than without."""
+"""Evidence: whitens a recording with its noise, and evaluates how much better certain amplitudes explain the recording than no
+amplitudes do."""

@@ -1,13 +1,14 @@
-"""Bayes factors: the evidence for the amplitudes of an effect, compared with no effect.
+"""Bayes factors: the evidence for an effect with unknown amplitudes, relative to no effect.
 
-The strength of an effect is its energy λ: the energy of its signature, without the part that the nominal parameters absorb, in
-units of the noise. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker
-effects cannot be distinguished from no effect, and count as absent. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same
-directions and any λ. The Bayes factor is therefore computed in three steps. For given s² it is that of the Gaussian model, log BF =
-−½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c, with G the signatures' Gram matrix and c their product with the data. It is
-multiplied by the posterior probability that λ = θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is
-a sum of scaled non-central χ² variables; its distribution is approximated by a scaled χ² with the same mean and variance (Patnaik,
-Biometrika 36, 1949). Above `STRONGEST` the density continues, because a stronger effect is still that effect.
+The strength of an effect is its energy λ: the energy of its signature in units of the noise, after the part that the nominal
+parameters absorb has been removed. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to
+`STRONGEST`. Weaker effects cannot be distinguished from no effect; they count as absent. Amplitudes θ ~ N(0, s²·D) with a
+log-uniform s² have the same directions, but λ may also be smaller. The Bayes factor is therefore computed in three steps. For given
+s², the Bayes factor of the Gaussian model is log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c, where G is the Gram
+matrix of the signatures and c their product with the data. This Bayes factor is multiplied by the posterior probability that λ =
+θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is a sum of scaled non-central χ² variables; its
+distribution is approximated by a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the
+density continues, because a stronger effect is still that effect.
 """
 
 from __future__ import annotations
@@ -31,27 +32,28 @@ misalignment of the sensor, which are seldom larger."""
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
     """The log BF averaged over λ, for stacked arrays gram (…, p, p) and score (…, p), in units of the prior magnitudes (D = I).
 
-    trace: energy of a unit amplitude, which scales the grid of s²; by default it is tr(gram) of the first element.
+    trace: energy of an effect with the amplitude 1, which scales the grid of s²; by default it is tr(gram) of the first element.
     """
     return averaged(by_energy(gram, score, trace))
 
 
 def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
-    """Averages Bayes factors over the prior of λ. terms: (…, E), logarithms of the Bayes factors on the grid of s². Returns the
-    logarithm of the mean, (…)."""
+    """Averages Bayes factors over the prior of λ. terms: (…, E), log BF at each point of the grid of s². Returns the logarithm of
+    the mean, (…)."""
     step = float(np.log(energies[1] / energies[0]))
     return np.asarray(log_mean_exp(terms, -1) + np.log(len(energies) * step / RANGE))
 
 
 def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """The log BF (…, E) at each s²."""
+    """The log BF (…, E) at each point of the grid of s²."""
     values, vectors = np.linalg.eigh(gram)
     along = np.einsum("...ji,...j->...i", vectors, score) ** 2
     return from_eigen(np.maximum(values, 0.0), along, trace)
 
 
 def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array:
-    """The log BF as in `gaussian`, from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along its eigenvectors."""
+    """The log BF (…, E) at each point of the grid of s², from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along
+    its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
     s2 = ENERGIES[:, None] / max(trace, 1e-300)
@@ -65,13 +67,13 @@ def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array
 
 
 def gaussian(grown: Array, gain: Array) -> Array:
-    """The log BF (…) of amplitudes θ ~ N(0, s²·D) of any energy. grown: (…, p), 1 + s²·eigenvalue; gain: (…, p), s²·squared score ÷
-    grown."""
+    """The log BF (…) of amplitudes θ ~ N(0, s²·D), whatever their energy. grown: (…, p), 1 + s²·eigenvalue; gain: (…, p),
+    s²·squared score ÷ grown."""
     return np.asarray(0.5 * (gain - np.log(grown)).sum(-1))
 
 
 def strong_enough(mean: Array, variance: Array) -> Array:
-    """The logarithm of the probability that an energy with this mean and variance is at least `WEAKEST`."""
+    """The log probability that an energy with the given mean and variance is at least `WEAKEST`."""
     from scipy.special import gammaincc
 
     variance = np.maximum(variance, 1e-300)
@@ -81,22 +83,22 @@ def strong_enough(mean: Array, variance: Array) -> Array:
 
 
 def held_log_bayes_factor(gram: Array, score: Array) -> Array:
-    """The log BF (…) of one amplitude that is 1 within `GAIN`, from its gram (…) and score (…)."""
+    """The log BF (…) of an amplitude with the prior N(1, `GAIN`²), from its information `gram` (…) and its score (…)."""
     precision = 1 / GAIN**2
     grown = gram + precision
     return np.asarray(0.5 * ((score + precision) ** 2 / grown - precision - np.log(grown / precision)))
 
 
 def held_amplitude(gram: float, score: float) -> tuple[float, float]:
-    """Mean and variance of an amplitude that is 1 within `GAIN`."""
+    """Posterior mean and variance of an amplitude with the prior N(1, `GAIN`²)."""
     precision = 1 / GAIN**2
     return (score + precision) / (gram + precision), 1 / (gram + precision)
 
 
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
-    """The change of the log BF if the amplitudes with the indices `held` are restricted to 1 within `GAIN`. Without the restriction, the
-    prior of all amplitudes is N(0, s²). scales: (p,), s². The change is the ratio of posterior to prior density at amplitude 1 (Dickey,
-    Ann. Math. Stat. 42, 1971)."""
+    """The change of the log BF if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of N(0, s²). scales:
+    (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density at amplitude 1 (Dickey, Ann. Math.
+    Stat. 42, 1971)."""
     at = np.asarray(held)
     covariance = np.linalg.inv(gram + np.diag(1 / scales))
     away = 1 - (covariance @ score)[at]
@@ -109,15 +111,15 @@ def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) ->
 def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:
     """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes.
 
-    widths: number of columns of each effect, if there are several; each effect has a separate s².
+    widths: number of columns of each effect if the columns belong to several effects, each with a separate s².
     """
     covariance: Array = np.asarray(np.linalg.inv(gram + np.diag(1 / best_scales(gram, score, widths))))
     return covariance @ score, covariance
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
-    """The most probable s² (p,) of the effect of every column. These s² are found for one effect at a time while the others are
-    fixed."""
+    """The most probable s² (p,) of the effect to which each column belongs. The s² of one effect is found at a time, while the
+    others are fixed."""
     ends = np.cumsum(widths or (len(score),))
     parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
     traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]
@@ -135,8 +137,8 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
-    """The log BF of two effects together: the first effect has the columns 0 … first − 1, the second the remaining columns. Each
-    effect has a separate s² on the grid `energies`, and at least the strength `WEAKEST`."""
+    """The log BF that two effects act together. The first effect has the columns 0 … first − 1, the second the remaining columns.
+    Each effect has a separate s², averaged over the grid `energies`, and at least the strength `WEAKEST`."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
@@ -146,12 +148,12 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
 def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
-    """The log BF of any number of effects together. Each effect has a separate s² on the grid `energies`, and at least the strength
-    `WEAKEST`. near: (p,), s² at which the search for the most probable s² begins.
+    """The log BF that any number of effects act together. Each effect has a separate s², averaged over the grid `energies`, and at
+    least the strength `WEAKEST`. near: (p,), s² with which the search for the most probable s² starts.
 
-    A grid over all s² would have one dimension for each effect. Instead, the most probable s² are found for one effect at a time,
-    and the average over each s² is computed there with the others fixed. This is exact if the integrand is a product of functions
-    of each s².
+    A grid over all s² together would have one dimension for each effect. Instead, the most probable s² are found for one effect at
+    a time, and the average over the s² of each effect is computed with the other s² fixed at their most probable values. This is
+    exact if the integrand is a product of functions that each depend on the s² of one effect.
     """
     grids = [energies / trace for trace in traces]
     start = near[np.cumsum(widths) - 1]
@@ -171,7 +173,7 @@ def set_log_bayes_factor(
 
 
 def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
-    """The log BF (G,) of Gaussian amplitudes with fixed s² (p,), for stacks of gram (G, p, p) and score (G, p)."""
+    """The log BF (G,) of Gaussian amplitudes with fixed s² (p,), for stacked arrays gram (G, p, p) and score (G, p)."""
     root = np.sqrt(scales)
     inner = np.eye(len(root)) + root[:, None] * gram * root
     along = root * score
@@ -180,8 +182,8 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
-    """The log BF (E,) of effects of `widths` columns with s² (E, effects), times the probability that each has the strength
-    `WEAKEST`."""
+    """The log BF (E,) of several effects at E combinations of their s² (E, effects), plus the log probability that each effect has
+    at least the strength `WEAKEST`. widths: number of columns of each effect."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]
@@ -206,7 +208,7 @@ def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) 
 
 
 def log_mean_exp(values: Array, axis: int, weights: Array | None = None) -> Array:
-    """The logarithm of the mean of exp along an axis, with weights (of sum 1) if given."""
+    """The logarithm of the mean of exp(values) along an axis; `weights`, if given, must have the sum 1."""
     top = np.max(values, axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     grown = np.exp(values - top)

@@ -1,7 +1,8 @@
-"""Evidence for the effects that act only on the noise: white noise and resolution, compared with their declarations.
+"""Evidence for the effects that act only on the noise. It compares white noise and resolution with their declarations.
 
-A declaration can be wrong: with probability 0.8 it is correct within a few per cent, and otherwise wrong by up to a factor of two, equally
-in all channels or differently in each triad. Only larger deviations, or deviations of the gyros alone, are evidence of excess noise.
+A declaration can be wrong: with probability 0.8 it is correct within a few per cent. Otherwise it is wrong by up to a factor of
+two, either by the same factor in all channels or by a different factor in each triad. Only larger deviations, or deviations of the
+gyros alone, are evidence of excess noise.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not 
 
 
 def counts(observed: Observed) -> Array:
-    """The size of one count (K,) of each channel. The declared count is returned unless the recording shows a coarser count. If the
+    """The size (K,) of one count of each channel. The declared count is returned unless the recording shows a coarser count. If the
     values are not multiples of the declared count, the count found in the recording is returned, or 0 if there is none."""
     found = []
     for index, channel in enumerate(observed.channels):
@@ -49,9 +50,9 @@ Level = Literal["declared", "white", "resolution"]
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
     """Log densities of the white levels for all combinations of the noise states of the gyros and of the accelerometers.
 
-    If the noise of a triad, declared or measured, does not dither its count, there is no white level to compare. The white level of such
-    a triad is assumed to deviate from its declaration as much as that of the other triad. If neither can be compared, both are assumed to
-    be as declared.
+    If the noise of a triad, declared or measured, is too small to dither its counts, there is no white level to compare. The white
+    level of this triad is then assumed to deviate from its declaration as much as the level of the other triad. If neither triad
+    can be compared, both are assumed to be as declared.
     """
     declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
     (plain, sigma), (counted, _) = (_excess(observed, white, degrees, each) for each in (declared, steps))
@@ -89,7 +90,7 @@ def _other(kind: str) -> str:
 
 
 def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
-    """Whether both the declared and the measured noise are too small to dither the count of a channel of the triad."""
+    """True if the declared and the measured noise of a channel of the triad are both too small to dither its counts."""
     for index in observed.of_kind(kind):
         declared = observed.channels[index].white ** 2 * observed.sample_rate + counts_[index] ** 2 / 12
         if is_coarse(max(float(white[index]), np.sqrt(declared)), counts_[index]):
@@ -100,7 +101,7 @@ def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[floa
 def _excess(
     observed: Observed, white: Array, degrees: Array, steps: Sequence[float] | Array
 ) -> tuple[dict[str, float], float]:
-    """Log of (measured ÷ declared) white level by triad, and its standard deviation."""
+    """For each triad, the logarithm of (measured ÷ declared) white level; and the standard deviation of this logarithm."""
     found, sigma = {}, 0.01
     for kind in ("gyro", "accel"):
         ratios = []
@@ -117,8 +118,8 @@ def _excess(
 
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
-    """The log BF (K,), for each channel, of more white noise than declared, compared with a declaration that is right or that has a usual
-    error."""
+    """The log BF (K,) that the white noise of a channel is larger than declared. The alternative is that the declaration is right
+    or has a usual error."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:
@@ -134,14 +135,16 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 
 def _within_two(x: Array | float) -> Array:
-    """A density that is uniform in the logarithm up to a factor of two in both directions, with edges of 10 % and a floor outside."""
+    """A density of x that is uniform between −ln 2 and ln 2, which is a factor of two in both directions, with edges of 10 % and a
+    small floor beyond."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)
 
 
 def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
-    """Log density of the excess of each triad if only the declaration can be wrong, for all elements of the arrays."""
+    """Log density of the excess of each triad if no effect acts and only the declaration can be wrong. The arrays in `excess` are
+    evaluated element by element."""
     width = float(np.hypot(HOLDS, sigma))
     holds, each = np.ones(()), np.ones(())
     for x in excess.values():
@@ -153,8 +156,8 @@ def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
 
 
 def _density(excess: Mapping[str, float], sigma: float, larger: Sequence[str]) -> float:
-    """Log density of the excess of each triad if effects raise the noise of the triads `larger`: their levels are the declared
-    levels, right or wrong, multiplied by one excess each."""
+    """Log density of the excess of each triad if effects raise the noise of the triads `larger`. The declaration of a triad may be
+    right or wrong; each triad in `larger` has a separate additional factor."""
     shapes = [EXCESS[:, None], EXCESS[None, :]]
     lowered: dict[str, Array | float] = dict(excess)
     for kind, more in zip(larger, shapes, strict=False):

@@ -1,12 +1,13 @@
-"""The actual noise within segments: its spectrum, and its level in every segment.
+"""The noise that a recording shows within segments: its spectrum, and its level in every segment.
 
-Both are measured outside the coefficients, where no effect of the catalogue acts. Therefore noise cannot absorb an effect, and an
-effect cannot appear as noise. At the lowest frequencies, little remains outside the coefficients. If the noise is coloured, its
-spectrum at these frequencies is also derived from the cosine coefficients, by the median of their squares. An effect in fewer than
-half of the segments hardly changes this median. Rounded, filtered or differenced outputs and lines of interference make the noise
-coloured; vibration makes it differ between segments. The noise counts as white, and as equal in all segments, unless Schwarz's
-criterion (BIC; Annals of Statistics 6, 1978) prefers the richer description. A spectrum that is measured only at rest, or only in
-motion, is used for all segments if it also describes the other segments better than white noise does.
+The spectrum and the level are measured outside the coefficients, where no effect of the catalogue acts. Therefore noise cannot
+absorb an effect, and an effect cannot appear as noise. At the lowest frequencies, the coefficients leave little to measure. If the
+noise is coloured, its spectrum at these frequencies is also derived from the cosine coefficients, by the median of their squares.
+An effect in fewer than half of the segments hardly changes this median. The noise can be coloured because outputs are rounded,
+filtered or differenced, or because of lines of interference; vibration makes the noise differ between segments. The noise counts as
+white, and as equal in all segments, unless Schwarz's criterion (BIC; Annals of Statistics 6, 1978) prefers the richer description.
+A spectrum that is measured only at rest, or only in motion, is used for all segments if it describes the other segments better than
+white noise does.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ _SMALLEST = (
 
 @dataclass(frozen=True)
 class NoiseWithin:
-    """Variance of the noise, relative to the white level, by channel. frequency: (B,), Hz, centres of the bands; weight: (B,),
+    """Variance of the noise of each channel, relative to its white level. frequency: (B,), Hz, centres of the bands; weight: (B,),
     number of coefficients in each band. spectrum: (2, B, K), spectra of the segments at rest and of those in motion. level: (S, K),
-    level of each segment; own: (S, B, K), ratio of the variance in a band of one segment to the product of spectrum and level.
-    moving: (S,), index of the spectrum of each segment, 0 at rest and 1 in motion. coloured: (2, K), True if the spectrum is not
-    white; differing: (K,), True if the segments differ."""
+    level of each segment; own: (S, B, K), variance in each band of a segment, divided by the product of spectrum and level. moving:
+    (S,), index of the spectrum that applies to each segment: 0 at rest, 1 in motion. coloured: (2, K), True if a spectrum is not
+    white; differing: (K,), True if the level differs between segments."""
 
     frequency: Array
     weight: Array
@@ -58,17 +59,17 @@ class NoiseWithin:
 
     @property
     def inefficiency(self) -> Array:
-        """Factor (K,) by which the coloured noise reduces the degrees of freedom of a sum of squares, compared with the number of
-        samples."""
+        """Factor (K,) by which coloured noise makes the degrees of freedom of a sum of squares smaller than the number of samples."""
         return np.asarray(
             (self.weight @ self.spectrum**2 * self.weight.sum() / (self.weight @ self.spectrum) ** 2).max(0)
         )
 
     def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> Array:
-        """Variance (M, K) of the coefficients. For a coefficient of the cosine transform, the variance is the spectrum at its
-        frequency. For a harmonic of the motion, it is the mean of the spectrum over all frequencies that the harmonic contains, ∫
-        S(f)·|V(f)|² df for stationary noise. A harmonic is made orthogonal to the lower orders; if it is close to them, it then
-        consists mostly of the ends of the segment, which contain all frequencies."""
+        """Variance (M, K) of the coefficients, relative to the white level. For a coefficient of the cosine transform, the variance
+        is the value of the spectrum at the frequency of the coefficient. For a harmonic of the motion, it is the mean of the
+        spectrum over all frequencies that the harmonic contains, ∫ S(f)·|V(f)|² df for stationary noise. Harmonics are made
+        orthogonal to the lower orders. A harmonic close to these orders then consists mostly of the ends of the segment, which
+        contain all frequencies."""
         from scipy.fft import rfft
 
         out = self.level[spectrum.segment]
@@ -89,9 +90,9 @@ class NoiseWithin:
         return out
 
     def _at_harmonics(self, segment: int, frequency: Array) -> Array:
-        """The spectrum as in `_relative`, for harmonics of the motion. The harmonics take up all coefficients near their
-        frequencies, so that a segment in motion does not show a line of the noise there. The spectrum at rest shows such a line,
-        and is used where it is larger."""
+        """The spectrum as in `_relative`, for use with harmonics of the motion. The harmonics take up all coefficients near their
+        frequencies, so the segments in motion do not show a line of the noise there. The spectrum at rest shows such a line; it is
+        used where it is larger."""
         found = self._relative(segment, frequency)
         at_rest = self.coloured[0] & (self.moving == 0).any()
         if self.moving[segment] and at_rest.any():
@@ -99,11 +100,12 @@ class NoiseWithin:
         return found
 
     def of_segment(self, segment: int, frequency: Array) -> Array:
-        """Variance (n, K) of the noise of a segment at frequencies (n,), Hz."""
+        """Variance (n, K) of the noise of a segment at frequencies (n,), Hz, relative to the white level."""
         return np.asarray(self.level[segment] * self._relative(segment, frequency))
 
     def _relative(self, segment: int, frequency: Array) -> Array:
-        """The spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz. It is constant beyond the outermost bands."""
+        """The spectrum (n, K) of a segment at frequencies (n,), Hz, without the factor for the level of the segment. It is constant
+        beyond the outermost bands."""
         return self._of_kind(int(self.moving[segment]), segment, frequency)
 
     def _of_kind(self, kind: int, segment: int, frequency: Array) -> Array:
@@ -114,8 +116,8 @@ class NoiseWithin:
 
 
 def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Array) -> NoiseWithin:
-    """Measures the noise within the segments, outside the coefficients. white: (K,), SI, standard deviation of a sample of white
-    noise; left: (M, K), SI·√samples, coefficients without the fitted nominal parameters."""
+    """Measures the noise within the segments, outside the coefficients. white: (K,), SI, standard deviation of the white noise of a
+    sample; left: (M, K), SI·√samples, coefficients after the fitted nominal parameters have been subtracted."""
     count = np.maximum(spectrum.count, 0.0)
     low = np.flatnonzero((spectrum.harmonic == 0) & (spectrum.frequency > 0))
     band_of = np.minimum(np.searchsorted(spectrum.edges, spectrum.frequency[low], side="right"), count.shape[1]) - 1
@@ -160,7 +162,7 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
 
 
 def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) -> Array:
-    """Levels (B,) of the bands, scaled so that the `upper` bands have a mean of 1."""
+    """Levels (B,) of the bands, scaled so that the mean over the `upper` bands is 1."""
     found = _carried(energy, count, float(energy.sum() / max(count.sum(), 1e-9)), CARRIED)
     if count[upper].sum() > 0:
         found /= float((found * count)[upper].sum() / count[upper].sum())
@@ -168,15 +170,16 @@ def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) ->
 
 
 def _of_median(squares: Array, band: NDArray[np.int64], bands: int) -> tuple[Array, Array]:
-    """Energies (B,) and degrees of freedom (B,) of bands, estimated from the median of the squares (n,) of normal values."""
+    """Energies (B,) and degrees of freedom (B,) of the bands, estimated from the medians of squares (n,) of normal values. band:
+    (n,), band of each square."""
     size: Array = np.bincount(band, minlength=bands).astype(np.float64) * _OF_MEDIAN
     level = np.array([np.median(squares[band == b]) if size[b] > 0 else 0.0 for b in range(bands)]) / _MEDIAN
     return level * size, size
 
 
 def _typical(observed: Observed, spectrum: Spectrum) -> Array:
-    """Variance (S, K) of the remainder of each segment: the median over windows, with the degrees of freedom of the coefficients and the
-    bias of the median of a χ² (Wilson and Hilferty, Proc. Nat. Acad. Sci. 17, 1931) corrected."""
+    """Variance (S, K) of the remainder of each segment: the median over windows. It is corrected for the degrees of freedom of the
+    coefficients and for the bias of the median of χ² (Wilson and Hilferty, Proc. Nat. Acad. Sci. 17, 1931)."""
     found = np.zeros((len(observed), spectrum.remainder.shape[1]))
     for index, (part, basis) in enumerate(zip(observed.segments(), spectrum.bases, strict=True)):
         squares = spectrum.remainder[part] ** 2
@@ -189,8 +192,8 @@ def _typical(observed: Observed, spectrum: Spectrum) -> Array:
 
 
 def _carried(energy: Array, count: Array, above: float, carried: float) -> Array:
-    """Levels (B,) of the bands from the highest down. Each band is smoothed towards the level of the next higher band, and the
-    highest band towards `above`, as if it contained `carried` additional coefficients of that level."""
+    """Levels (B,) of the bands, computed from the highest band down. Each band is smoothed towards the next higher band, and the
+    highest band towards `above`: the higher level enters as if it came from `carried` additional coefficients."""
     out = np.ones(len(energy))
     for band in range(len(energy) - 1, -1, -1):
         above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)
@@ -199,8 +202,8 @@ def _carried(energy: Array, count: Array, above: float, carried: float) -> Array
 
 
 def _better(ratio: Array, count: Array) -> bool:
-    """Whether separate levels describe variances (n,) better than one common level. The variances are relative to the white noise
-    and have degrees of freedom (n,)."""
+    """True if separate levels describe the variances `ratio` (n,) better than the level of the white noise, 1, by Schwarz's
+    criterion. The variances are relative to the white noise and have the degrees of freedom `count` (n,)."""
     seen = count > 0
     ratio, count = np.maximum(ratio[seen], _SMALLEST), count[seen]
     gain = float((count * (ratio - 1 - np.log(ratio))).sum())
@@ -208,6 +211,6 @@ def _better(ratio: Array, count: Array) -> bool:
 
 
 def _fits(energy: Array, count: Array, variance: Array) -> bool:
-    """Whether variances (B,) from other data describe energies (B,) with degrees of freedom (B,) better than white noise does. The
-    likelihoods of the two descriptions are compared directly, because no parameter is fitted."""
+    """True if variances (B,) from other data describe energies (B,), with degrees of freedom `count` (B,), better than white noise
+    does. The likelihoods of the two descriptions are compared directly, because no parameter is fitted."""
     return bool((energy * (1 - 1 / variance) - count * np.log(variance)).sum() > 0)

@@ -1,16 +1,18 @@
-"""Outliers in coloured noise: single samples with an error that the spectrum of the noise does not allow.
+"""Outliers in coloured noise: single samples whose error is larger than the spectrum of the noise allows.
 
-In white noise, an outlier is far from all other samples. In coloured noise, an outlier can be smaller than the scatter of the samples and
-still change the low frequencies. An example is a gyro whose rounding errors cancel from sample to sample. Each sample is therefore compared
-with the value that all other samples of its segment predict.
+In white noise, an outlier lies far from all other samples. In coloured noise, an outlier can be smaller than the scatter of the
+samples and still change the low frequencies. An example is a gyro whose rounding errors cancel from sample to sample. Each sample
+is therefore compared with the value that all other samples of its segment predict.
 
-Σ is the covariance of the noise, V the basis of the segment, x the samples, and P = Σ⁻¹ − Σ⁻¹V(VᵀΣ⁻¹V)⁻¹VᵀΣ⁻¹. The estimated error
-of sample t is (Px)_t/P_tt, with the variance 1/P_tt (Chang, Tiao and Chen, "Estimation of time series parameters in the presence of
-outliers", Technometrics 30, 1988). The discrete cosine transform makes Σ diagonal, except near the ends of the segment. At an end
-of the segment, no further sample cancels the last error. If this error is large, it therefore also counts as an outlier.
+Let Σ be the covariance of the noise, V the basis of the segment, x the samples, and P = Σ⁻¹ − Σ⁻¹V(VᵀΣ⁻¹V)⁻¹VᵀΣ⁻¹. Then the
+estimated error of sample t is (Px)_t/P_tt, and its variance is 1/P_tt (Chang, Tiao and Chen, "Estimation of time series parameters
+in the presence of outliers", Technometrics 30, 1988). The discrete cosine transform makes Σ diagonal, except near the ends of the
+segment. At an end of the segment, no further sample cancels the error of the last one. If this error is large, the sample at the
+end also counts as an outlier.
 
-A step of the signal also gives large values. A sample is an outlier only if a step near it explains less (Tsay, "Outliers, level
-shifts, and variance changes in time series", Journal of Forecasting 7, 1988), and if its segment has few outliers.
+A step of the signal also gives large values. A sample is therefore an outlier only if a step near it explains less than the outlier
+does (Tsay, "Outliers, level shifts, and variance changes in time series", Journal of Forecasting 7, 1988), and if its segment has
+few outliers.
 """
 
 from __future__ import annotations
@@ -49,9 +51,9 @@ class Pulses:
 def outliers(
     observed: Observed, spectrum: Spectrum, noise: NoiseWithin, white: Array, coarse: NDArray[np.bool_]
 ) -> Array | None:
-    """The errors (N, K) of the outliers, SI; None if there are none. white: (K,), SI, standard deviation of a sample; coarse: (K,),
-    True for channels that are not examined, because their samples show rounding. Samples that `spectrum` replaced are estimated
-    from the other samples, too."""
+    """The errors (N, K) of the outliers, SI; None if there are none. white: (K,), SI, standard deviation of the white noise of a
+    sample; coarse: (K,), True for channels that are not examined, because their samples show the rounding. The errors of samples
+    that `spectrum` replaced are estimated, too."""
     from scipy.fft import dct
 
     found = np.zeros_like(spectrum.remainder)
@@ -78,9 +80,9 @@ def outliers(
 def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.int64]) -> Pulses:
     """The outliers among the samples (n,) of a segment.
 
-    basis: (n, m), cosine transform of the vectors whose amplitudes in the samples are unknown. variance: (n,), variance of each
-    coefficient of the cosine transform of the noise. known: rows of samples that are known to be wrong. If there are too many
-    outliers, only the known rows are returned, or no rows if the known rows are too many.
+    basis: (n, m), cosine transform of the vectors that the samples contain with unknown amplitudes. variance: (n,), variance of the
+    noise in each coefficient of the cosine transform. known: rows of samples that are already known to be wrong. If too many
+    outliers are found, only the known rows are returned; if there are too many known rows, none are returned.
     """
     from scipy.fft import dct, idct
 
@@ -113,8 +115,8 @@ def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.i
 
 
 def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
-    """An orthonormal basis Q of the whitened vectors (n, m) and unit pulses at these rows, and the matrix T for which Q = (whitened
-    columns)·Tᵀ. root: (n,), inverse standard deviations."""
+    """Returns an orthonormal basis Q of the whitened columns, and the matrix T for which Q = (whitened columns)·Tᵀ. The columns are
+    the vectors `basis` (n, m) and a unit pulse at each of the rows. root: (n,), inverse standard deviations."""
     columns = np.column_stack([basis, _unit(len(root), rows)]) * root[:, None]
     size = np.linalg.norm(columns, axis=0)
     turned = np.linalg.inv(np.linalg.cholesky((columns.T @ columns) / np.outer(size, size))) / size
@@ -122,7 +124,7 @@ def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
 
 
 def _unit(count: int, rows: Sequence[int] | NDArray[np.int64]) -> Array:
-    """Cosine transforms (n, p) of unit pulses at these rows."""
+    """Cosine transforms (n, p) of unit pulses, one at each of the rows."""
     order = np.arange(count)[:, None]
     waves = np.cos(np.pi * order * (2 * np.asarray(rows, dtype=float) + 1) / (2 * count)) * np.sqrt(2 / count)
     waves[0] /= np.sqrt(2)
@@ -130,7 +132,7 @@ def _unit(count: int, rows: Sequence[int] | NDArray[np.int64]) -> Array:
 
 
 def _diagonal(weight: Array) -> Array:
-    """The diagonal (n,) of Σ⁻¹, from the inverse variances (n,) of the coefficients of the cosine transform."""
+    """The diagonal (n,) of Σ⁻¹. weight: (n,), inverse variance of each coefficient of the cosine transform."""
     count = len(weight)
     turned = weight * np.exp(1j * np.pi * np.arange(count) / count)
     turned[0] = 0.0
@@ -138,12 +140,12 @@ def _diagonal(weight: Array) -> Array:
 
 
 def _left(columns: Array, q: Array) -> Array:
-    """Energies (p,) of columns (n, p) without their part in the span of q."""
+    """Energies (p,) of columns (n, p) after their part in the span of q has been removed."""
     return np.asarray(np.maximum((columns**2).sum(0) - ((q.T @ columns) ** 2).sum(0), 1e-300))
 
 
 def _step(error: Array, row: int, root: Array, q: Array) -> float:
-    """The largest statistic of a step near a row; it can be compared with the statistic of an outlier."""
+    """The largest test statistic of a step near a row; it has the same scale as the statistic of an outlier."""
     from scipy.fft import dct
 
     count = len(error)

@@ -1,7 +1,7 @@
 """Checks of a recording before its diagnosis, as findings.
 
-A finding is an error if a diagnosis would be empty or wrong. It is a warning if the diagnosis can continue but the user should know
-the problem.
+A finding is an error if a diagnosis would be empty or wrong. It is a warning if the diagnosis can continue, but the user should
+know about the problem.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ POSE_PARAMETERS = 9
 
 
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
-    """Checks segments, missing numbers, clock and ranges. where: name of the run or recording, for messages."""
+    """Checks the segments, missing numbers, the clock and the ranges of a recording. where: name of the run or recording, used in
+    messages."""
     mark = Mark(where)
     if len(recording) < 2:
         held = (
@@ -76,7 +77,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 
 
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
-    """Checks, by means of segment averages, that segments can be held out and that the nominal model fits."""
+    """Checks from segment averages whether segments can be held out and whether the nominal model fits."""
     mark = Mark(where)
     if observed.along is not None:
         _check_poses(observed, mark, log)
@@ -130,7 +131,7 @@ _LOOK = (
 
 
 def _check_steady_rates(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Adds a warning about a table that still changes its rate when the record of a segment begins, or already when it ends."""
+    """Warns if the table still changes its rate when the record of a segment starts, or already changes it before the record ends."""
     found = []
     for index, motion in enumerate(observed.motions):
         if not isinstance(motion, Spin):
@@ -157,9 +158,10 @@ def _check_steady_rates(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Adds a note about the errors of the channels that show a motion. White noise of variance s² in a rate makes a fitted scale factor
-    smaller by s²/v, where v is the variance of the rate (W. A. Fuller, Measurement Error Models, 1987, section 1.1). The third
-    differences of white noise have the variance 20·s²; as they also contain fast motion, the result is an upper limit."""
+    """Adds a note about the errors of the channels that measure the motion. White noise of variance s² in a rate makes a fitted
+    scale factor smaller by s²/v, where v is the variance of the rate (W. A. Fuller, Measurement Error Models, 1987, section 1.1).
+    s² is estimated from the third differences, which have the variance 20·s² for white noise. They also contain fast motion, so the
+    result is an upper limit."""
     whole = zip(observed.segments(), observed.moved, np.diff(observed.bounds), strict=True)
     parts = [rows for rows, moved, count in whole if moved and count > 3]
     if not parts:
@@ -178,10 +180,11 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, float]:
-    """Share of a segment, from its beginning and its end, in which the output (n,) of a gyro deviates from its middle because the rate
-    changes; and the largest deviation relative to the rate. Both are 0 if the rate is steady. The scatter of the means over `PARTS`
-    parts in the middle half is the measure of other changes, such as an uneven motion. If this scatter is large, the rate is nowhere
-    steady. earth_rate: rad/s, amplitude of the input that the Earth may add once per turn."""
+    """Returns two numbers: the fraction of a segment, at its start and end together, in which the output (n,) of a gyro deviates
+    from the output in the middle because the rate changes; and the largest such deviation relative to the rate. Both numbers are 0
+    if the rate is steady. Other changes, such as an uneven motion, are judged by the scatter of the means over `PARTS` parts, in
+    the middle half of the segment. If this scatter is large, no part of the segment counts as steady. earth_rate: rad/s, amplitude
+    of the input that the Earth's rotation may add once per turn."""
     if len(values) < 4 * PARTS:
         return 0.0, 0.0
     means = np.array([part.mean() for part in np.array_split(values, PARTS)])
@@ -198,7 +201,7 @@ def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, flo
 
 
 def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Checks whether the nominal model fits far better if the labels of two segments are exchanged."""
+    """Warns if the nominal model would fit far better with the labels of two segments exchanged."""
     found = exchanged_labels(observed)
     if found is not None:
         first, second, times = found
@@ -212,11 +215,11 @@ def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
-    """The two segments whose exchange reduces the misfit of the nominal model to the segment means by at least the factor
-    `EXCHANGED`, and the ratio of root mean squares; None if there are no such segments.
+    """Finds two segments whose exchange reduces the misfit of the nominal model to the segment means at least by the factor
+    `EXCHANGED`. Returns their indices and the ratio of the root mean squares before and after; None if there are no such segments.
 
-    Let M be the projection on the residuals of the fit, and e the difference of the unit vectors of the two segments. An exchange
-    changes the means y by δ·e with δ = eᵀ·(−y), and the sum of squares of the residuals by 2δ·eᵀMy + δ²·eᵀMe.
+    Let M be the projection onto the residuals of the fit, and e the difference of the unit vectors of the two segments. An exchange
+    changes the means y by δ·e with δ = −eᵀy, and the sum of squares of the residuals by 2δ·eᵀMy + δ²·eᵀMe.
     """
     segments = len(observed)
     before, after = 0.0, np.zeros((segments, segments))
@@ -246,7 +249,7 @@ def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
 
 
 def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Checks whether channels at rest scatter from sample to sample about as much as declared."""
+    """Warns if the noise of a channel at rest, from sample to sample, differs strongly from its declaration."""
     still = [s for s, motion in enumerate(observed.motions) if isinstance(motion, Rest)]
     if not still:
         return
@@ -264,8 +267,8 @@ def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Checks whether poses in unknown orientations read the magnitude of gravity, and whether there are enough of them to hold some
-    out."""
+    """Checks whether the readings in poses of unknown orientation have the magnitude of gravity, and whether there are enough poses
+    to hold some out."""
     expected = segment_means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
     ratio = float(np.median(segment_means(observed, observed.values)[:, 0] / expected))
     if abs(ratio - 1) > MISFIT:
@@ -287,7 +290,7 @@ def segment_means(observed: Observed, values: Array) -> Array:
 
 
 def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
-    """Finds segments that share samples. The evidence of these samples would count twice."""
+    """Reports segments that share samples as an error. Shared samples would count twice in the evidence."""
     used = [item for item in in_time_order(recording) if item.statistics.count > 1]
     for before, after in pairwise(used):
         shared = before.statistics.start + before.statistics.duration - after.statistics.start
@@ -348,7 +351,7 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
 
 
 def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mark: Mark, log: Findings) -> None:
-    """Checks for channels of the sensor that are constant, have no noise, or reach their full scale."""
+    """Reports channels of the sensor that are constant, have no noise, or reach their full scale."""
     for name, text in recording[0].units.items():
         known = [item for item in recording if name in item.statistics.channels and item.statistics.count > 1]
         output = sensor.output(name)

@@ -1,9 +1,9 @@
 """Rounding errors in the means of many samples that are rounded to counts.
 
 Noise of half a count or more dithers the rounding, so that its errors average out. With smaller noise, an error remains that
-depends on the position of the mean within a count. Repeats do not average this error out. The scatter of rounded samples does not
-show how small the noise is: readings that alternate between two counts scatter by half a count, whatever the noise is. The numbers
-of samples at each count show how small it is, because only sufficiently large noise reaches a third count.
+depends on the position of the mean within a count. Repetition does not average out this error. The scatter of rounded samples does
+not show how small the noise is: readings that alternate between two counts scatter by half a count, however small the noise is. The
+numbers of samples at each count do show it, because only sufficiently large noise reaches a third count.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ _MOST = 60  # counts that a segment at rest may reach
 
 
 def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
-    """Whether the count of a channel is so coarse that the noise does not dither the rounding. white: standard deviation of a
+    """True if the counts of a channel are so coarse that the noise does not dither the rounding. white: standard deviation of a
     rounded sample; its square includes count²/12."""
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
 def dithering(sigma: Array | float) -> Array:
-    """Variance of the rounding error of the mean of many samples whose noise has the standard deviation `sigma`, in counts,
-    relative to the variance without noise.
+    """Variance of the rounding error of the mean of many samples, divided by its value without noise. sigma: standard deviation of
+    the noise, in counts.
 
     The error is a saw-tooth function of the mean's position within a count. Gaussian noise multiplies its harmonic k by
-    exp(−2π²k²σ²) (Widrow and Kollár, Quantization Noise, 2008, section 19.3). Without noise the variance is 1/12 of a squared
+    exp(−2π²k²σ²) (Widrow and Kollár, Quantization Noise, 2008, section 19.3). Without noise, the variance is 1/12 of a squared
     count.
     """
     weight = 6 / (np.pi * HARMONICS) ** 2
@@ -44,9 +44,9 @@ def dithering(sigma: Array | float) -> Array:
 
 def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
     """Variance (K,) of the rounding error of the mean of many samples, SI². white: (K,), SI, standard deviation of a rounded
-    sample; coarse: (K,), True if the noise of a channel is too small to be visible in its rounded samples. For coarse channels the
-    variance is an expectation over the noise levels that the counts at rest and the declared noise allow. The counts are unknown,
-    and are not used, if samples were averaged."""
+    sample; coarse: (K,), True if the noise of a channel is too small to dither the rounding. For coarse channels, the variance is
+    averaged over the noise levels that agree with the declared noise and with the counts in segments at rest. If samples were
+    averaged over bins, their counts are unknown and are not used."""
     found = np.zeros(len(observed.channels))
     for index, channel in enumerate(observed.channels):
         count = channel.resolution
@@ -64,13 +64,14 @@ def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> A
 
 
 def _of_declared(sigma: float) -> Array:
-    """Log prior (S,) of the noise levels, in counts: concentrated near the declared level, or uniform if no level is declared."""
+    """Log prior (S,) of the noise levels `NOISES`, which are in counts: concentrated near the declared level, or uniform if no
+    level is declared."""
     return np.zeros(len(NOISES)) if sigma <= 0 else -0.5 * (np.log(NOISES / sigma) / DOUBT) ** 2
 
 
 def _of_counts(observed: Observed, index: int) -> Array:
-    """Log likelihood (S,) of the noise levels, from the numbers of samples at each count in segments at rest. The true mean is
-    chosen so that it gives the mean reading."""
+    """Log likelihood (S,) of the noise levels `NOISES`, from the numbers of samples at each count in segments at rest. For each
+    noise level, the true mean of a segment is the one that gives the mean reading of the segment."""
     found = np.zeros(len(NOISES))
     if observed.bins is not None:
         return found
@@ -90,13 +91,13 @@ def _of_counts(observed: Observed, index: int) -> Array:
 
 
 def _reading(sigma: float) -> Array:
-    """Mean readings (P,) for true means at `PLACES`, in counts."""
+    """Mean readings (P,), in counts, if the true means are `PLACES` and the noise has the standard deviation sigma [counts]."""
     levels = np.arange(-4, 5) - PLACES[:, None]
     return np.asarray(PLACES + (_chances(levels, sigma) * levels).sum(axis=1))
 
 
 def _chances(away: Array, sigma: float) -> Array:
-    """Probability that a sample is rounded to the count at a given distance from the true mean, in counts."""
+    """Probability that a sample is rounded to a count. away: distance of this count from the true mean, in counts."""
     from scipy.special import ndtr
 
     return np.asarray(ndtr((away + 0.5) / sigma) - ndtr((away - 0.5) / sigma))

@@ -1,7 +1,7 @@
-"""Slow noise between segments: exact covariances of segment means, and spectra for the remainder within a segment.
+"""Slow noise: exact covariances of its means over segments, and its spectra for the remainder within a segment.
 
-Flicker is a sum of Ornstein–Uhlenbeck processes one octave apart (Keshner, "1/f noise", Proc. IEEE 70, 1982); a random walk has the
-covariance q²·min(t, t'). Both are averaged over the segments in closed form.
+Flicker is a sum of Ornstein–Uhlenbeck processes whose correlation times are one octave apart (Keshner, "1/f noise", Proc. IEEE 70,
+1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ OCTAVES = 2.0 ** np.arange(0, 15, 2)  # s, correlation times: from a second to h
 
 
 def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
-    """Covariance (S, S) of the means over [start, end] of a process with unit variance and covariance exp(−|t − t'|/τ).
+    """Covariance (S, S) of the means over the intervals [start, end] of a process with unit variance and the covariance function
+    exp(−|t − t'|/τ).
 
     A segment of length T has the variance 2(x − 1 + e^−x)/x² with x = T/τ. Two disjoint segments have the covariance e^(−gap/τ)·Π(1 −
     e^−x_i)/x_i, where gap is the time between them.
@@ -34,11 +35,11 @@ def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
 
 
 def flicker(starts: Array, ends: Array) -> Array:
-    """Covariance (S, S) of segment means of flicker noise with a bias instability (floor of the Allan deviation) of 1.
+    """Covariance (S, S) of the segment means of flicker noise whose bias instability (floor of the Allan deviation) is 1.
 
-    Flicker noise of the density h/f has the Allan variance 2·ln 2·h (IEEE Std 952, annex C), here 1. It is represented by a sum of
-    processes of variance v whose correlation times differ by a factor r. Their total density between their corner frequencies is v/(ln
-    r·f), so v = ln r/(2·ln 2).
+    Flicker noise of the density h/f has the Allan variance 2·ln 2·h (IEEE Std 952, annex C), which is 1 here. It is represented by
+    a sum of processes of variance v whose correlation times differ by a factor r. The total density of the processes between their
+    corner frequencies is v/(ln r·f), so v = ln r/(2·ln 2).
     """
     level = math.log(OCTAVES[1] / OCTAVES[0]) / (2 * math.log(2))
     total = np.zeros((len(starts), len(starts)))
@@ -48,10 +49,11 @@ def flicker(starts: Array, ends: Array) -> Array:
 
 
 def random_walk(starts: Array, ends: Array) -> Array:
-    """Covariance (S, S) of segment means of a random walk with unit density (1/√s) that begins at the first start.
+    """Covariance (S, S) of the segment means of a random walk with unit density (1/√s) that starts from zero at the first start
+    time.
 
-    The covariance of two disjoint segments is the mean time of the earlier segment. The variance of a segment of length T is its
-    start + T/3.
+    The covariance of two disjoint segments is the middle time of the earlier segment. The variance for a segment of length T is its
+    start time + T/3.
     """
     begin = starts - starts[0]
     middles = (begin + ends - starts[0]) / 2

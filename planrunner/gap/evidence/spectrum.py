@@ -1,10 +1,10 @@
-"""The recording in the form used by a diagnosis: a few exact coefficients per segment and channel, and the energy of the remainder
-by frequency band.
+"""The recording in the form that a diagnosis uses: a few exact coefficients for each segment and channel, and the energy of the
+remainder in each frequency band.
 
-The coefficients of a segment belong to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the
-mean) and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking).
-Deterministic effects lie in the span of this basis. The rest is noise, or a tone, and is kept as the energies of DCT-II bands.
-Outliers far outside the noise are replaced by the fit and counted, because one spike would affect all coefficients.
+The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
+and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). Deterministic
+effects lie in the span of this basis. The remainder is noise or a tone; it is stored as energies in bands of the DCT-II. Outliers
+far outside the noise are replaced by the fit of the basis and counted, because a single one would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the low
 
 @dataclass(frozen=True)
 class SpectralBasis:
-    """The basis of one segment. vectors: (n, m), orthonormal; the first one is constant. frequency: (m,), Hz, 0 for the mean;
-    harmonic: (m,), order of the motion's harmonic, 0 for the cosine transform."""
+    """The basis of one segment. vectors: (n, m), orthonormal columns, the first of which is constant. frequency: (m,), Hz, 0 for
+    the mean; harmonic: (m,), order of the motion's harmonic, 0 for a vector of the cosine transform."""
 
     vectors: Array
     frequency: Array
@@ -40,12 +40,14 @@ class SpectralBasis:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """M coefficients of all segments, and the remainder. segment: (M,), index of the segment of each coefficient; frequency,
-    harmonic: (M,), as in `SpectralBasis`. means: (S,), indices of the coefficients of order 0. values: (M, K), SI·√samples. energy:
-    (S, B, K), SI², of the DCT-II of the remainder in bands between `edges` (B + 1,), Hz, with `count` (S, B) coefficients.
-    remainder: (N, K), samples minus their components in the basis. spikes: (K,), number of samples that were replaced by the fit.
-    replaced: (N, K), what was subtracted from these samples. readings: (S, K), SI, mean outputs of the segments. If samples are means
-    over bins of k samples, all other values are multiplied by √k, so that their white noise is that of a single sample."""
+    """The M coefficients of all segments, and the remainder of the samples. segment: (M,), index of the segment to which a
+    coefficient belongs; frequency, harmonic: (M,), as in `SpectralBasis`. means: (S,), indices of the coefficients of order 0.
+    values: (M, K), SI·√samples, the coefficients. energy: (S, B, K), SI², energy of the DCT-II of the remainder in the bands
+    between `edges` (B + 1,), Hz; count: (S, B), number of coefficients of the DCT-II in each band. remainder: (N, K), samples minus
+    their components in the basis. spikes: (K,), number of samples that were replaced by the fit. replaced: (N, K), for replaced
+    samples the difference between the sample and the fit; otherwise zero. readings: (S, K), SI, mean outputs of the segments. If
+    the samples are means over bins of k samples, all values except `readings` are multiplied by √k, so that their white noise is
+    that of a single sample."""
 
     bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
@@ -62,7 +64,7 @@ class Spectrum:
     readings: Array
 
     def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
-        """The coefficients (M, P) of columns of samples (N, P). acting: (S,), segments to compute; by default all."""
+        """The coefficients (M, P) of columns of samples (N, P). acting: (S,), True for the segments to compute; by default all."""
         made, roots = [], _roots(observed)
         if acting is None or acting.all():
             made = [
@@ -77,7 +79,7 @@ class Spectrum:
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     def outside(self, observed: Observed, columns: Array) -> Array:
-        """Columns of samples (N, P) without their components in the basis of each segment."""
+        """Removes the components in the basis of each segment from columns of samples (N, P)."""
         out = columns.copy()
         for basis, part in zip(self.bases, observed.segments(), strict=True):
             out[part] -= basis.vectors @ (basis.vectors.T @ out[part])
@@ -85,8 +87,8 @@ class Spectrum:
 
     @cached_property
     def runs(self) -> list[tuple[Array, slice]]:
-        """Consecutive segments with bases of the same shape: the bases (k, m, n), or one basis (m, n) for all, and the samples of the
-        segments."""
+        """Groups consecutive segments whose bases have the same shape. Each group consists of the transposed bases (k, m, n), or
+        one transposed basis (m, n) that all its segments share, and the slice of its samples."""
         found, first = [], 0
         for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
             bases = list(run)
@@ -99,7 +101,7 @@ class Spectrum:
 
 
 def basis_of(observed: Observed, index: int) -> SpectralBasis:
-    """The basis of one segment."""
+    """Makes the basis of one segment."""
     part = observed.segments()[index]
     n = part.stop - part.start
     rate = observed.sample_rate / int(observed.bin_size[index])
@@ -143,8 +145,8 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 
 def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | None = None) -> Spectrum:
-    """The spectrum of the samples after the nominal simulation `reference` (N, K) has been subtracted. held: (N, K), samples that
-    are replaced by the fit."""
+    """The spectrum of the samples after the nominal simulation `reference` (N, K) has been subtracted. held: (N, K), True for
+    samples that are replaced by the fit."""
     from scipy.fft import dct
 
     known: dict[tuple[int, int, object], SpectralBasis] = {}
@@ -196,14 +198,14 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
 
 
 def _roots(observed: Observed) -> Array | None:
-    """Weight of the mean over a bin, (S,): √size, which gives the weighted mean the noise of a sample. None if the recording
-    contains single samples instead of means."""
+    """Weight (S,) of the means over the bins of each segment: √size, with which a weighted mean has the noise of a single sample.
+    None if the recording contains single samples instead of means over bins."""
     return None if observed.bins is None else np.sqrt(observed.bins.size)
 
 
 def band_edges(half: float) -> Array:
-    """Edges (B + 1,), Hz, of the frequency bands: octaves, the upper ones divided into four; the lowest band contains all lower
-    frequencies. half: half of the sampling rate, the upper edge."""
+    """Edges (B + 1,), Hz, of the frequency bands. The bands are octaves, the upper of which are divided into four; the lowest band
+    contains all lower frequencies. half: half of the sampling rate, which is the upper edge of the highest band."""
     octaves = 2.0 ** -np.arange(OCTAVES, -1, -1)
     fine = [np.linspace(low, 2 * low, 5)[1:] for low in octaves[-FINE - 1 : -1]]
     return half * np.concatenate([[0.0], octaves[: OCTAVES - FINE + 1], *fine])
@@ -212,8 +214,8 @@ def band_edges(half: float) -> Array:
 def _robust(
     vectors: Array, samples: Array, smallest: Array, held: NDArray[np.bool_] | None
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Coefficients (m, K), samples (n, K) without the fit, and which of these samples (n, K) are spikes. Spikes and held samples do not
-    enter the fit."""
+    """Fits the basis robustly. Returns the coefficients (m, K), the samples (n, K) minus the fit, and a mask (n, K) of the samples
+    that are spikes. Spikes and held samples do not enter the fit."""
     coefficients = vectors.T @ samples
     spiked = np.zeros(samples.shape, dtype=bool)
     for _ in range(4):
@@ -233,10 +235,11 @@ def _robust(
 
 
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
-    """Standard deviation of the white noise of a sample (K,), and its degrees of freedom (K,), from the upper bands of segments at
-    rest.
+    """Standard deviation (K,) of the white noise of a sample, and the degrees of freedom (K,) of this estimate, from the upper
+    bands of segments at rest.
 
-    If no segment is at rest, all segments are used. The bands begin at one eighth of the sampling rate, above all slow processes.
+    If no segment is at rest, all segments are used. The upper bands begin at one eighth of the sampling rate, above all slow
+    processes.
     """
     still = np.array([not isinstance(motion, Spin | Rock) for motion in observed.motions])
     chosen = still if still.any() else np.ones(len(observed), dtype=bool)

@@ -1,15 +1,17 @@
-"""Whitens coefficients by the noise, projects the nominal parameters out, and evaluates designs on the result.
+"""Whitens coefficients with the noise, projects the nominal parameters out of them, and evaluates designs on the result.
 
-A setting of the noise is a level of flicker and of random walk for each triad. For every setting, the coefficients of each channel
-are whitened (order 0 jointly over the segments, the others one by one), and the nominal parameters, with a flat prior, are
-projected out. The residuals are evaluated with the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+A setting of the noise consists of a level of flicker and a level of random walk for each triad. At every setting, the coefficients
+of each channel are whitened (order 0 jointly over the segments, the others one by one). Then the nominal parameters, which have a
+flat prior, are projected out. The residuals are evaluated with the residual likelihood (REML: Patterson and Thompson, Biometrika
+58, 1971).
 
-Nominal parameters that a recording cannot separate (gravity never along an axis, only one orientation, poses in unknown orientations) have
-dependent columns or columns of zeros. An independent basis of their columns is computed first, so that they absorb only their common span.
+A recording may be unable to separate some nominal parameters: gravity is never along an axis, there is only one orientation, or the
+orientations of the poses are unknown. The columns of such parameters are linearly dependent or zero. An independent basis of all
+nominal columns is therefore computed first, so that they absorb only the space that they span.
 
-The evidence of a design needs only the eigenvalues of its Gram matrix and the squared scores along the eigenvectors. Both follow from the
-few rows on which a design acts: with Y its whitened rows and B an orthonormal basis of the nominal columns, the Gram matrix is YᵀY −
-(BᵀY)ᵀ(BᵀY), and the score is Yᵀr, because the residual r has no component along B.
+The evidence of a design needs only the eigenvalues of its Gram matrix and the squared scores along the eigenvectors. Both are
+computed from the few rows on which a design acts. Let Y be its whitened rows and B an orthonormal basis of the nominal columns:
+then the Gram matrix is YᵀY − (BᵀY)ᵀ(BᵀY), and the score is Yᵀr, because the residual r has no component along B.
 """
 
 from __future__ import annotations
@@ -41,9 +43,10 @@ DEPENDENT = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One setting of the noise of a triad. flicker: level of the flicker, in units of the declared level. walk: SI/√s; if `alike`,
-    the density of the random walk in all axes, otherwise the scale of separate densities. prior: prior probability among the
-    settings with a random walk, or among the settings without."""
+    """One setting of the noise of a triad. flicker: factor by which the declared flicker level is multiplied. walk: SI/√s; if
+    `alike` is True, the density of the random walk in all axes; otherwise the scale of the prior for separate densities of the
+    axes. prior: for a setting with a random walk, its prior probability among all settings with one; for a setting without, its
+    prior probability among all settings without."""
 
     flicker: float
     walk: float
@@ -52,7 +55,7 @@ class Setting:
 
 
 def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
-    """The settings of a triad: random walks for gyros only, and factors of the flicker if flicker is declared."""
+    """Lists the settings of a triad: random walks for gyros only, and factors of the flicker level only if flicker is declared."""
     members = observed.of_kind(kind)
     if not members:
         return (Setting(0.0, 0.0, 1.0),)
@@ -74,8 +77,8 @@ def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, ki
 
 
 def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, white: float) -> float:
-    """Expected energy of a random walk with unit density in the segment means of one channel, in addition to white noise, declared
-    flicker and a constant."""
+    """Expected energy that a random walk with unit density has in the segment means of one channel, relative to white noise and the
+    declared flicker, after a constant has been removed."""
     noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow.flicker
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
     walk = inverse @ slow.random_walk @ inverse.T
@@ -91,18 +94,19 @@ def lasting(observed: Observed) -> tuple[Array, Array]:
 
 
 def _sharing(readings: Array, count: float) -> Array:
-    """Number of segments (S,) whose mean readings (S,) have the same rounding error. Because these errors are equal, the mean of
-    such segments has the rounding error of one of them."""
+    """For each segment (S,), the number of segments, itself included, whose mean readings have the same rounding error. The mean
+    over such segments has the same rounding error as a single one of them."""
     return np.asarray(np.exp(-0.5 * ((readings[:, None] - readings) / (count / 4)) ** 2).sum(0))
 
 
 def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
-    """Weights and log likelihood (G,) of a channel, for settings that include random walks of a triad with a common scale but separate
-    densities per axis.
+    """Weights and log likelihood (G,) of a channel at each setting of the noise. In settings that are not `alike`, the random walks
+    of a triad have a common scale, but each axis has its own density.
 
-    For a scale q, the prior of the density of an axis is |N(0, q²)|. The likelihood is the mean over the density levels with this prior,
-    and the weights are those of the most probable level. This level is estimated from data that include any effect that is present. If a
-    strong effect is present, random walks with one density in all axes are closer to the truth, so they are settings, too.
+    For a scale q, the density of an axis has the prior |N(0, q²)|. The likelihood is averaged over the density levels with this
+    prior, and the weights are those of the most probable level. This level is estimated from data that may also contain an effect.
+    If a strong effect is present, random walks with the same density in all axes are closer to the truth; such settings (`alike`)
+    are therefore included, too.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])
@@ -123,12 +127,13 @@ def _mates(one: Setting, other: Setting) -> bool:
 
 
 class ChannelWeights:
-    """The weights of one channel for one level of flicker, relative to the declared level, and one level of a random walk. `whiten`
-    scales coefficients (M, …) to unit noise; `project` also projects out the nominal parameters.
+    """The weights of one channel for one level of flicker (relative to the declared level) and one level of the random walk.
+    `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
 
-    relative: (M,), variance of the noise of each coefficient, relative to white². undithered: variance of the rounding error of a
-    mean. log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns. scale:
-    (M,), factors that whiten coefficients one by one: all coefficients where there is no slow noise, otherwise those above order 0.
+    relative: (M,), variance of the noise of each coefficient, divided by white². undithered: variance of the rounding error of a
+    segment mean. log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal basis of the whitened nominal
+    columns. scale: (M,), factors that whiten coefficients one by one: all coefficients if there is no slow noise, otherwise those
+    above order 0.
     """
 
     def __init__(
@@ -186,8 +191,8 @@ class ChannelWeights:
         self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
 
     def beside(self, columns: Array) -> ChannelWeights:
-        """The same weights after further columns (M, p), SI, have been added to the nominal columns. The likelihood of the new
-        weights is that of the residual alone."""
+        """A copy in which further columns (M, p), SI, have been added to the nominal columns. Only the smaller residual changes
+        `log_likelihood`; the determinant of the additional columns is not included."""
         made = copy(self)
         whitened = self.whiten(columns[:, columns.any(axis=0)])
         whitened /= np.linalg.norm(whitened, axis=0)
@@ -200,7 +205,7 @@ class ChannelWeights:
         return made
 
     def inflated(self, ratio: float) -> ChannelWeights:
-        """The same weights after the variance of the noise has been multiplied by `ratio`."""
+        """A copy in which the variance of the noise has been multiplied by `ratio`."""
         made, root = copy(self), float(np.sqrt(ratio))
         made._covariance = self._covariance * ratio
         made.scale = self.scale / root
@@ -222,7 +227,7 @@ class ChannelWeights:
         return out
 
     def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """A function that whitens the coefficients, (n,) or (n, P), of the rows that a mask (M,) selects: the means jointly, the
+        """Returns a function that whitens coefficients (n,) or (n, P) of the rows that a mask (M,) selects: the means jointly, the
         others one by one."""
         chosen = np.flatnonzero(rows)
         at = np.flatnonzero(np.isin(chosen, self._means))
@@ -244,14 +249,14 @@ class ChannelWeights:
         return out
 
     def unwhiten(self, whitened: Array) -> Array:
-        """The inverse of `whiten`, for (M, n)."""
+        """The inverse of `whiten`, for an array (M, n)."""
         out = whitened / self.scale[:, None]
         if self._inverse is not None:
             out[self._means] = np.linalg.solve(self._inverse, whitened[self._means]) * self._root[:, None]
         return out
 
     def gap_and_noise(self) -> tuple[float, float]:
-        """Sum of squares of the residual, not whitened, and its expectation for noise alone, SI²·samples."""
+        """Sum of squares of the residual before whitening, and the value that noise alone would lead one to expect, SI²·samples."""
         basis = self.unwhiten(self.basis)
         every = np.ones(len(self.scale), dtype=bool)
         whole = float((1 / self.scale**2).sum()) if self._inverse is None else float(np.trace(self.covariance(every)))
@@ -259,8 +264,9 @@ class ChannelWeights:
         return float((gap**2).sum()), whole - float((basis**2).sum())
 
     def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """Whitens columns that are zero except in a few rows. columns: (n, P), their values in the rows `rows` (n,). Returns the rows in
-        which the whitened columns are not zero, and their values there. Means are whitened jointly, so each mean affects all later means.
+        """Whitens columns that are zero except in a few rows. columns: (n, P), values of these columns in the rows `rows` (n,).
+        Returns the rows in which the whitened columns are not zero, and the whitened values in these rows. Means are whitened
+        jointly, so each mean affects all later means.
         """
         own = self._order_0[rows]
         if self._inverse is None or not own.any():
@@ -276,8 +282,8 @@ class ChannelWeights:
 
 
 def _beyond_measured(density: Callable[[Array], Array], spectrum: Spectrum, noise: NoiseWithin, channel: int) -> Array:
-    """Density of slow noise at the frequency of each coefficient (M,), 0 for means. The measured spectrum contains the slow noise.
-    At lower frequencies, only the increase is added."""
+    """Density of slow noise to be added at the frequency of each coefficient (M,); 0 for means. Where a coloured spectrum was
+    measured, it already contains the slow noise. Only the increase below its lowest frequency is then added."""
     out = np.zeros(len(spectrum.frequency))
     within = spectrum.frequency > 0
     out[within] = density(spectrum.frequency[within])
@@ -286,7 +292,8 @@ def _beyond_measured(density: Callable[[Array], Array], spectrum: Spectrum, nois
 
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
-    """Per channel, the coefficients (M, P) of all columns, in units of their magnitudes; zero where a column does not act."""
+    """For each channel, the coefficients (M, P) of all columns, in units of the columns' magnitudes; zero where a column does not
+    act."""
     found: dict[tuple[int, tuple[int, ...]], _Shared] = {}
     for index, column in enumerate(columns):
         for channel, part in column.parts.items():
@@ -306,8 +313,8 @@ def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Co
 
 @dataclass
 class _Shared:
-    """A table of samples (N, P) that several columns share. places: for each column, its index, its channel, and its index in the
-    table; acting: segments in which any of these columns acts."""
+    """A table of samples (N, P) whose columns belong to several effect columns. places: for each effect column, its index, its
+    channel, and the index of the table's column; acting: True for segments in which any of these effect columns acts."""
 
     table: Array
     places: list[tuple[int, int, int]] = field(default_factory=list)
@@ -315,8 +322,8 @@ class _Shared:
 
 
 def _table(part: Array) -> tuple[Array, int]:
-    """The table of samples that contains an array as a column, and the index of this column. The signatures of a triad are columns
-    of one table, so that they are projected together once."""
+    """Returns the table of samples of which an array is a column, and the index of that column. The signatures of a triad are
+    columns of one table, so they can be projected together."""
     whole = part.base
     if isinstance(whole, np.ndarray) and whole.ndim == 2 and whole.flags.c_contiguous and len(whole) == len(part):
         offset = part.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
@@ -326,7 +333,8 @@ def _table(part: Array) -> tuple[Array, int]:
 
 
 def independent(columns: Array) -> Array:
-    """The columns (M, q) unchanged if they are independent; otherwise combinations (M, r) that span the same space."""
+    """Returns the columns (M, q) unchanged if they are linearly independent; otherwise combinations (M, r) that span the same
+    space."""
     size = np.linalg.norm(columns, axis=0)
     used = columns[:, size > 0] / size[size > 0]
     left, values, _ = np.linalg.svd(used, full_matrices=False)
@@ -340,10 +348,10 @@ _NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
 
 
 class Left:
-    """A channel with one setting of the noise, possibly without some rows of its coefficients.
+    """A channel at one setting of the noise, from which some rows of coefficients may have been removed.
 
-    rows: (M,), the remaining rows. basis: (M, q), orthonormal, of the whitened nominal columns on these rows; residual: (M,),
-    whitened. basis and residual are zero in the removed rows.
+    rows: (M,), True for the remaining rows. basis: (M, q), orthonormal basis of the whitened nominal columns on these rows;
+    residual: (M,), whitened residual. basis and residual are zero in the removed rows.
     """
 
     def __init__(self, weight: ChannelWeights, rows: Rows, basis: Array, residual: Array):
@@ -354,8 +362,8 @@ class Left:
         return cls(weight, np.ones(len(weight.residual), dtype=bool), weight.basis, weight.residual)
 
     def without(self, taken: Rows) -> Left:
-        """The channel without some rows. The other rows then determine the nominal parameters. Rows of order 0 are whitened jointly
-        and are removed together."""
+        """Removes further rows. The remaining rows then determine the nominal parameters. Rows of order 0 are whitened jointly, so
+        they must be removed together."""
         rows = self.rows & ~taken
         basis, size, _ = np.linalg.svd(self.basis * rows[:, None], full_matrices=False)
         basis = basis[:, size > _NOTHING]
@@ -363,8 +371,9 @@ class Left:
         return Left(self.weight, rows, basis, residual - basis @ (basis.T @ residual))
 
     def whitened(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """Whitens columns that are zero except in a few rows, as `ChannelWeights.whitened_rows` does, without the removed rows. columns:
-        (n, P), their values in the rows `rows` (n,). Returns the rows in which the whitened columns are not zero, and their values there.
+        """Whitens columns as `ChannelWeights.whitened_rows` does, but leaves out the removed rows. The columns are zero except in a
+        few rows. columns: (n, P), their values in the rows `rows` (n,). Returns the remaining rows in which the whitened columns
+        are not zero, and the whitened values in these rows.
         """
         at, whitened = self.weight.whitened_rows(columns, rows)
         here = self.rows[at]
@@ -372,8 +381,8 @@ class Left:
 
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Eigenvalues and squared scores of a design. design: columns (M, P); or a mask (M,) of rows, where each selected row means a
-    separate column that is zero in all other rows. The result is empty if the design has no visible part."""
+    """Eigenvalues and squared scores of a design. design: columns (M, P); or a mask (M,) of rows, which means a design with one
+    column for each selected row that is zero in all other rows. Both results are empty if the design is zero in all remaining rows."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
     columns = np.asarray(design[:, design.any(axis=0)], dtype=float)
@@ -387,9 +396,9 @@ def eigen(left: Left, design: Array | Rows) -> Eigen:
 
 
 def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
-    """Eigenvalues and squared scores of a design with a separate column for each of the given rows. Their Gram matrix is diagonal
-    except for the part that the nominal parameters absorb. Among rows of equal weight, this part has no more directions
-    than there are parameters; all directions orthogonal to it are eigenvectors with a common eigenvalue."""
+    """Eigenvalues and squared scores of a design that has one column for each of the given rows. The Gram matrix of such columns is
+    diagonal except for the part that the nominal parameters absorb. Among rows of equal weight, the absorbed part has no more
+    directions than there are parameters; all directions orthogonal to it are eigenvectors with a common eigenvalue."""
     if not len(at):
         return np.zeros(0), np.zeros(0)
     scale = left.weight.scale[at]
@@ -415,7 +424,7 @@ def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
 
 
 def _seen(values: Array, along: Array, largest: float) -> Eigen:
-    """The design without directions that the nominal parameters absorb completely. largest: energy of a column before the
-    projection."""
+    """Removes directions that the nominal parameters absorb completely from the eigenvalues and the squared scores. largest:
+    largest energy of a column before the projection."""
     seen = values > _NOTHING**2 * largest
     return values[seen], along[seen]

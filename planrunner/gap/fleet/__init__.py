@@ -1,1 +1,1 @@
-"""Analysis of several recordings together: the amplitudes of each recording, and their attribution to device, bench and occasion."""
+"""Analysis of several recordings together: the amplitudes in each recording, and their attribution to device, bench and occasion."""

@@ -1,7 +1,7 @@
-"""The amplitudes of one run: the nominal terms and all effects that are named in any run of the fleet, fitted together.
+"""The amplitudes of one run. The nominal terms and all effects that are named in any run of the fleet are fitted together.
 
-The fit is generalised least squares with the noise of the diagnosis and without priors. The estimates of different runs are
-therefore independent, and a prior enters only once, in the attribution.
+The fit is generalised least squares with the noise model of the diagnosis and without priors. The estimates of different runs are
+therefore independent, and a prior is used only once: in the attribution.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _UNDETERMINED = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class AmplitudeKey:
-    """Identifies an amplitude, so that the same amplitude of different runs can be compared. orientations: for an effect with
-    separate amplitudes in every orientation, the orientations in the order of their numbers; otherwise empty. shape: shape of the
-    effect, in the unit of the shape; None if the effect has no shape."""
+    """Identifies an amplitude, so that it can be compared between runs. orientations: for an effect with separate amplitudes in
+    every orientation, the orientations in the order of their numbers; otherwise empty. shape: shape of the effect, in the unit of
+    the shape; None if the effect has no shape."""
 
     effect: str
     name: str
@@ -38,7 +38,8 @@ class AmplitudeKey:
 
 @dataclass(frozen=True, slots=True)
 class AmplitudeEstimate:
-    """The estimated amplitude of an effect in one run. value, standard_uncertainty: in the unit of the key."""
+    """The estimated amplitude of an effect in one run. value, standard_uncertainty: estimate and standard uncertainty, in the unit
+    of the key."""
 
     key: AmplitudeKey
     value: float
@@ -48,8 +49,8 @@ class AmplitudeEstimate:
 def amplitudes(
     weighing: Weighing, nominal: Sequence[str], effects: Sequence[tuple[Effect, float | None]]
 ) -> list[AmplitudeEstimate]:
-    """The amplitudes that a run determines. nominal: the terms of the nominal simulation; effects: further effects, each with the value
-    of its shape, or None if it has no shape."""
+    """Estimates the amplitudes that a run determines. nominal: terms that the nominal simulation fits; effects: further effects,
+    each with the value of its shape, or None if it has no shape."""
     observed = weighing.observed
     listed = [(key, column) for key, column in zip(_terms(observed, nominal), weighing.nominal_columns, strict=True)]
     orientations = tuple(dict.fromkeys(map(orientation_key, observed.attitude)))
@@ -78,7 +79,7 @@ def amplitudes(
 
 
 def _terms(observed: Observed, nominal: Sequence[str]) -> list[AmplitudeKey]:
-    """The keys of the nominal columns, in the order of `candidates.nominal_columns`."""
+    """The keys of the nominal columns, in the same order as in `candidates.nominal_columns`."""
     return [
         AmplitudeKey(f"{kind}_{part}", column.name, column.unit)
         for kind in ("gyro", "accel")
@@ -89,7 +90,7 @@ def _terms(observed: Observed, nominal: Sequence[str]) -> list[AmplitudeKey]:
 
 
 def _columns(effect: Effect, shape: float | None, observed: Observed) -> Sequence[Column]:
-    """The columns of an effect with one shape; empty if the effect cannot act in this run."""
+    """The columns of an effect whose shape has the given value; empty if the effect cannot act in this run."""
     if isinstance(effect, Shaped):
         return effect.at(observed, shape).columns if shape is not None and len(effect.grid(observed)) else ()
     return next((one.columns for one in effect.variants(observed) if one.shape == shape), ())
