@@ -1,1 +1,2 @@
-"""Parts that every package may use: findings, plug-ins, compiled kernels, locks, guarded files and folders, shipped files."""
+"""Parts that every package may use, such as findings, plug-ins, compiled kernels, locks, guarded files and folders, and shipped
+files."""

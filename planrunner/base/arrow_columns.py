@@ -25,5 +25,5 @@ def column(values: NDArray[np.float64]) -> pa.Array:
 
 
 def numbers(values: pa.Array) -> NDArray[np.float64]:
-    """The numbers (n,) of a `pyarrow.Array` of 64-bit floats, NaN for missing ones. The array may be read-only."""
+    """Converts a `pyarrow.Array` of 64-bit floats to an array (n,), in which a missing number is NaN. The array may be read-only."""
     return np.asarray(np.from_dlpack(values.fill_null(math.nan) if values.null_count else values), dtype=np.float64)

@@ -1,7 +1,7 @@
 """Distributes work on many items over a Dask cluster (https://distributed.dask.org).
 
-A task consists of one item, or of several if each takes very little time. A worker computes one item at a time, with a single
-thread for linear algebra, in the working directory of this process. If a worker is lost, Dask computes its items again on another
+A task consists of one item, or of several if each takes very little time. A worker computes one item at a time. It uses a single
+thread for linear algebra, and the working directory of this process. If a worker is lost, Dask computes its items again on another
 worker. Only a limited number of items is on the cluster at a time, so that neither the scheduler nor this process keeps all of
 them.
 
@@ -58,8 +58,9 @@ _SCHEDULER = "--scheduler"
 
 @dataclass(frozen=True, slots=True)
 class _Terms:
-    """Conditions that apply to each item. versions: the versions of the program and of the libraries. directory: the working
-    directory of this process."""
+    """What every task of a computation is sent with: the versions that the worker must have, and the directory that it must use.
+
+    versions: the versions of the program and of the libraries. directory: the working directory of this process."""
 
     versions: Mapping[str, str]
     directory: str
@@ -68,8 +69,8 @@ class _Terms:
 @dataclass(frozen=True, slots=True)
 class _Answer:
     """The answer to a task: the results of its items up to the first one that failed, and the exception of that item; or the reason
-    why the worker cannot compute. seconds: computing time. unfit: versions that differ, by name, as (version here, version on the
-    worker)."""
+    why the worker cannot compute. seconds: the time [s] that computing took. unfit: maps each library whose versions differ to
+    (version here, version on the worker)."""
 
     results: tuple[object, ...] = ()
     error: Exception | None = None
@@ -81,7 +82,8 @@ class _Answer:
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Everything on which the digits of a result depend: the program (digest of its source), Python and the numerical libraries."""
+    """Everything that can change the digits of a result: the program (as a digest of its source), Python, and the numerical
+    libraries with their versions."""
     import platform
     from importlib import metadata
 
@@ -101,9 +103,9 @@ def computed_on_cluster(
     address: str,
     tell: Callable[[float], None] | None = None,
 ) -> Iterator[R]:
-    """The results of `work` for all items, in their order; see `workers.results_in_order`. address: address of the scheduler.
-    Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a path among the items, and
-    `ProcessEndedError` if the cluster ends."""
+    """The results of `work` for all items, in their order; see `workers.results_in_order`. address: the address of the cluster's
+    scheduler. Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a path among the
+    items, and `ProcessEndedError` if the cluster ends."""
     if not items:
         return
     terms = _Terms(versions(), os.getcwd())
@@ -133,12 +135,12 @@ def computed_on_cluster(
 
 def _shared(size: int, left: int, threads: int) -> int:
     """Number of items in the next task: at most `size`, and few enough that the remaining items still make several tasks for each
-    thread."""
+    thread of the cluster."""
     return min(size, math.ceil(left / (_SHARES_LEFT * max(1, threads))))
 
 
 def _size(answer: _Answer) -> int:
-    """Number of items that makes a task of suitable length, from the computing time of earlier answers."""
+    """Number of items that makes a task of suitable length, estimated from the computing time of an earlier answer."""
     each = answer.seconds / max(1, len(answer.results))
     return max(1, min(_MOST_OF_A_TASK, int(_TASK_LASTS / each))) if each > 0 else _MOST_OF_A_TASK
 
@@ -152,7 +154,7 @@ def _packed(work: Callable[[T], R]) -> bytes:
 
 
 def _paths(items: Sequence[object]) -> tuple[str, ...]:
-    """The existing files and folders among the items and their parts."""
+    """The items, and parts of items, that are paths of existing files or folders."""
     parts = (part for item in items for part in (item if isinstance(item, tuple) else (item,)))
     return tuple(str(part) for part in parts if isinstance(part, Path) and part.exists())
 
@@ -193,8 +195,8 @@ def _unpacked(packed: bytes) -> Callable[[object], object]:
 
 @contextlib.contextmanager
 def _in_directory(path: str) -> Iterator[bool]:
-    """Changes to the working directory of the command, so that relative paths have the same meaning, also in messages. Yields
-    whether the worker has this directory."""
+    """Changes to the working directory of the command, so that relative paths have the same meaning, also in messages. Yields True
+    if the worker has this directory."""
     before, there = os.getcwd(), False
     with contextlib.suppress(OSError):
         os.chdir(path)
@@ -229,7 +231,7 @@ def _connected(address: str) -> Iterator[Client]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its reports of lost connections are messages below
 
     class Closed(Client):  # type: ignore[misc,unused-ignore]
-        """A client that does not close itself when it is deleted; `_connected` closes it. Otherwise a client that was never
+        """A client that does not close itself when it is deleted, because `_connected` closes it. Otherwise a client that was never
         connected would try to close itself for 20 s."""
 
         def __del__(self) -> None:

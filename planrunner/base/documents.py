@@ -1,7 +1,7 @@
 """Types of the values in JSON documents: the contents of files, journals, replies of other processes, and templates.
 
-A value is None, a boolean, a number, a text, a list of values, or an object of values by name. A schema in `schemas/` states the
-type of each value in a document. This type is checked when the document is read, not by mypy.
+A value is None, a boolean, a number, a text, a list of values, or an object that maps names to values. A schema in `schemas/`
+states the type of each value in a document. This type is checked when the document is read, not by mypy.
 """
 
 from __future__ import annotations
@@ -14,5 +14,5 @@ JsonObject = dict[str, Json]
 
 
 def finite(value: float) -> float | None:
-    """A number for JSON. NaN and infinities, which JSON lacks, become null."""
+    """Makes a number that JSON can represent: NaN and infinities become null."""
     return value if math.isfinite(value) else None

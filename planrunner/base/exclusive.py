@@ -1,4 +1,5 @@
-"""An exclusive lock on a file. The operating system releases it when the process ends for any reason."""
+"""An exclusive lock on a file, held by one process at a time. The operating system releases it when the process ends for any
+reason."""
 
 from __future__ import annotations
 
@@ -15,16 +16,18 @@ COMMAND = contextlib.ExitStack()
 
 
 class HeldError(Exception):
-    """Another process, or another lock of this process, holds the file. The message is the note that the holder left."""
+    """The lock on the file is already held, by another process or by another lock of this process. The message is the note that the
+    holder wrote into the file."""
 
 
 class ExclusiveFile:
     """A lock on `path`, held from creation to `release`. The file is created if absent.
 
-    note: who holds the lock and why; it is shown to others who request the lock. mode: permissions of a new file. opened:
-    descriptor of the file if the caller has already opened it; it is closed with the lock. Raises `HeldError` if the lock is held,
-    and `OSError` if the file cannot be opened or is not a regular file with exactly one name. These checks matter in a folder that
-    all users may write to: a link would make the lock overwrite another user's file, and opening a pipe could wait for ever.
+    note: who holds the lock and why; it is shown to others who request the lock. mode: permissions of the file if it is created.
+    opened: descriptor of the file if the caller has already opened it; it is closed with the lock. Raises `HeldError` if the lock
+    is held, and `OSError` if the file cannot be opened or is not a regular file with exactly one name. These checks matter in a
+    folder that all users may write to: a link would make the lock overwrite another user's file, and opening a pipe could wait for
+    ever.
     """
 
     def __init__(self, path: Path, note: str = "", mode: int = 0o644, *, opened: int | None = None):
@@ -91,7 +94,7 @@ def _held(descriptor: int, path: Path) -> int:
 
 
 def _hold(known: os.stat_result, path: Path) -> None:
-    """Checks the opened file. Raises `OSError` unless it is a regular file with exactly one name."""
+    """Checks the file that was opened. Raises `OSError` unless it is a regular file with exactly one name."""
     if stat.S_ISLNK(known.st_mode):
         raise OSError(errno.ELOOP, "it is a symbolic link", str(path))
     if not stat.S_ISREG(known.st_mode) or known.st_nlink > 1:

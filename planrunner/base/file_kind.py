@@ -1,4 +1,5 @@
-"""The kind of a file system entry as one word, equal on all systems, and the flags that a system has for opening it."""
+"""Names the kind of a file system entry by one word, which is the same on all systems, and provides the flags for opening it that a
+system has."""
 
 from __future__ import annotations
 
@@ -28,6 +29,6 @@ def open_flags(*names: str) -> int:
 
 
 def file_kind(status: os.stat_result) -> FileKind:
-    """The kind of a file from the result of `os.stat`; "a link" only if the link itself was examined."""
+    """The kind of a file from the result of `os.stat` or `os.lstat`; "a link" only if the result describes the link itself."""
     kind = stat.S_IFMT(status.st_mode)
     return next((word for number, word in _KINDS if number == kind), "something else")

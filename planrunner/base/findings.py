@@ -113,8 +113,8 @@ class Findings:
 
     @contextmanager
     def resting_on(self, *parts: Mark) -> Iterator[None]:
-        """Context manager for checks that assume these parts to be correct. If one of the parts has an error on entry, the findings
-        that are added inside the context are recorded as consequences of the first such error.
+        """Context manager for checks that assume the given parts of the file to be correct. If one of the parts has an error on
+        entry, the findings that are added inside the context are recorded as consequences of the first such error.
 
         A check must therefore run after the checks of the parts on which it depends. A part may also be the mark of a known error.
         """
@@ -126,7 +126,7 @@ class Findings:
             self._cause = before
 
     def error_in(self, *parts: Mark) -> Finding | None:
-        """The first error within these parts, or the cause of that error; None if there is none."""
+        """The first error in one of these parts, or the error from which that error follows; None if there is none."""
         found = next((error for error in self._errors if any(part.covers(error.mark) for part in parts)), None)
         return found if found is None or found.cause is None else found.cause
 
@@ -142,7 +142,7 @@ class Findings:
 
     @property
     def errors(self) -> list[Finding]:
-        """All errors in the order in which they were found, including those that follow from another."""
+        """All errors in the order in which they were found, including those that follow from other errors."""
         return self._errors
 
     def __iter__(self) -> Iterator[Finding]:
@@ -154,7 +154,7 @@ class Findings:
 
 
 class InputError(Exception):
-    """The input is wrong (exit code 2). Carries findings; the command line prints them, never a traceback."""
+    """The input is wrong (exit code 2). It contains findings, which the command line prints without a traceback."""
 
     def __init__(self, findings: Iterable[Finding]):
         self.findings = list(findings)
@@ -162,7 +162,7 @@ class InputError(Exception):
 
     @classmethod
     def of_usage(cls, message: str, hint: str) -> InputError:
-        """The error for contradictory arguments of a command."""
+        """Makes the error for contradictory arguments of a command."""
         return cls.at(COMMAND_LINE, "command-usage", message, hint)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -179,7 +179,8 @@ def count_of(number: int, one: str, several: str = "") -> str:
 
 
 def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
-    """The other lines of a finding, for its message: ' (also on lines 12 and 13)'; empty if the finding concerns a single line."""
+    """Names the other lines that a finding concerns, for its message, such as ' (also on lines 12 and 13)'; empty if the finding
+    concerns only the line of `first`."""
     lines = sorted({mark.line for mark in marks} - {first.line})
     if not lines:
         return ""

@@ -42,8 +42,8 @@ EntryKind = Literal["file", "folder", "other"]
 
 
 class NotOrdinaryError(OSError):
-    """The entry is not a regular file (or folder) with exactly one name and of acceptable size. `strerror` gives the reason, `filename` the
-    path."""
+    """The error for an entry that is not a regular file (or folder) with exactly one name and of acceptable size. `strerror` gives
+    the reason, `filename` the path."""
 
     def __init__(self, path: Path, what: str):
         super().__init__(errno.EPERM, what, str(path))
@@ -54,8 +54,9 @@ class NotOrdinaryError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The entry at a name: its kind and, for a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two
-    names. modified: when the content of the file last changed, in ns since 1970 by the clock of the file system."""
+    """What is known about the entry with a name: its kind and, for a file, its size in bytes. The kind `other` stands for a link, a
+    pipe, a device, or a file with two names. modified: time of the last change of the file's content, in ns since 1970 by the clock
+    of the file system."""
 
     kind: EntryKind
     size: int
@@ -64,8 +65,8 @@ class Entry:
 
 
 class GuardedFolder:
-    """An open folder. path: its name, for messages. All methods take one name, not a path, and raise `OSError`; for an entry that
-    is not a regular file or folder, `NotOrdinaryError`. They raise ValueError for a name that is a path.
+    """An open folder. path: the path of the folder, for messages. All methods take one name, not a path, and raise `OSError`; for
+    an entry that is not a regular file or folder, `NotOrdinaryError`. They raise ValueError for a name that is a path.
 
     The folder is closed by `close` or when the object is deleted.
     """
@@ -96,7 +97,7 @@ class GuardedFolder:
     # -- looking -----------------------------------------------------------------------------------------------------
 
     def entries(self) -> dict[str, Entry]:
-        """Entries by name, in the order of the names."""
+        """The entries of the folder by name, sorted by name."""
         self._check_place()
         found: dict[str, Entry] = {}
         with os.scandir(self.path if self._descriptor is None else self._descriptor) as listed:
@@ -175,7 +176,7 @@ class GuardedFolder:
         return FileIO(descriptor, "w")
 
     def open_or_make(self, name: str, mode: int = 0o644) -> int:
-        """A descriptor of a file that is opened for reading and writing, or only for reading if writing is not permitted. The file
+        """Opens a file for reading and writing, or only for reading if writing is not permitted; returns its descriptor. The file
         is created if it does not exist."""
         where = self._at(_plain(name))
         with contextlib.suppress(FileNotFoundError):
@@ -223,20 +224,20 @@ class GuardedFolder:
     # -- how it is guarded -------------------------------------------------------------------------------------------
 
     def _at(self, name: str) -> str:
-        """A name in the form that system calls need: relative to the open folder, or with the path of the folder if no folder can
-        be opened."""
+        """The name in the form that system calls need: relative to the open folder, or with the folder's path on a system that
+        cannot keep a folder open."""
         return name if self._descriptor is not None else str(self.path / name)
 
     def _status(self, name: str) -> os.stat_result:
         return os.stat(self._at(name), dir_fd=self._descriptor, follow_symlinks=False)
 
     def _check_place(self) -> None:
-        """If the folder itself cannot be kept open, checks that its path still leads to the same folder."""
+        """Checks, on a system that cannot keep a folder open, that the path still leads to the same folder."""
         if self._descriptor is None and _identity(os.stat(self.path)) != self._identity:
             raise NotOrdinaryError(self.path, "the folder was replaced by another while it was in use")
 
     def _open(self, name: str, flags: int, limit: int | None) -> int:
-        """A descriptor of a regular file with one name, and of at most `limit` bytes."""
+        """Opens a regular file that has one name and at most `limit` bytes; returns its descriptor."""
         path = self.path / _plain(name)
         for look in range(_LOOKS):
             self._check_place()

@@ -1,8 +1,9 @@
 """Ends a command on a signal at any time: a short line on standard error and exit code 130, never a traceback.
 
-Ctrl-C, SIGTERM and a closed terminal raise a `KeyboardInterrupt`, so that files being written stay complete. During a run the executor
-handles signals itself (`execution.stopping`). While modules are imported or objects are released, Python may print such an exception and
-continue; it is then raised again. Libraries may replace it by another exception; `reason` then shows what happened.
+Ctrl-C, SIGTERM and a closed terminal raise a `KeyboardInterrupt`, so that files being written stay complete. During a run the
+executor handles signals itself (`execution.stopping`). While modules are imported or objects are released, Python may print the
+`KeyboardInterrupt` and continue; the interrupt is then raised again. Libraries may replace the `KeyboardInterrupt` by another
+exception; `reason` then shows that a signal was the cause.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ class EndedError(KeyboardInterrupt):
 
 
 class Interruption:
-    """A context manager that handles the signals that end a command, if entered in the main thread. Signals that are ignored on purpose, as
-    by `nohup`, stay ignored. reason: the signal in words; empty before one arrives."""
+    """A context manager that handles the signals that end a command. It has an effect only in the main thread. Signals that are
+    ignored on purpose, as by `nohup`, stay ignored. reason: the signal in words; empty as long as none has arrived."""
 
     def __init__(self) -> None:
         self.reason = ""
@@ -67,7 +68,7 @@ class Interruption:
         self._restore.clear()
 
     def tell(self) -> int:
-        """Prints the signal that ended the command and returns the exit code."""
+        """Prints which signal ended the command, and returns the exit code."""
         with contextlib.suppress(OSError, ValueError, AttributeError):  # standard error may be closed
             print(self.reason or "interrupted", file=sys.stderr, flush=True)
         return INTERRUPTED
@@ -103,8 +104,8 @@ class Interruption:
 
 
 def leave_with(code: int) -> None:
-    """Marks the command as finished: a signal during the interpreter's shutdown ends the process at once, with the exit code of the
-    command."""
+    """Marks the command as finished: a signal that arrives while the interpreter shuts down then ends the process at once, with the
+    exit code of the command."""
     for number in signals(ENDING):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, lambda number, frame: os._exit(code))

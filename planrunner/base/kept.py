@@ -1,8 +1,8 @@
 """Caches results of pure functions for later calls with the same content.
 
 Plans of a laboratory share bench, site and positions, and a plan uses the same positions in several estimates. A result that
-depends on these alone is computed once per process. Arrays are compared by their bytes, so only an equal input gives a cached
-result.
+depends only on such shared data is computed once per process. Arrays are compared by their bytes, so a cached result is returned
+only for an equal input.
 """
 
 from __future__ import annotations

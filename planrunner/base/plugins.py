@@ -1,4 +1,5 @@
-"""Plug-ins: instruments and their simulators, estimators, error-model terms and effects, found by name through entry points.
+"""Plug-ins, found by name through entry points: instruments and their simulators, estimators, and terms and effects of the error
+model.
 
 Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. Names are known
 without importing anything; the module of a plug-in is imported when its name is used.
@@ -38,7 +39,7 @@ class _Selectable(Protocol):
 
 @cache
 def _installed() -> _Selectable:
-    """The entry points of all installed distributions. Finding them requires reading files of every distribution."""
+    """The entry points of all installed distributions. This is slow because it reads files of every distribution."""
     from importlib.metadata import entry_points
 
     return entry_points()
@@ -46,7 +47,7 @@ def _installed() -> _Selectable:
 
 @lru_cache(maxsize=8)
 def _own(group: str) -> dict[str, str]:
-    """Maps each name to the place (`module:attribute`) of the project's own plug-in, from one file."""
+    """Maps the name of each of the project's own plug-ins to its place (`module:attribute`), as listed in one file."""
     return {name: place for where, name, place in _entries() if where == group}
 
 
@@ -90,13 +91,13 @@ def _table(group: str) -> dict[str, str]:
 
 
 def _found(place: str) -> object:
-    """The object at `module:attribute`. Extras in brackets after it are ignored."""
+    """Imports the object at `module:attribute`. Extras in brackets after the attribute are ignored."""
     module, _, attribute = place.partition("[")[0].strip().partition(":")
     return reduce(getattr, attribute.split("."), import_module(module))
 
 
 def names(group: str) -> tuple[str, ...]:
-    """The names that are installed in a group, sorted."""
+    """The sorted names of the plug-ins that are installed in a group."""
     return tuple(_table(group))
 
 

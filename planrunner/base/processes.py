@@ -1,8 +1,8 @@
 """Distributes work on many items over several processes.
 
 The items are distributed before the processes start, and each process sends all its results together when it has finished.
-Therefore no process waits for another. If the first process is killed, the other processes end after their share. If another
-process is killed, its pipe closes. This is an error in the first process, never an endless wait.
+Therefore no process waits for another. If the first process is killed, the others end when they have computed their part. If
+another process is killed, its pipe closes. This is an error in the first process, never an endless wait.
 
 A process is a fork where that is safe: on Linux, while this process has a single thread. A fork has everything that this process
 has imported and computed. Elsewhere the process is a new interpreter, whose start takes as long as the work on many items.
@@ -36,11 +36,11 @@ class ProcessEndedError(Exception):
 
 
 class ClusterError(InputError):
-    """The cluster that shares the work cannot be used, for example because no scheduler answers."""
+    """The cluster cannot be used, for example because no scheduler answers."""
 
 
 def processors() -> int:
-    """The processors that this process may use."""
+    """Number of processors that this process may use."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -51,10 +51,11 @@ def shared_out(
 ) -> list[R]:
     """The results of `work` for all items, in their order.
 
-    work: a function of a module, or a `partial` of one, whose argument and result can be pickled. jobs: number of processes
-    including this one; None: as many as the processors allow and the number of items justifies. tell: called in this process after
-    each item of its share, with the completed fraction of the share, 0 to 1. Exceptions of `work` are raised here; if several items
-    fail, the exception of the first one. Raises `ProcessEndedError`.
+    work: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. jobs: number of
+    processes including this one; if it is None, the number depends on the processors and on the number of items. tell: called in
+    this process after each item that it computes, with the completed fraction (0 to 1) of its own items. If `work` raises an
+    exception, it is raised here too; if several items fail, the exception of the first one in the order of the items. Raises
+    `ProcessEndedError` if another process ends early.
     """
     tell = tell or _untold
     method = "fork" if _may_fork() else "spawn"
@@ -79,7 +80,7 @@ def shared_out(
 
 
 def _untold(_: float) -> None:
-    """Does nothing; for work without a display of progress."""
+    """Does nothing; used if nobody wants to know the progress."""
 
 
 def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[[float], None] = _untold) -> list[R]:
@@ -100,7 +101,7 @@ def _is_worker() -> bool:
 
 
 def _may_fork() -> bool:
-    """Whether this process has only one thread; locks that other threads hold would stay locked in a fork."""
+    """Whether this process has only one thread; in a fork, a lock that another thread holds would stay locked."""
     if sys.platform != "linux":
         return False
     try:
@@ -110,7 +111,7 @@ def _may_fork() -> bool:
 
 
 class _Started(Generic[T, R]):
-    """A process with a share of the items. It is ended when the context is left."""
+    """A process that was started to compute a part of the items. It is ended when the context is left."""
 
     def __init__(self, method: str, work: Callable[[T], R], share: Sequence[T]):
         from multiprocessing import get_context
@@ -136,7 +137,8 @@ class _Started(Generic[T, R]):
         self._answer.close()
 
     def results(self) -> list[R]:
-        """The results of its share, up to the first item that failed. Raises `ProcessEndedError`."""
+        """The results of this process for its items, up to the first item that failed. Raises `ProcessEndedError` if the process
+        ended without sending them."""
         try:
             found: list[R] = self._answer.recv()
         except (EOFError, OSError):
@@ -149,7 +151,7 @@ class _Started(Generic[T, R]):
 
 
 def _do(end: Connection, work: Callable[[T], R], share: Sequence[T]) -> None:
-    """Runs in a further process: computes the results of its share and sends them to the first process."""
+    """The main function of a further process: computes the results of its items and sends them to the first process."""
     _leave_ctrl_c_to_the_first_process()
     results = _up_to_a_failure(work, share)
     with contextlib.suppress(BrokenPipeError):  # the first process was killed

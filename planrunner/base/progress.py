@@ -19,8 +19,8 @@ now = monotonic
 
 @dataclass(frozen=True, slots=True)
 class Underway:
-    """A report of progress. what: the work, such as "checking long.csv". fraction: completed part, 0 to 1. time_left: expected
-    remaining real time [s]."""
+    """A report of the progress of some work. what: the work, such as "checking long.csv". fraction: completed part, 0 to 1.
+    time_left: expected remaining real time [s]."""
 
     what: str
     fraction: float
@@ -39,7 +39,7 @@ class Pace:
         self._began = self._shown = now()
 
     def reached(self, amount: float) -> None:
-        """Sets the amount that is done, and reports the progress if a report is due. It can be called often."""
+        """Sets the amount of data that has been processed, and reports the progress if a report is due. It can be called often."""
         if self._notice is None or amount <= 0 or self._amount <= 0:
             return
         time = now()

@@ -21,8 +21,8 @@ _NO_LINK = open_flags("O_NOFOLLOW")
 
 
 class RefusedFileError(Exception):
-    """A file that is refused. kind: the reason in one word; str(): the reason as a sentence without the file name; hint: the
-    remedy."""
+    """The error for a file that is refused. kind: the reason in one word. hint: the remedy. `str()` gives the reason as a sentence
+    without the file name."""
 
     def __init__(self, kind: Refusal, message: str, hint: str):
         super().__init__(message)
@@ -36,11 +36,11 @@ class RefusedFileError(Exception):
 def open_regular(
     path: Path | str, limit: int | None = None, *, folder: int | None = None, links: bool = True
 ) -> BinaryIO:
-    """A regular file, open for reading from its beginning.
+    """Opens a regular file for reading from its beginning.
 
     limit: largest size in bytes, None if the reader sets its own limit. folder: descriptor of the open folder to which `path` is
-    relative, if the system supports this (`os.open in os.supports_dir_fd`). links: whether the last component may be a symbolic
-    link. Raises `RefusedFileError`, never `OSError`.
+    relative, if the system supports this (`os.open in os.supports_dir_fd`). links: True if the last component of the path may be a
+    symbolic link. Raises `RefusedFileError`, never `OSError`.
     """
     try:
         _hold(os.stat(path, dir_fd=folder, follow_symlinks=links), limit)

@@ -44,7 +44,7 @@ class Said(str):
 
     @property
     def formats(self) -> dict[str, str]:
-        """The names in the template, each with the format of its value."""
+        """Maps each name in the template to the format of its value."""
         return formats(self.template) | formats(self.plural)
 
     @property
@@ -84,17 +84,18 @@ def said(template: str, /, **values: Inserted) -> Said:
 
 
 def counted(one: str, many: str, /, count: int, **values: Inserted) -> Said:
-    """The same as `said`, with the first template if `count` is 1, otherwise the second. Both templates can contain `{count}`."""
+    """The same as `said`, with the first template if `count` is 1 and the second template otherwise. Both templates can contain
+    `{count}`."""
     return _made(one, many, {COUNT: count, **values})
 
 
 def formats(template: str) -> dict[str, str]:
-    """The names in a template, each with its format. Raises ValueError for a template that uses other features."""
+    """Maps each name in a template to the format of its value. Raises ValueError for a template that uses other features."""
     return {name: form for _, name, form in _pieces(template) if name is not None}
 
 
 def filled(template: str, shown: Mapping[str, str]) -> str:
-    """The template with the given texts in place of its names."""
+    """The template with each name replaced by the given text."""
     return "".join(text + ("" if name is None else shown[name]) for text, name, _ in _pieces(template))
 
 
@@ -110,7 +111,8 @@ def _english(value: Inserted, form: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _pieces(template: str) -> tuple[tuple[str, str | None, str], ...]:
-    """Splits a template: each text, with the name and the format of the value after it. After the last text there is no name."""
+    """Splits a template into tuples of a text, the name of the value that follows the text, and the format of this value. The name
+    is None after the last text."""
     found: list[tuple[str, str | None, str]] = []
     for text, name, form, conversion in Formatter().parse(template):
         if name is not None and (not name.isidentifier() or conversion or not _FORMAT.fullmatch(form or "")):

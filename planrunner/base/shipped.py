@@ -17,5 +17,5 @@ def shipped(folder: str) -> Path:
 
 
 def shipped_bytes(folder: str, name: str) -> bytes:
-    """The bytes of a file in one of these folders."""
+    """The bytes of a file in one of the shipped folders."""
     return (shipped(folder) / name).read_bytes()

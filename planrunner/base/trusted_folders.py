@@ -26,7 +26,7 @@ OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
 
 
 class UntrustedFolderError(Exception):
-    """Another user could change the contents of a folder. The message gives the place and the reason."""
+    """The error for a folder whose contents another user could change. The message gives the place and the reason."""
 
 
 def this_user() -> int:
@@ -65,8 +65,8 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
 
 
 def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
-    """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. reachable:
-    whether other users can reach the entry."""
+    """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. reachable: True
+    if other users can reach the entry; only then does writability matter."""
     if sys.platform == "win32":
         return
     if known.st_uid not in (user, ADMINISTRATOR):
@@ -78,7 +78,7 @@ def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True
 
 
 def make_private(folder: Path) -> None:
-    """Makes a folder, and missing folders above it, for the user alone. Raises `OSError`."""
+    """Makes a folder, and missing folders above it, accessible to the user alone. Raises `OSError`."""
     for path in (*reversed(folder.parents), folder):
         if not path.exists():
             path.mkdir(mode=0o700, exist_ok=True)
@@ -105,7 +105,7 @@ def _known_folder(number: int) -> Path:  # pragma: no cover (Windows)
 
 
 def _components(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
-    """Every folder and link on the path from the root to `folder`, each with its status."""
+    """Every folder and every link on the path from the root to `folder`, each with its file status."""
     path = Path(os.path.abspath(folder))
     here, ahead, links = Path(path.anchor), list(path.parts[1:]), 0
     yield here, here.lstat()

@@ -19,9 +19,9 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where to compute. jobs: number of processes of this machine, including this one; None: as many as the work justifies.
-    scheduler: address of a Dask scheduler to use instead of processes, such as `tcp://10.0.0.5:8786`. Every worker of the cluster
-    must see the paths among the items under the same names."""
+    """Where to compute. jobs: number of processes on this machine, including this one; if it is None, the number depends on the
+    work. scheduler: address of a Dask scheduler to use instead of processes, such as `tcp://10.0.0.5:8786`. Every worker of the
+    cluster must see the paths among the items under the same names."""
 
     jobs: int | None = None
     scheduler: str | None = None
@@ -41,9 +41,10 @@ def results_of(
 ) -> list[R]:
     """The results of `work` for all items, in their order.
 
-    work: a function of a module, or a `partial` of one, whose argument and result can be pickled. tell: called with the completed
-    fraction, 0 to 1. Exceptions of `work` are raised here; if several items fail, the exception of the first one. Raises
-    `ProcessEndedError` if workers end before the work is done, and `ClusterError` if the cluster cannot be used.
+    work: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. tell: called
+    with the completed fraction of all items, 0 to 1. If `work` raises an exception, it is raised here too; if several items fail,
+    the exception of the first one in the order of the items. Raises `ProcessEndedError` if workers end before the work is done, and
+    `ClusterError` if the cluster cannot be used.
     """
     if workers.scheduler is None:
         return shared_out(work, items, workers.jobs, tell)

@@ -1,4 +1,4 @@
-"""Checks whether a plan can run unattended: prompts on a real bench need an operator at a terminal."""
+"""Checks whether a plan can run unattended: on a real bench, prompts need an operator at a terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from planrunner.plan.schedule import Schedule
 
 
 def check_unattended(bench: Bench, schedule: Schedule, log: Findings) -> None:
-    """Adds an error at every prompt if no operator is present. A simulated bench has no prompts."""
+    """Adds an error for every prompt of the plan if no operator is present. On a simulated bench nothing is added, because nobody
+    is asked there."""
     if runs_on_virtual_clock(bench):
         return
     seen = set()

@@ -1,5 +1,5 @@
 """Calibrations of the parts of a bench: the record, the checks of its dates, and the check that it is valid on the day of a run.
-Also the record of the laboratory of the bench, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
+The module also has the record of the bench's laboratory as calibration certificates name it (ISO/IEC 17025:2017, 7.8).
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ class Calibration(Record):
 
     @property
     def words(self) -> str:
-        """Certificate and laboratory, as the source of a stated uncertainty."""
+        """Names the certificate and the laboratory, as the source of a stated uncertainty."""
         return self.certificate + (f" ({self.laboratory})" if self.laboratory else "")
 
 
 def check_dates(calibration: Calibration, log: Findings) -> None:
-    """Adds errors for dates that do not exist, and for a due date before the calibration."""
+    """Adds errors for dates that do not exist, and for a due date that precedes the calibration."""
     made, due = parsed_day(calibration.date), parsed_day(calibration.due)
     for name, stated, day in (("date", calibration.date, made), ("due", calibration.due, due)):
         if day is None and stated is not None:
@@ -53,7 +53,7 @@ def check_dates(calibration: Calibration, log: Findings) -> None:
 def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date, seconds: float, log: Findings) -> None:
     """Adds findings for calibrations that are invalid on the day of a run or expire soon.
 
-    calibrations: pairs of the name of a calibrated object and its calibration; seconds: planned duration of the run. Invalid dates
+    calibrations: pairs of the name of an object and the object's calibration. seconds: planned duration of the run. Invalid dates
     are skipped; `check_dates` reports them.
     """
     lasts = math.ceil(seconds / 86400)  # days; added to today they may be beyond the calendar
@@ -81,7 +81,7 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
 
 
 def parsed_day(text: str | None) -> date | None:
-    """A calendar date; None if the text is not a date."""
+    """The calendar date that a text states; None if the text is not a date."""
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:

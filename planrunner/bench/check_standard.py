@@ -35,7 +35,7 @@ class CheckedCoefficient(Record):
 
 
 class CheckStandardRule(Record):
-    """The check standard of a bench. While it is not in control, other plans do not run on the bench."""
+    """The check standard of a bench. While the check standard is not in control, other plans do not run on the bench."""
 
     device: str = key(
         Text(LINE, "a serial number"), "Serial number of the check standard (`device_serial`).", "CS-01", fallback=""
@@ -94,7 +94,7 @@ class CheckStandardRule(Record):
         return Path(self.plan).stem
 
     def measured_by(self, plan_name: str, info: Mapping[str, object]) -> bool:
-        """Whether a run measures the check standard itself. info: the run information."""
+        """Whether a run with this plan and this run information measures the check standard itself."""
         return plan_name == self.plan_name and device_of(info) == self.device
 
 

@@ -1,4 +1,4 @@
-"""Clocks: simulated and real time with the same methods, so that the executor need not know which one it uses."""
+"""Clocks: simulated time and real time have the same methods, so that the executor need not know which one it uses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class VirtualClock:
         self._now = start
 
     def now(self) -> float:
-        """Seconds since the run began."""
+        """Simulated seconds since the run began."""
         return self._now
 
     def sleep(self, seconds: float) -> None:
@@ -25,14 +25,14 @@ class VirtualClock:
         self._now = seconds
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
-        """Does nothing, because a sleep takes no real time."""
+        """Accepts a callback and ignores it, because sleeping takes no real time."""
 
 
 class WallClock:
-    """Real time. It is monotonic: it does not jump when the computer's clock is set.
+    """A clock of real time. It is monotonic: it does not jump when the computer's clock is set.
 
-    A sleep is interruptible: about every `slice` seconds the callback given to `attend` is called, and the sleep ends early when it returns
-    True. speed: seconds of this clock per second of real time, for a bench whose simulated instruments run faster.
+    A sleep is interruptible: about every `slice` seconds it calls the callback given to `attend`, and it ends early if the callback
+    returns True. speed: seconds of this clock per second of real time, for a bench whose simulated instruments run faster.
     """
 
     def __init__(self, slice: float = 0.1, speed: float = 1.0):
@@ -42,7 +42,7 @@ class WallClock:
         self._attend: Callable[[], bool] | None = None
 
     def now(self) -> float:
-        """Seconds since the run began, without the time during which it was interrupted."""
+        """Seconds since the run began, not counting the time during which the run was interrupted."""
         return (time.monotonic() - self._origin) * self.speed
 
     def sleep(self, seconds: float) -> None:
@@ -57,5 +57,5 @@ class WallClock:
         self._origin = time.monotonic() - seconds / self.speed
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
-        """Sets a callback that is called during sleeps and returns whether to end the sleep. None: no callback."""
+        """Sets a callback that is called during sleeps; if it returns True, the sleep ends. None removes the callback."""
         self._attend = callback

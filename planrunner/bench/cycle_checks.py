@@ -1,4 +1,5 @@
-"""Checks of a cycle of turns and stops: requirements on the table axis, and the residual of a horizontal sensor error.
+"""Checks of a cycle of turns and stops: whether the table axis can execute it, and how much of a constant sensor error in the
+horizontal plane it leaves.
 
 A cycle that cancels constant errors has zero residual over its stops, zero residual over its turns, and a mean angle of zero. The figures
 come from `planrunner.physics.rotation_cycle`.
@@ -29,9 +30,9 @@ _DESIGN = "`planrunner design` finds cycles without a residual"
 def check_cycle(
     axis: TableAxis, starts: Sequence[float], motion: Cycle, dwell: float | None, site: Site, at: MarkOf, log: Findings
 ) -> tuple[float, float]:
-    """Adds findings about a cycle that begins while the joint is at the first of `starts` [rad], or possibly at another of them.
-    Returns, for a beginning at the first of `starts`, the angle [rad] of the joint at rest after the dwell and the time [s] to come
-    to rest."""
+    """Adds findings about a cycle of the table that begins at the first of `starts` [rad], the possible joint angles. Also checks
+    whether the cycle exceeds a limit if it begins at another of these angles. Returns the angle [rad] at which the joint rests
+    after the dwell, and the time [s] to come to rest, both for a beginning at the first angle."""
     start = starts[0]
     excess = next(filter(None, (cycle_excess(axis, begin, motion) for begin in starts)), [])
     for one in excess:
@@ -84,7 +85,7 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
 
 
 def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
-    """Reports stops that last longer than the stops on the opposite side."""
+    """Adds a warning about stops whose total time in a cycle is longer than that of the stops on the opposite side."""
     angles = {name: round(math.degrees(angle) % 360, 6) % 360 for name, angle in motion.positions.items()}
     names: dict[float, str] = {}
     held: dict[float, float] = {}
@@ -127,8 +128,8 @@ def _check_whole(cycle: RotationCycle, dwell: float, mark: Mark, log: Findings) 
 
 
 def seconds_of_error(left: complex) -> str:
-    """States a residual in words: the component in the direction of the sensor error and, if not zero, the component perpendicular
-    to it (positive to the left, seen from above)."""
+    """States in words what remains of a sensor error after a cycle: the component in the direction of the error and, if not zero,
+    the component perpendicular to it (positive to the left, seen from above)."""
     across = f"{left.imag:+.2f} s across" if abs(left.imag) > 5e-3 else ""
     if abs(left.real) <= 5e-3:
         return across or "0 s"

@@ -1,7 +1,7 @@
 """Usual limits of the constant errors of inertial sensors, by the grade of the sensor.
 
-If the bench file declares no limits, a diagnosis compares its results with the limits given here. This is necessary because the
-simulation fits biases and scale factors: even a very large value leaves no gap between simulation and measurement.
+If the bench file declares no limits, a diagnosis compares its results with the limits given here. This comparison is necessary
+because the simulation fits biases and scale factors: even a very large value leaves no gap between simulation and measurement.
 
 Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed.,
 2013, table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to
@@ -22,7 +22,7 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 
 
 class Sense(Enum):
-    """The quantity measured by the sensor to which a term belongs."""
+    """The quantity that a sensor measures, which decides which limits apply."""
 
     RATE = "angular rate"
     FORCE = "specific force"
@@ -43,8 +43,8 @@ SENSES: Mapping[str, Sense] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Grade:
-    """Usual limits of one grade. quietest: smallest usual white noise: of a gyro, angle random walk in deg/√h; of an accelerometer,
-    one-sided density in µg/√Hz. usual: usual limits of the terms of `SENSES`, in the order of `SENSES`."""
+    """Usual limits of one grade. quietest: smallest usual white noise; for a gyro, the angle random walk in deg/√h, and for an
+    accelerometer, the one-sided density in µg/√Hz. usual: usual limit of each term in `SENSES`, in the order of `SENSES`."""
 
     name: str
     quietest: Mapping[Sense, float]
@@ -71,5 +71,5 @@ GRADE_NAMES = tuple(grade.name for grade in GRADES)
 
 
 def grade_of(sense: Sense, noise: float) -> Grade:
-    """The lowest grade in which such low noise is usual. noise: in the form of `Grade.quietest`."""
+    """The lowest grade in which sensors with such low noise are usual. noise: the white noise in the unit of `Grade.quietest`."""
     return next(grade for grade in reversed(GRADES) if grade.quietest[sense] <= noise)

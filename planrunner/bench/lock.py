@@ -1,9 +1,10 @@
-"""One run per bench: all processes of the computer lock every real instrument, under all names of its address.
+"""Ensures that only one run uses a bench: a process locks every real instrument, under all names of its address, against all other
+processes of the computer.
 
-Locks are files in one folder of the computer, which does not depend on the folder for temporary files of a process. The operating system
-releases them when a process ends for any reason. Besides the lock of the run there is a lock of its watchdog, taken before the first
-instrument is connected. If a run is killed, no other run gets the bench until the watchdog has made it safe. Locks have no effect on a
-second computer that uses the same instrument.
+Locks are files in one folder of the computer, which does not depend on the folder for temporary files of a process. The operating
+system releases them when a process ends for any reason. The watchdog of a run has a lock of its own, taken before the first
+instrument is connected. If a run is killed, no other run gets the bench until the watchdog has made it safe. Locks have no effect
+on a second computer that uses the same instrument.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ RESCUE_PATIENCE = 30.0
 def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[None]:
     """Locks the bench's real instruments. A bench without real instruments needs no lock.
 
-    shown: name of the bench file, for messages; purpose: why the bench is locked, shown to others who want to use it. Raises
-    `InputError` if another process holds one of the instruments. Waits for the watchdog of a run that has ended.
+    shown: name of the bench file, for messages. purpose: why the bench is locked, for the message to others who want to use it.
+    Raises `InputError` if another process holds one of the instruments. Waits for the watchdog of a run that has ended.
     """
     instruments = _names(bench)
     with ExitStack() as stack:
@@ -65,7 +66,8 @@ def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[Non
 
 @contextmanager
 def watchdog_lock(bench: Bench, shown: str) -> Iterator[None]:
-    """Locks the bench's real instruments against every other run while the watchdog of this run exists. Raises `InputError`."""
+    """Locks the bench's real instruments against every other run while the watchdog of this run exists. Raises `InputError` if
+    another process holds one of these locks."""
     with ExitStack() as stack:
         _hold_all(
             stack, _names(bench), "watchdog", shown, "the watchdog of another run, which is making the bench safe"
@@ -74,7 +76,7 @@ def watchdog_lock(bench: Bench, shown: str) -> Iterator[None]:
 
 
 class InUseError(InputError):
-    """Another process holds an instrument."""
+    """The error for an instrument that another process holds."""
 
 
 def lock_folder() -> Path:
@@ -115,8 +117,8 @@ def _named(folder: Path) -> Path:
 
 
 def _names(bench: Bench) -> Mapping[str, str]:
-    """Maps every name of the address of every real instrument to the address as written in the bench file. The order is the same
-    for all runs, so that two runs never wait for each other."""
+    """Maps every name under which a real instrument can be addressed to the address as written in the bench file. The order is the
+    same for all runs, so that two runs never wait for each other."""
     if runs_on_virtual_clock(bench):
         return {}
     found: dict[str, str] = {}
@@ -132,7 +134,7 @@ def _names(bench: Bench) -> Mapping[str, str]:
 
 
 def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown: str, purpose: str) -> None:
-    """Takes all locks of one kind, or none of them; closing the stack releases them."""
+    """Takes all locks of one kind, or none if one of them is held elsewhere; closing the returned stack releases them."""
     if not instruments:
         return
     folder = _usable_folder(shown)

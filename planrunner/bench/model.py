@@ -274,11 +274,12 @@ class Bench(Record):
 
 @dataclass(frozen=True, slots=True)
 class BenchModels:
-    """Properties of a bench that are known without connecting to it.
+    """Properties of a bench that are known without connecting to its instruments.
 
     replays: the sensor plays back a recording, so orientations, rates and temperatures come from the recording and need no table or
-    chamber. measures: whether some instrument has live readings. counts: whether the sensor counts its lost and corrupt frames.
-    With simulated time, `measures` and `counts` are True. origin: source of the samples.
+    chamber. measures: True if at least one instrument has live readings. counts: True if the sensor counts its lost and corrupt
+    frames. With simulated time, `measures` and `counts` are True. origin: whether the samples are simulated, played back or
+    measured.
     """
 
     site: Site
@@ -312,7 +313,7 @@ def site_of(bench: Bench) -> Site:
 
 
 def models(bench: Bench) -> BenchModels:
-    """The models that the bench's drivers declare, limited by the bench's protection."""
+    """The models of the bench's instruments that its drivers declare, restricted by the limits of `protection`."""
     drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}
     table, chamber, sensor = None, None, None
     for name, driver in drivers.items():
@@ -334,8 +335,8 @@ def models(bench: Bench) -> BenchModels:
 
 
 def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool) -> DataOrigin:
-    """The origin of the samples. It is simulated if at least one instrument is simulated, in this program (which restores the state
-    of the instrument after a crash) or in a process behind the address of the instrument."""
+    """The origin of the bench's samples. It is simulated if at least one instrument is simulated, in this program (which restores
+    the state of the instrument after a crash) or in a process behind the address of the instrument."""
     inside = any(issubclass(driver, Resumable) and not issubclass(driver, PlaysBack) for driver in drivers)
     if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
         return "simulated"
@@ -357,7 +358,8 @@ def _virtual(bench: Bench, replays: bool) -> bool:
 
 
 def safe_order(bench: Bench) -> tuple[str, ...]:
-    """Names of the instruments in the order in which they are made safe: as declared; by default table, chamber, others."""
+    """Names of the instruments in the order in which they are made safe. This is the order stated in the bench; by default, the
+    table comes first, then the chamber, then all others."""
     if bench.safe_order:
         return bench.safe_order
     ranks = {"table": 0, "chamber": 1}
@@ -368,7 +370,7 @@ def safe_order(bench: Bench) -> tuple[str, ...]:
 
 
 def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, bytes, str]:
-    """Reads a bench; returns it with the exact bytes of its file and the name of the file in findings.
+    """Reads a bench; returns the bench, the exact bytes of its file, and the file name that findings state.
 
     A bare word names a shipped bench. Anything else is a file, relative to the folder `beside`. Raises `InputError` with every finding in
     the file.
@@ -386,7 +388,8 @@ def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, by
 
 @lru_cache(maxsize=16)
 def bench_of(data: bytes, shown: str) -> Bench:
-    """The bench in a file's bytes, cached because many plans name the same bench. Raises `InputError`."""
+    """The bench that a file's bytes describe, cached because many plans name the same bench. Raises `InputError` if the file
+    contains an error."""
     bench, log = parse_bench(source.parse(source.decode(data, shown), shown))
     if bench is None or log.errors:
         raise InputError(log)
@@ -394,7 +397,7 @@ def bench_of(data: bytes, shown: str) -> Bench:
 
 
 def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:
-    """The bench in a document, as far as it can be read, and findings about it."""
+    """Reads the bench in a document as far as possible; returns the bench and the findings about it."""
     log = Findings()
     if root.get("planrunner_bench") is None and root.get("planrunner") is not None:
         log.error(
@@ -443,7 +446,7 @@ def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
 
 
 def _check(bench: Bench, log: Findings) -> None:
-    """Checks requirements that concern several keys."""
+    """Checks requirements that concern several keys of a bench together."""
     if abs(bench.site.latitude.value) > math.pi / 2 + 1e-12:
         log.error(
             "meaning-range",

@@ -1,4 +1,4 @@
-"""Checks of a motion against the table and the sensor's sampling, with the time to start the motion and to come to rest.
+"""Checks a motion against the table and the sensor's sampling, and computes the time to start the motion and to come to rest.
 
 Spins and rocking are checked here; cycles of turns and stops in `planrunner.bench.cycle_checks`. The limits of the axes are checked by
 `planrunner.physics.table_motion`, which the tables use too.
@@ -30,8 +30,9 @@ WHOLE_TURN_TOLERANCE = 100e-6
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """How long a motion is held. settle, dwell: s; dwell is None for the length of a recording. sampled: sample rate, Hz; None if
-    the sensor is not known. sooner: time [s] by which settling may end before `settle`, if it depends on measurements."""
+    """How long a motion is held. settle: planned settling time [s]. dwell: s; None if the dwell lasts as long as the recording.
+    sampled: sample rate, Hz; None if the sensor is not known. sooner: if measurements can end the settling early, the time [s] that
+    this can save; otherwise 0."""
 
     settle: float
     dwell: float | None
@@ -48,11 +49,11 @@ def start_motion(
     at: MarkOf,
     log: Findings,
 ) -> tuple[float, TableState]:
-    """Time [s] until the table is in motion, and its state after the dwell. A motion that the table cannot execute becomes a
-    finding at the place of the motion in the plan.
+    """Time [s] until the table is in motion, and the state of the table after the dwell. A motion that the table cannot execute
+    becomes a finding at the place of the motion in the plan.
 
-    input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: gives
-    the mark of one of the motion's keys, or, for an empty key, the mark of the motion.
+    input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: returns
+    the mark of one of the motion's keys in the plan or, for an empty key, the mark of the whole motion.
     """
     table, mark = models.table, at("")
     if isinstance(motion, Rest):
@@ -121,7 +122,7 @@ def no_table(what: str, mark: Mark, log: Findings) -> None:
 
 
 def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
-    """Adds an error at the mark for each motion that the axes cannot execute."""
+    """Adds an error at the mark for each limit of an axis that a motion exceeds."""
     for one in excess:
         if one.kind == "rings":
             log.error("physics-axes", mark, one.message, "give at most one phase for each ring")
@@ -192,7 +193,8 @@ def _spin(
 def _elsewhere(
     table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
 ) -> list[Excess]:
-    """Limits of the axes that the spin exceeds only if it begins at another angle at which the table may be."""
+    """The limits of the axes that a spin exceeds if it begins at one of the other angles at which the table may be instead of the
+    planned one."""
     # The angle of a continuous innermost axis makes no difference to a spin.
     matter = len(table.axes) - 1 if table.axes[-1].continuous else len(table.axes)
     starts = {start[:matter].tobytes(): start for start in state.starts()[1:]}
@@ -218,8 +220,8 @@ def _perhaps(excess: Sequence[Excess]) -> list[Excess]:
 def _whole_turns(
     motion: Spin, dwell: float, input_axes: Array | None, models: BenchModels, mark: Mark, log: Findings
 ) -> None:
-    """Warns if an incomplete turn biases the mean of the samples. The Earth rate causes this bias for an input axis that is not
-    parallel to the rotation axis."""
+    """Warns if the spin ends with an incomplete turn that biases the mean of the samples. The Earth rate causes this bias for an
+    input axis that is not parallel to the rotation axis."""
     turns = abs(motion.rate) * dwell / (2 * math.pi)
     if abs(turns - round(turns)) < 1e-3 or input_axes is None:
         return
@@ -239,7 +241,7 @@ def _whole_turns(
 
 
 def mean_left(turns: float) -> float:
-    """The largest possible mean of a sine wave of amplitude one over this many turns, over all starting angles.
+    """The largest possible mean, over all starting angles, of a sine wave of amplitude one during this number of turns.
 
     (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN): at most |sin πN|/(πN), and zero after whole turns.
     """

@@ -1,8 +1,8 @@
 """The connected bench: its instruments by role and name, its clock, and the way to make it safe.
 
-Only the instruments that this process took control of are made safe. Connecting is not commanding, and an instrument that someone else
-started must not be stopped. Making safe tries each instrument in the bench's order, even if others fail. Connecting stops at the first
-instrument that fails and releases those already connected.
+Only the instruments that this process took control of are made safe. Connecting to an instrument does not count as commanding it:
+an instrument that someone else started must not be stopped. Making safe tries each instrument in the bench's order, even if others
+fail. Connecting stops at the first instrument that fails and releases those already connected.
 
 For a run the bench is locked against other runs, guarded by a watchdog, connected, and finally made safe, in this order. Without
 real instruments the bench needs neither lock nor watchdog.
@@ -36,12 +36,12 @@ from planrunner.physics.earth import Site
 
 
 class NotSafeError(InstrumentError):
-    """Something on the bench could not be brought to its safe state."""
+    """The error for a bench on which something could not be brought to its safe state."""
 
 
 @dataclass(frozen=True, slots=True)
 class SafetyFailure:
-    """An instrument that could not be made safe or closed, and the reason."""
+    """An instrument that could not be made safe or disconnected, and the reason."""
 
     instrument: str
     message: str
@@ -51,10 +51,11 @@ class SafetyFailure:
 
 
 class OpenBench:
-    """A bench whose instruments are connected. A context manager: on exit, the controlled instruments are made safe, then all are closed.
+    """A bench whose instruments are connected. It is a context manager: on exit, it makes the controlled instruments safe and then
+    disconnects all instruments.
 
     table, chamber, sensor: the instrument of that role, or None. instruments: all instruments by name. limits: descriptions of the
-    limits that the instruments enforce themselves. watchdog: the watchdog of a guarded bench. safe: whether the last attempt
+    limits that the instruments enforce themselves. watchdog: the watchdog of a guarded bench. safe: True if the last attempt
     brought all controlled instruments to their safe state.
     """
 
@@ -151,7 +152,7 @@ class OpenBench:
 
 
 def real_clock(bench: Bench) -> WallClock:
-    """A real-time clock, or the clock of the process that simulates the bench."""
+    """A clock of real time; if a separate process simulates the bench, a clock at the speed of that process."""
     if bench.simulation is None:
         return WallClock()
     drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}

@@ -18,7 +18,7 @@ SHORTEST_SILENCE, LONGEST_SILENCE = 5.0, 3600.0
 
 
 class Protection(Record):
-    """Limits of the bench. Limits that are not stated come from the keys of each instrument."""
+    """Limits of the bench. A limit that is not stated here comes from the keys of the instrument."""
 
     rate: Quantity | None = optional(
         QuantityOf("angular rate", "positive"), "Largest rate of any axis of the table.", "320 deg/s"
@@ -60,7 +60,7 @@ PROTECTION = RecordOf(Protection, _check)
 
 
 def kept_table(table: TableModel, protection: Protection) -> TableModel:
-    """The table with the limits that plans must observe."""
+    """The table with its limits lowered to those of the protection, which plans must observe."""
     rate = math.inf if protection.rate is None else protection.rate.value
     acceleration = math.inf if protection.acceleration is None else protection.acceleration.value
     axes = tuple(
@@ -75,7 +75,7 @@ def kept_table(table: TableModel, protection: Protection) -> TableModel:
 
 
 def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
-    """The chamber with the limits that plans must observe."""
+    """The chamber with its temperature range narrowed to that of the protection, which plans must observe."""
     coldest, hottest = protection.coldest, protection.hottest
     return replace(
         chamber,
@@ -85,7 +85,7 @@ def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
 
 
 def own_limits(protection: Protection) -> OwnLimits:
-    """The limits that the instruments must enforce."""
+    """The limits of the protection that the instruments themselves must enforce."""
 
     def si(quantity: Quantity | None) -> float | None:
         return None if quantity is None else quantity.value

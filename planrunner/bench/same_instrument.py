@@ -45,7 +45,7 @@ def _of_host(host: str, where: str) -> frozenset[str]:
 
 
 def _addresses(host: str) -> set[str]:
-    """All network addresses of a host."""
+    """All network addresses that belong to a host."""
     try:
         found = {str(entry[4][0]).partition("%")[0] for entry in socket.getaddrinfo(host, None)}
     except (OSError, UnicodeError):
@@ -67,7 +67,7 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """All names of a serial port. numbered: whether a plain number is the number of a Windows port."""
+    """All names of a serial port. numbered: True if a plain number is the number of a Windows port."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":
@@ -87,13 +87,13 @@ def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
 
 
 def windows_port(name: str, numbered: bool = False) -> frozenset[str]:
-    r"""The name of a Windows port: `\\.\com3`, `COM3` and, in a VISA resource, `3` are one port."""
+    r"""One name for a Windows port that can be written as `\\.\com3`, as `COM3` or, in a VISA resource, as `3`."""
     plain = name.upper().removeprefix("\\\\.\\")
     return frozenset({f"COM{plain}" if numbered and plain.isdecimal() else plain})
 
 
 def _calling_out(path: str) -> str:
-    """The device of macOS for outgoing calls. macOS has two devices for each port, and the other one waits for a carrier."""
+    """The macOS device for outgoing calls of the same port. macOS has two devices for each port; the other one waits for a carrier."""
     return path.replace("/dev/tty.", "/dev/cu.", 1)
 
 

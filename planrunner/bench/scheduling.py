@@ -1,7 +1,7 @@
 """Makes a schedule from a plan and a bench: computes transitions and checks every state against the capabilities of the bench.
 
-The findings added here concern physics: reach and sampling. Motions are checked in `planrunner.bench.motion_checks`, temperatures in
-`planrunner.bench.temperature_checks`.
+The findings that are added here concern physics: what the bench can reach, and how it is sampled. Motions are checked in
+`planrunner.bench.motion_checks`, temperatures in `planrunner.bench.temperature_checks`.
 
 Settling conditions and limits are converted to SI units and checked against the measurements that the bench offers. On a simulated clock
 nothing is measured: a simulated state is steady when its instrument reports it.
@@ -35,7 +35,7 @@ Add = Callable[[str, Mark, str, str], None]
 
 
 def wait_of(stated: Quantity | StabilitySpec | None) -> tuple[float, Stability | None]:
-    """Planned time [s] of a `settle` or `soak`, and the quantities that must have settled afterwards, if the plan names any."""
+    """Planned time [s] of a `settle` or `soak`, and the condition of stability if the plan states one (otherwise None)."""
     if not isinstance(stated, StabilitySpec):
         return (0.0 if stated is None else stated.value), None
     duration = stated.for_.value
@@ -56,7 +56,8 @@ def watch_of(stated: WatchSpec | None) -> Watch | None:
 
 
 def check_measured(state: State, marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
-    """Adds an error for each limit on a quantity that no instrument of the bench can measure. add: takes code, place, message and hint."""
+    """Adds an error for each limit on a quantity that no instrument of the bench can measure. add: a function that adds a finding,
+    given its code, place, message and hint."""
     for name, stated in (("soak", state.soak), ("settle", state.settle), ("watch", state.watch)):
         if isinstance(stated, Tolerated) and stated.stated() and not models.measures:
             message = f"no instrument of this bench has live readings of {', '.join(stated.stated())}"
@@ -102,7 +103,7 @@ MOST_SAMPLES = 10_000_000_000
 
 
 def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:
-    """Checks that planning can continue with a schedule of this size. Adds findings if the schedule takes more than a year or gives
+    """Whether planning can continue with a schedule of this size. Adds findings if the schedule takes more than a year or gives
     more samples than can be stored."""
     if not schedule.segments:
         return True
@@ -134,14 +135,14 @@ def _days(seconds: float) -> str:
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
-    """The place of the first of the segments that all lack a key, and a message about the key. segments: label of each segment, by
-    its place."""
+    """The place of the finding about segments without a required key, and its message, which names the first of these segments.
+    segments: maps the place of each segment to its label."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 
 
 class _Planner:
-    """Follows the bench from state to state."""
+    """Follows the state of the bench from segment to segment while a schedule is made."""
 
     def __init__(self, models: BenchModels, log: Findings, mounting: Mapping[str, model.MountedAxis]):
         self.models = models
@@ -226,7 +227,7 @@ class _Planner:
         )
 
     def report_missing(self) -> None:
-        """Adds one finding for each missing key, regardless of the number of segments: a key missing in `defaults` is missing in
+        """Adds one finding for each missing key, however many segments lack it: a key that is missing in `defaults` is missing in
         all of them."""
         if self._without_orientation:
             hint = "add for example `orientation: {x: up, y: north, z: west}` there or to `defaults`, or `orientation: unknown`"
@@ -236,7 +237,8 @@ class _Planner:
             self.log.error("meaning-no-dwell", *_lacking(self._without_dwell, "dwell"), hint)
 
     def return_time(self) -> float:
-        """Time from the last segment to the safe state: the chamber back at ambient, the table at rest at its position."""
+        """Time [s] from the end of the last segment to the safe state, in which the chamber is at ambient temperature and the table
+        at rest."""
         return max(self.state.stopping, self.temperatures.return_time())
 
     # -- keys of a segment ---------------------------------------------------------------------------------------------
@@ -307,7 +309,7 @@ class _Planner:
             self._once("physics-mode", item.marks["mode"], f"the sensor of this bench has no mode '{mode}'", hint)
 
     def _check_surroundings(self, item: StatedSegment) -> None:
-        """Adds a warning about a supply voltage or a pressure that changes although no prompt asks for the change."""
+        """Adds a warning if the supply voltage or the pressure changes without a prompt that asks for the change."""
         for key in ("supply_voltage", "ambient_pressure"):
             stated = getattr(item.state, key)
             before = self._surroundings.setdefault(key, stated)
@@ -375,7 +377,7 @@ class _Planner:
         return stopping + seconds
 
     def _sampled(self, item: StatedSegment) -> float | None:
-        """Sample rate, Hz; None if the sensor is not known."""
+        """Sample rate [Hz] of a segment; None if the sensor is not known."""
         rate, sensor = item.state.sample_rate, self.models.sensor
         if rate is not None:
             return rate.value

@@ -14,7 +14,7 @@ MOST = 20
 
 
 class ApprovalRule(Record):
-    """Approvals that a plan needs before it may run on this bench. A rule that is not stated has no effect."""
+    """Approvals that a plan needs before it may run on this bench. An approval that the rule does not state is not needed."""
 
     keys: str = key(
         Text(rf"{_PART}(/{_PART}){{0,4}}", "a file in the folder of the bench file or in a folder of it"),
@@ -68,7 +68,7 @@ class SigningSpec(Record):
 
 
 class TimeStampsSpec(Record):
-    """A time stamp authority."""
+    """The authority that issues the time stamps of the bench."""
 
     url: str = key(
         Text(r"https?://[^\x00-\x20]{1,300}", "an address that begins with http:// or https://"),
@@ -89,7 +89,7 @@ class TimeStampsSpec(Record):
 
 
 def check_stamps(spec: TimeStampsSpec, log: Findings) -> None:
-    """Adds an error for a certificate that cannot be read."""
+    """Adds an error if the authority's certificate cannot be read."""
     from cryptography.x509 import load_pem_x509_certificates
 
     try:

@@ -1,5 +1,4 @@
-"""A bench whose instruments are simulated by a separate process: the virtual bench behind the addresses, and requests to that
-process.
+"""A bench that a separate process simulates at the addresses in the bench file, and the requests to that process.
 
 A run on such a bench uses the clock of the process, which may run faster than real time. Real instruments never answer at these addresses,
 so nothing real is ever controlled by such a clock.
@@ -42,8 +41,8 @@ class SimulationSpec(Record):
 
 
 def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> JsonObject:
-    """Sends one request to a simulated bench and returns the answer. token: the token in the readiness file of the bench, for
-    requests that change something. Raises `InstrumentError` if nothing answers or the request is refused."""
+    """Sends one request to a simulated bench and returns the answer. token: the token in the readiness file of the simulated bench;
+    requests that change something need it. Raises `InstrumentError` if nothing answers or the request is refused."""
     import json
     import socket
 
@@ -64,8 +63,9 @@ def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> 
 
 
 def attach(simulation: SimulationSpec, addresses: Mapping[str, str]) -> WallClock:
-    """A clock at the speed of the simulated bench. addresses: addresses of the bench's instruments, by name. Raises
-    `InstrumentError` if the process does not run or does not serve all of them."""
+    """Checks that the process of the simulated bench serves every instrument at its address, and returns a clock at the speed of
+    that process. addresses: address of each instrument, by its name in the bench. Raises `InstrumentError` if the process does not
+    answer or an instrument has another address there."""
     told = ask(simulation.control, {"ask": "bench"})
     for name, address in addresses.items():
         served = told["addresses"].get(name)

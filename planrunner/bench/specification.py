@@ -36,7 +36,8 @@ class Specification(Record):
     )
 
     def limits(self) -> Mapping[str, Quantity]:
-        """Maps each term of the nominal model to its upper limit, from the key of the term or else from the grade."""
+        """Maps each term of the nominal model to its upper limit. This is the limit that the key of the term states; without it,
+        the usual limit of the grade."""
         usual = {name: limit for grade in GRADES if grade.name == self.grade for name, limit in grade.limits().items()}
         stated = {
             "gyro_bias": self.gyro_bias,

@@ -1,5 +1,5 @@
-"""Where a table may be: its planned joint angles, the possible deviations after a motion, and the consequences for the next
-orientation.
+"""Describes where a table may be: its planned joint angles, their possible deviations after a motion, and the consequences for the
+next orientation.
 
 The angle at which a motion ends is known only approximately: the computer ends the motion with some delay, and the rate has an
 error. If two ways to the next orientation take almost equally long, the deviation of the angle decides which way the table takes.
@@ -33,9 +33,9 @@ _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this
 class TableState:
     """State of the table: joint angles [rad], outermost first, and the time [s] to come to rest.
 
-    roughly: index of a joint that stopped after a motion and stays only approximately at its angle until the next orientation; None
-    if every joint is at its commanded angle. below, above: largest deviations [rad] of each joint from `joints`, negative and
-    positive; empty if the angles are exact. others: further joint angles at which the table may be instead.
+    roughly: index of a joint that a motion has left at an angle known only approximately; None if every joint is at its commanded
+    angle. below, above: largest negative and positive deviation [rad] of each joint from `joints`; empty if the angles are exact.
+    others: other joint angles at which the table may be instead of `joints`.
     """
 
     joints: Array
@@ -50,17 +50,17 @@ class TableState:
         return replace(self, stopping=0.0) if self.stopping else self
 
     def starts(self) -> list[Array]:
-        """Joint angles from which the next motion may begin, the planned ones first."""
+        """Joint angles at which the table may be when the next motion begins, the planned ones first."""
         centres = [self.joints, *self.others]
         grids = {grid.tobytes(): grid for grid in map(self._around, centres)}
         return centres + [start for grid in grids.values() for start in grid]
 
     def _around(self, centre: Array) -> Array:
-        """Joint angles (n, joints) [rad] at which the table may be instead of `centre`, spaced closely enough to include each
-        possible choice between two ways.
+        """Joint angles (n, joints) [rad] at which the table may be instead of `centre`. They are spaced closely enough to include
+        each possible choice between two ways to an orientation.
 
-        For a continuous joint that may be at any angle, the same angles are tried whatever its planned angle is, so that the moves
-        from them are computed once.
+        A continuous joint that may be at any angle gets the same angles whatever its planned angle is, so that the moves from them
+        are computed only once.
         """
         if not self._inexact:
             return np.empty((0, len(centre)))
@@ -74,8 +74,8 @@ class TableState:
     def ended(
         self, axes: Sequence[TableAxis], joint: int, angle: float, misses: tuple[float, float], stopping: float
     ) -> TableState:
-        """The state after a motion that turns a joint by `angle` [rad]. misses: possible deviations of the angle [rad] at the end of the
-        motion, negative and positive."""
+        """The state after a motion that turns a joint by `angle` [rad]. misses: largest negative and positive deviation [rad] of
+        the angle at the end of the motion."""
         turn = np.zeros(len(self.joints))
         turn[joint] = angle
         low, high = list(self.below or (0.0,) * len(axes)), list(self.above or (0.0,) * len(axes))
@@ -128,10 +128,9 @@ class TableState:
 
 
 def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]:
-    """The largest deviations [rad], negative and positive, of the end of a spin at `rate` [rad/s] through `angle` [rad] from its
-    planned end.
+    """The largest negative and positive deviation [rad] from the planned end of a spin at `rate` [rad/s] through `angle` [rad].
 
-    sooner: time [s] by which the spin may end earlier, because its settling depends on measurements.
+    sooner: time [s] by which the spin may end early, because its settling depends on measurements.
     """
     missed = abs(rate) * STOPS_LATE + abs(angle) * RATE_ERROR
     early = abs(rate) * sooner
@@ -149,7 +148,7 @@ def _tried(centre: float, low: float, high: float) -> list[float]:
 
 
 def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
-    """Differences between pairs of joint angles [rad], (n, joints). For a continuous axis, whole turns are removed."""
+    """Differences (n, joints) between pairs of joint angles [rad]. For a continuous axis, whole turns are subtracted."""
     off = first - second
     turns = np.array([TURN if axis.continuous else 0.0 for axis in axes])
     return np.asarray(off - turns * np.round(off / TURN))

@@ -11,7 +11,7 @@ _FORGOTTEN = 40.0  # time constants after which the rest of a change is negligib
 
 
 class Temperatures:
-    """Follows the commands of the chamber, and the temperature of the sensor, which lags behind the chamber."""
+    """Follows the setpoint of the chamber, and the temperature of the sensor, which lags behind the air."""
 
     def __init__(self, models: BenchModels, log: Findings):
         self._chamber, self._replays, self._log = models.chamber, models.replays, log
@@ -22,13 +22,13 @@ class Temperatures:
         self._warned: float | None = None  # time of the change whose soak was reported as too short
 
     def change(self, kelvin: float | None, now: float, mark: Mark) -> float:
-        """Changes the setpoint at `now` [s]; returns the time [s] until the air has reached it."""
+        """Changes the setpoint of the chamber at the time `now` [s]; returns the time [s] until the air has reached it."""
         if kelvin is None or not self._within_reach(kelvin, mark):
             return 0.0
         return self._head_for(kelvin, now)
 
     def ramp(self, kelvin: float, now: float, dwell: float | None, mark: Mark) -> None:
-        """Starts, at `now` [s], a ramp during which samples are recorded."""
+        """Starts, at the time `now` [s], a temperature ramp during which samples are recorded."""
         if not self._within_reach(kelvin, mark):
             return
         assert self._chamber is not None
@@ -81,7 +81,7 @@ class Temperatures:
             self._log.warning("physics-soak", mark, message, hint)
 
     def return_time(self) -> float:
-        """Time [s] back to ambient."""
+        """Time [s] until the chamber is back at ambient temperature."""
         return 0.0 if self._chamber is None else self._chamber.seconds_to_change(self._set - self._chamber.ambient)
 
     def _head_for(self, kelvin: float, now: float) -> float:
@@ -99,8 +99,8 @@ class Temperatures:
         return seconds > abs(kelvin) / self._chamber.ramp + _FORGOTTEN * (self._lag + self._chamber.lag)
 
     def _behind(self, now: float) -> float:
-        """Distance [K] of the sensor from the setpoint. It is the sum of the parts of all changes of the setpoint that the sensor
-        has not yet followed."""
+        """Difference [K] between the setpoint and the temperature of the sensor. It is the sum of the parts of all changes of the
+        setpoint that the sensor has not yet followed."""
         assert self._chamber is not None
         return sum(self._chamber.behind(kelvin, self._lag, now - begun) for begun, kelvin in self._changes)
 

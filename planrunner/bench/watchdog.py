@@ -86,7 +86,7 @@ class Watchdog:
             raise InstrumentError(_GONE) from None
 
     def report_to(self, folder: Path) -> None:
-        """Sets the run folder in which the watchdog reports if it acts."""
+        """Tells the watchdog the run folder, to which it writes a report if it acts."""
         with contextlib.suppress(OSError):  # the next heartbeat reports it
             self._tell(json.dumps({"report": str(folder.absolute())}))
 
@@ -106,7 +106,7 @@ class Watchdog:
         return self._process.stdin
 
     def _tell(self, line: str) -> None:
-        """Sends a line. Raises `OSError` if the watchdog has ended or has not read for too long."""
+        """Sends a line to the watchdog. Raises `OSError` if the watchdog has ended or has not read for too long."""
         data = memoryview(f"{line}\n".encode())
         while data:
             written = self._stdin.write(data)
@@ -138,8 +138,8 @@ def _start() -> subprocess.Popen[bytes]:
 
 
 def _first_line(process: subprocess.Popen[bytes], patience: float) -> str:
-    """The first line of the watchdog, or the reason why there is none. A thread reads it, because not every system can wait for a
-    pipe."""
+    """Reads the first line that the watchdog prints; if there is none, the reason. A thread reads it, because not every system can
+    wait for a pipe."""
     assert process.stdout is not None
     found: list[bytes] = []
     reader = threading.Thread(target=lambda: found.append(process.stdout.readline()), daemon=True)  # type: ignore[union-attr]

@@ -2,10 +2,10 @@
 
 From standard input it reads which bench to guard, then heartbeats and the names of the instruments that planrunner controls. If the
 heartbeat stops for too long, it ends planrunner, which may hold exclusive connections and might continue to send commands. Then,
-and also if the input ends without the word `safe`, it connects to every real instrument that planrunner controlled, using only the
-bench file, makes it safe, and reports to the run folder and to standard error. Instruments that planrunner only connected to are
-left as they are. If an instrument hangs or fails, the watchdog continues with the next. While it exists, no other run gets the
-bench (`bench.lock`).
+and also if the input ends without the word `safe`, it makes the bench safe: it connects to every real instrument that planrunner
+controlled, using only the bench file, brings it to its safe state, and reports to the run folder and on its standard error stream.
+Instruments that planrunner only connected to are left as they are. If an instrument hangs or fails, the watchdog continues with the
+next. While it exists, no other run gets the bench (`bench.lock`).
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ ENDED_WITHIN = 5.0
 
 @dataclass(slots=True)
 class Charge:
-    """The run that the watchdog guards. parent: process number of planrunner; report: the run folder, once it exists; controlled:
-    the instruments that planrunner commands."""
+    """The run that the watchdog guards. parent: process number of planrunner. report: the run folder, None until it exists.
+    controlled: names of the instruments that planrunner commands."""
 
     bench: Bench
     shown: str
@@ -75,7 +75,7 @@ def main() -> int:
 
 
 def _listen(lines: queue.SimpleQueue[bytes]) -> None:
-    """Reads every line of input, and an empty line when the input ends."""
+    """Puts every line of the input into a queue, and an empty line when the input ends."""
     for line in iter(sys.stdin.buffer.readline, b""):
         lines.put(line)
     lines.put(b"")
@@ -92,8 +92,8 @@ def _read_charge(line: bytes) -> Charge:
 
 
 def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
-    """Waits until the bench is safe (returns None) or must be made safe (returns the reason). Silence counts only after the first
-    heartbeat, because connecting takes time and nothing has moved yet."""
+    """Waits until the bench is safe, and returns None, or until it must be made safe, and returns the reason. Silence counts only
+    after the first heartbeat, because connecting takes time and nothing has moved yet."""
     begun = False
     while True:
         try:
@@ -129,7 +129,7 @@ def _ended(parent: int) -> str:
 
 
 def rescue(charge: Charge) -> list[str]:
-    """Makes every real instrument safe that planrunner controlled, in the bench's order; returns a line for each."""
+    """Makes every real instrument safe that planrunner controlled, in the bench's order; returns a line of text about each."""
     return [
         f"{name}: {_made_safe(charge, name) if name in charge.controlled else 'left as it was, never commanded'}"
         for name in real_instruments(charge.bench)

@@ -1,4 +1,4 @@
-"""The interface of a bench with connected instruments that an executor needs."""
+"""The interface that the executor needs of a bench whose instruments are connected."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from planrunner.instruments.interfaces import Instrument, OwnLimits, RunClock
 
 
 class ConnectedBench(Protocol):
-    """A bench with connected instruments. instruments: all instruments by name, including those with a role. limits: limits that
-    the instruments enforce themselves."""
+    """A bench with connected instruments. instruments: all instruments by name, including those with a role. limits: descriptions
+    of the limits that the instruments enforce themselves."""
 
     @property
     def clock(self) -> RunClock: ...
@@ -31,8 +31,8 @@ class ConnectedBench(Protocol):
     def limits(self) -> OwnLimits: ...
 
     def take_control(self, *names: str) -> None:
-        """Announces that these instruments (by default all) are commanded from now on and must be made safe. Called before the first
-        command. Raises `InstrumentError` if no watchdog guards the bench."""
+        """Announces that these instruments (by default all) are commanded from now on and must be made safe. It is called before
+        the first command. Raises `InstrumentError` if no watchdog guards the bench."""
 
     @property
     def untouched(self) -> Sequence[str]:

@@ -1,6 +1,7 @@
-"""State to restore after a crash: the states of simulated instruments and of the executor, stored with every segment.
+"""The state that a run needs to continue after a crash: the states of simulated instruments and of the executor, which are stored
+with every segment.
 
-The state of a real bench is in the laboratory. After an interruption nothing is assumed about it.
+On a real bench nothing is stored, because its state is in the laboratory. After an interruption nothing is assumed about it.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from planrunner.instruments.interfaces import Resumable
 
 
 class Continuity:
-    """Reads and restores the states from which a run can continue: the states of the bench's simulated instruments, and the state
-    of `reaching`."""
+    """Reads and restores the states from which a run can continue: those of the bench's simulated instruments, and that of the
+    executor in `reaching`."""
 
     def __init__(self, bench: ConnectedBench, reaching: Reaching):
         self._bench = bench
@@ -24,7 +25,7 @@ class Continuity:
         self._resumable = {name: item for name, item in bench.instruments.items() if isinstance(item, Resumable)}
 
     def states(self) -> JsonObject:
-        """The states as JSON data; empty on a real bench."""
+        """The states of the simulated instruments and of the executor as JSON data; empty on a real bench."""
         if not self._resumable:
             return {}
         reaching, attitude = self._reaching, self._reaching.attitude
@@ -42,7 +43,7 @@ class Continuity:
         }
 
     def states_if_known(self) -> JsonObject:
-        """The states after a failure, as far as they are known."""
+        """The states as in `states` after a failure; empty if a driver that has failed does not know its state."""
         self._reaching.forget()
         try:
             return self.states()
@@ -50,7 +51,7 @@ class Continuity:
             return {}
 
     def restore(self, point: ResumePoint) -> None:
-        """Restores the state at which a run was interrupted."""
+        """Restores the states from the time at which a run was interrupted."""
         self._bench.clock.set(point.clock)
         self._reaching.forget()
         # Simulated instruments get back their exact state; without an acknowledged segment they start anew.

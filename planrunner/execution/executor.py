@@ -52,7 +52,7 @@ def execute(
     patience: Patience | None = None,
     operator: Operator | None = None,
 ) -> Outcome:
-    """Executes the segments of `schedule` from `start_at` that `writer` has not acknowledged.
+    """Executes those segments of `schedule`, from the index `start_at` on, that `writer` has not acknowledged.
 
     operator: receives the prompts of the plan; None on a simulated bench, where nobody is asked. Failures of instruments or of the
     disk raise no exception: they are in the outcome, and the bench is safe. A finished run is sealed.
@@ -117,7 +117,7 @@ class _Execution:
         return self._account(failures, unsafe)
 
     def _account(self, failures: list[Failure], unsafe: list[str]) -> Outcome:
-        """Records how the run ended. The bench is already safe."""
+        """Records in the run folder how the run ended. The bench is already safe."""
         complete = self._complete() and not failures
         cut, self.segment = self.segment, None
         stopped = None if complete or not self.stop.after_segment else self._how()
@@ -149,7 +149,7 @@ class _Execution:
         return index < self.start_at or self.writer.acknowledged(index)
 
     def _complete(self) -> bool:
-        """Whether the run has all its segments, including those recorded before this start."""
+        """Whether all segments of the run are recorded, including those before `start_at`."""
         return self.through and all(self.writer.acknowledged(index) for index in range(self.start_at))
 
     def _prepare(self) -> None:
@@ -181,8 +181,8 @@ class _Execution:
         self.writer.note("started", segments=count, start_at=self.start_at, clock=self.clock.now(), resumed=resumed)
 
     def _protect(self) -> dict[str, list[str]]:
-        """Sets the limits of every instrument that supports them; returns the limits that each instrument enforces, by the name of
-        the instrument."""
+        """Sets the bench's limits in every instrument that supports them; returns the limits that each instrument enforces, by the
+        name of the instrument."""
         told = {}
         for name, item in self.bench.instruments.items():
             if isinstance(item, SelfLimiting):
@@ -234,7 +234,7 @@ class _Execution:
             return
 
     def _in_mode(self, segment: Segment) -> dict[str, float]:
-        """A reading: how long the sensor has been in the segment's mode, at the beginning of the record."""
+        """How long [s] the sensor had been in the segment's mode when the record began, as a reading."""
         since = self.reaching.mode_since
         return {} if segment.mode is None or since is None else {IN_MODE: self.clock.now() - since}
 
@@ -273,7 +273,7 @@ class _Execution:
                 stream.close()
 
     def _stand(self, segment: Segment, holding: Holding) -> None:
-        """Performs a dwell without recording."""
+        """Waits for the time of a dwell that is not recorded, and supervises the bench."""
         if segment.dwell is None:
             message = f"'{segment.label}' lasts as long as its recording, but the sensor does not stream samples"
             raise InstrumentError(message)
@@ -283,7 +283,7 @@ class _Execution:
             holding.check()
 
     def _read(self) -> dict[str, float]:
-        """Readings of all instruments, as `instrument.quantity_unit`."""
+        """Readings of all instruments, under names of the form `instrument.quantity_unit`."""
         if not self.readable:
             return {}
         self._say("taking readings")
@@ -301,7 +301,7 @@ class _Execution:
         return self.doing if self.segment is None else f"segment '{self.segment.label}', {self.activity}"
 
     def _on_tick(self) -> bool:
-        """Called by a real clock while it sleeps; ends the sleep if the run must stop at once."""
+        """A callback that a clock of real time calls while it sleeps; ends the sleep if the run must stop at once."""
         self.meter.advance(self.clock.now(), self.activity)
         return self.lookout.tick()
 
@@ -311,7 +311,8 @@ class _Execution:
         self.live.notice(f"{instrument}: {text}")
 
     def _wait_safely(self) -> None:
-        """Brings the bench to its safe state before a person approaches it. Earlier commands count as no longer in effect."""
+        """Brings the bench to its safe state before a person approaches it. Afterwards the executor no longer relies on earlier
+        commands."""
         self.reaching.forget()
         failures = [str(failure) for failure in self.bench.make_safe()]
         if failures:
@@ -325,7 +326,7 @@ def _frames(counts: FrameCounts | None) -> JsonObject | None:
 
 
 def _make_safe(bench: ConnectedBench) -> list[str]:
-    """Makes the bench safe despite interruptions: after a signal or an exception it tries again, and failures are reported."""
+    """Makes the bench safe even if a signal or an exception interrupts it: in that case it tries again, and failures are reported."""
     told = "the bench could not be made safe: switch the table and the chamber off by hand"
     for _ in range(SAFE_ATTEMPTS):
         try:

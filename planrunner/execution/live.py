@@ -48,7 +48,7 @@ NOTICES = 20
 
 @dataclass(slots=True)
 class _Moments:
-    """Count, mean, sum of squared deviations and extremes of samples, shape (channels,)."""
+    """Count, mean, sum of squared deviations, minimum and maximum of the samples of each channel, shape (channels,)."""
 
     count: int
     mean: NDArray[np.float64]
@@ -58,13 +58,13 @@ class _Moments:
 
     @classmethod
     def of(cls, samples: NDArray[np.float64]) -> _Moments:
-        """The moments of samples. samples: shape (channels, n), n > 0."""
+        """The moments of samples. samples: array of shape (channels, n), n > 0."""
         mean = samples.mean(axis=1)
         squares = np.square(samples - mean[:, None]).sum(axis=1)
         return cls(samples.shape[1], mean, squares, samples.min(axis=1), samples.max(axis=1))
 
     def joined(self, other: _Moments) -> _Moments:
-        """The moments of both sets of samples together (Chan, Golub and LeVeque, Updating formulae and a pairwise algorithm for
+        """The moments of two sets of samples together (Chan, Golub and LeVeque, Updating formulae and a pairwise algorithm for
         computing sample variances, 1979, equation 2.1)."""
         m, n = self.count, other.count
         delta = other.mean - self.mean
@@ -107,12 +107,12 @@ class _Samples:
         self.strip.append((self.last, new))
 
     def begin(self) -> None:
-        """Starts a new set of samples; the strips continue."""
+        """Starts a new set of samples; the strips of recent statistics continue."""
         self.waiting, self.rows, self.moments = [], 0, None
 
 
 class LiveReport:
-    """The live state of one run. folder: its run folder; segments: number of segments of the schedule."""
+    """The live state of one run. folder: the run folder. segments: number of segments in the schedule."""
 
     def __init__(self, folder: GuardedFolder, segments: int):
         self._folder, self._segments = folder, segments
@@ -127,12 +127,12 @@ class LiveReport:
         self._published = -math.inf
 
     def announce(self, channels: Mapping[str, str]) -> None:
-        """The sensor's channels with their units."""
+        """Sets the sensor's channels and their units."""
         shown = dict(list(channels.items())[:MOST_CHANNELS])
         self._samples, self._hidden = _Samples(shown), len(channels) - len(shown)
 
     def begin(self, segment: Segment) -> None:
-        """Begins a segment: the statistics start from zero, the strips continue."""
+        """Begins a segment: the statistics are reset, the strips of recent statistics continue."""
         self._index, self._label = segment.index, segment.label
         self._samples.begin()
 
@@ -142,7 +142,7 @@ class LiveReport:
         self.beat()
 
     def take(self, block: Block) -> None:
-        """Adds samples of the segment."""
+        """Adds samples of the segment to the statistics."""
         if self._samples.units:
             self._samples.take(block)
 

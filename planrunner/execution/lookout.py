@@ -27,11 +27,11 @@ Notice = Callable[[str, str], None]
 
 
 class StoppedAtOnceError(Exception):
-    """The operator requested an immediate stop."""
+    """The error that ends a run because the operator requested an immediate stop."""
 
 
 class Lookout:
-    """Watches the instruments during a run. notice: called with the name of an instrument and a description of anything unusual."""
+    """Watches the instruments during a run. notice: called with the name of an instrument and a description of the unusual event."""
 
     def __init__(self, bench: ConnectedBench, stop: StopRequest, notice: Notice):
         self._clock = bench.clock
@@ -107,7 +107,7 @@ class Lookout:
                 self._once(name, str(error))
 
     def hear(self) -> None:
-        """Enters the retries of the drivers into the journal."""
+        """Enters it in the journal that a driver had to repeat a command."""
         for name, item in self._remarking.items():
             for text in item.remarks():
                 self._notice(name, text)

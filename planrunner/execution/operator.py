@@ -25,16 +25,16 @@ NOT_ASKED = "not asked: the bench is simulated"
 
 class Operator(Protocol):
     def ask(self, prompt: str) -> Callable[[], bool]:
-        """Shows the prompt to the operator. Returns a function that can be called at any time and returns at once whether the
-        prompt has been confirmed."""
+        """Shows the prompt to the operator. Returns a function that can be called at any time and that immediately returns whether
+        the prompt has been confirmed."""
 
     def tell(self, text: str) -> None:
         """Shows a line that needs no answer."""
 
 
 class Boundary:
-    """Actions between two segments. make_safe: brings the bench to its safe state and forgets earlier commands. go_on: called
-    before the first move after the wait."""
+    """Handles prompts and pauses between two segments. make_safe: brings the bench to its safe state and forgets earlier commands.
+    go_on: called before the first move after the wait."""
 
     def __init__(
         self,

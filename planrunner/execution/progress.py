@@ -1,4 +1,4 @@
-"""Progress of a run as typed events, measured in planned time."""
+"""Progress of a run, reported as typed events and measured in planned time."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from planrunner.plan.schedule import Schedule, Segment
 
 @dataclass(frozen=True, slots=True)
 class SegmentBegun:
-    """A segment begins. fraction: completed fraction of the planned time of the run, 0 to 1. time_left: expected remaining real
-    time [s]; None if it is not yet known."""
+    """The event that a segment has begun. fraction: completed fraction of the planned time of the run, 0 to 1. time_left: expected
+    remaining real time [s]; None if it is not yet known."""
 
     index: int
     label: str
@@ -25,7 +25,7 @@ class SegmentBegun:
 
 @dataclass(frozen=True, slots=True)
 class Advanced:
-    """Progress within a segment; activity: current activity of the bench."""
+    """The event that the run has advanced within a segment. activity: what the bench is doing."""
 
     index: int
     label: str
@@ -37,7 +37,7 @@ class Advanced:
 
 @dataclass(frozen=True, slots=True)
 class SegmentFinished:
-    """The segment is acknowledged."""
+    """The event that a segment has been acknowledged."""
 
     index: int
     label: str
@@ -52,8 +52,8 @@ ProgressCallback = Callable[[ProgressEvent], None]
 
 
 def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
-    """The schedule in which each segment that lasts as long as its recording has that length as its dwell, if the sensor knows the
-    length."""
+    """The schedule with a stated dwell for each segment that lasts as long as its recording, if the sensor knows the length of the
+    recording."""
     if not isinstance(sensor, KnowsLength):
         return schedule
     segments = (replace(one, dwell=sensor.length_of(one)) if one.dwell is None else one for one in schedule.segments)
@@ -63,10 +63,10 @@ def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
 class Meter:
     """Converts the position of the executor to events.
 
-    The time left is the remaining planned time at the pace so far, so it is in real time on a simulated bench too. callback:
-    receives all events. A callback that raises an exception is not called again, because a display must not end a run. live:
-    receives only the progress within segments. Most runs have no display; for them the beginning and the end of a segment cost
-    nothing.
+    The time left is estimated from the remaining planned time and the speed so far, so it is in real time even on a simulated
+    bench. callback: receives all events. A callback that raises an exception is not called again, because a display must not end a
+    run. live: a callback that receives only the progress within segments. Most runs have no display; for them the beginning and the
+    end of a segment cost nothing.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Meter:
             self._tell(SegmentFinished(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
     def _pace(self, behind: float) -> tuple[float, float | None]:
-        """The completed fraction of the planned time, and the time left."""
+        """The completed fraction of the planned time, and the expected remaining time [s]."""
         total = float(self._segments) if self._by_count else self._total
         fraction = min(1.0, behind / total) if total else 1.0
         done = behind - self._first
@@ -124,6 +124,6 @@ class Meter:
 
 
 def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
-    """Planned time of the completed segments (or the number of completed segments if no segment has a planned time)."""
+    """Planned time [s] of the completed segments, or their number if no segment of the schedule has a planned time."""
     times = [segment.seconds for segment in schedule.segments if done(segment.index)]
     return sum(times) if any(segment.seconds for segment in schedule.segments) else float(len(times))

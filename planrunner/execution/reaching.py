@@ -29,7 +29,8 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """Waiting times: how long an instrument may take beyond its expected duration, and the interval between queries, s."""
+    """Time limits for instruments: how long [s] an instrument may take beyond its expected duration, and the interval [s] between
+    queries."""
 
     table: float = 60.0
     chamber: float = 1800.0
@@ -106,8 +107,8 @@ class Reaching:
             self._wait_until_settled(segment, segment.settle, segment.stable)
 
     def _wait_until_settled(self, segment: Segment, seconds: float, stability: Stability | None) -> None:
-        """Waits for a time. If the plan names quantities to settle and instruments measure them, waits until these quantities have
-        stayed within their limits for that time."""
+        """Waits for a fixed time. If the plan names quantities to settle and instruments measure them, waits instead until these
+        quantities have stayed within their limits for that time."""
         if stability is None or not self._lookout.sees:
             self.pause(seconds)
             return
@@ -204,7 +205,7 @@ class Reaching:
 
 
 def _heater(chamber: Instrument) -> HoldsTemperature:
-    """The instrument that sets temperatures. Raises `InstrumentError` if the chamber cannot set a temperature."""
+    """The chamber as an instrument that can set a temperature. Raises `InstrumentError` if it cannot."""
     if not isinstance(chamber, HoldsTemperature):
         raise InstrumentError(
             "the chamber's driver cannot set a temperature: use another driver or leave temperature out"

@@ -27,8 +27,9 @@ SHOWN = {
 
 @dataclass(slots=True)
 class Readings:
-    """Follows the readings of one state. over: time over which a drift is measured, s; chamber: name of the instrument whose temperature
-    is compared with `setpoint` [K]; drifting: names of the instruments whose temperature must not drift."""
+    """Collects the readings while the bench is in one state. over: time [s] over which a drift is measured. chamber: name of the
+    instrument whose temperature is compared with `setpoint` [K]. drifting: names of the instruments whose temperature must not
+    drift."""
 
     over: float
     chamber: str | None = None
@@ -37,8 +38,8 @@ class Readings:
     _courses: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
 
     def take(self, now: float, conditions: Mapping[str, Condition]) -> dict[str, float]:
-        """Maps each reading to its current value, SI, for all known readings. If several instruments report the same reading, the
-        worst value counts."""
+        """Maps each known reading to its current value in SI units. If several instruments report the same reading, the worst value
+        counts."""
         found: dict[str, float] = {}
         for name, condition in conditions.items():
             for reading in ("position_error", "rate_error"):
@@ -55,7 +56,8 @@ class Readings:
         return found
 
     def _drift(self, name: str, now: float, kelvin: float) -> float | None:
-        """The drift |dT/dt| [K/s] from a straight line fitted to the last `over` seconds; None before that time has passed."""
+        """The drift |dT/dt| [K/s] from a straight line fitted to the temperatures of the last `over` seconds; None before that time
+        has passed."""
         course = self._courses.setdefault(name, deque())
         course.append((now, kelvin))
         while course and now - course[0][0] > self.over * (1 + 1e-9) and now - course[1][0] >= self.over:
@@ -68,7 +70,8 @@ class Readings:
 
 
 def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Readings:
-    """Readings of the state of a segment. A temperature that follows a profile has no error and no drift."""
+    """The readings that apply to the state of a segment. If the temperature follows a profile, its deviation and its drift are not
+    read."""
     if segment.ramp_to is not None:
         return Readings(over)
     names = {id(item): name for name, item in bench.instruments.items()}
@@ -77,7 +80,7 @@ def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Reading
 
 
 def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[str]:
-    """The readings beyond their limits, in words; unknown readings are omitted."""
+    """A text for each reading that exceeds its limit; limits without a known reading are omitted."""
     return [
         f"{_shown(name, values[name])} is more than the {_amount(name, limit)} that the plan allows"
         for name, limit in limits.items()
@@ -86,12 +89,12 @@ def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[st
 
 
 def unread(limits: Mapping[str, float], values: Iterable[str]) -> list[str]:
-    """The limits on quantities that no instrument has reported, in words."""
+    """A text for each limit whose quantity no instrument has reported."""
     return [f"no instrument reports the {name.replace('_', ' ')}" for name in limits if name not in values]
 
 
 def frames_outside(watch: Watch, counts: FrameCounts) -> list[str]:
-    """The fractions of lost or corrupt frames that exceed their limits, in words. Frames dropped by the computer count as lost."""
+    """A text for each fraction of lost or corrupt frames that exceeds its limit. Frames dropped by the computer count as lost."""
     whole = counts.received + counts.lost + counts.corrupt + counts.overflowed
     shares = {
         "lost": (watch.lost, counts.lost + counts.overflowed),
@@ -114,16 +117,16 @@ def _amount(name: str, value: float) -> str:
 
 
 class LimitPassedError(Exception):
-    """A limit of the plan was exceeded while a segment was being recorded. The message names the limit."""
+    """The error for a limit of the plan that was exceeded while a segment was recorded. The message names the limit."""
 
 
 class Holding:
-    """One attempt to record one segment, from the beginning of its dwell."""
+    """One attempt to record a segment, from the beginning of its dwell."""
 
     def __init__(
         self, bench: ConnectedBench, lookout: Lookout, segment: Segment, counts: Callable[[], FrameCounts] | None = None
     ):
-        """counts: frame counter of the sensor, if it has one."""
+        """counts: the frame counter of the sensor; None if it has none."""
         self._clock, self._lookout = bench.clock, lookout
         self._counts = counts
         self._watch = segment.watch or Watch()
@@ -155,8 +158,8 @@ class Holding:
             raise LimitPassedError("; ".join(passed))
 
     def finish(self) -> FrameCounts | None:
-        """The frame counts of the sensor, after a last check so that failures up to the end are found. Raises the errors of
-        `check`, and `LimitPassedError` if too many frames are lost or corrupt."""
+        """Returns the frame counts of the sensor, after a last check that finds failures up to the end of the dwell. Raises the
+        errors of `check`, and `LimitPassedError` if too many frames are lost or corrupt."""
         self.check(fresh=True)
         counts = self.counts()
         passed = [] if counts is None else frames_outside(self._watch, counts)
@@ -168,7 +171,7 @@ class Holding:
         return None if self._counts is None else self._counts()
 
     def unjudged(self) -> list[str]:
-        """The limits on quantities without a reading during the dwell, in words; empty on a bench without readings."""
+        """A text for each limit whose quantity had no reading during the dwell; empty on a bench without readings."""
         if not self._looks or self._moves:
             return []
         return unread(self._watch.limits, self._seen)

@@ -19,8 +19,8 @@ AT_ONCE_SIGNALS = ("SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class StopRequest:
-    """Holds the request to stop: whether and how the run must stop. As a context manager it handles signals and restores the
-    previous handlers afterwards.
+    """Records whether and how the run must stop. As a context manager it handles the signals that stop a run, and restores the
+    previous signal handlers on exit.
 
     notify: called with a line of text for the operator at every request (from the signal handler, so it must be quick).
     """

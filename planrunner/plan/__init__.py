@@ -1,1 +1,2 @@
-"""The plan language: text with source positions, quantities, orientations, checks and the schedule."""
+"""The plan language: the text of plans with source positions, quantities, orientations, checks, and the schedule that follows from
+a plan."""

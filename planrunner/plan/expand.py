@@ -24,10 +24,10 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 
 @dataclass(frozen=True, slots=True)
 class StatedSegment:
-    """One segment: its state with all inherited keys and, for each key, the place of its value in the file.
+    """One segment of a plan: its state, which includes the inherited keys, and the place of each value in the file.
 
-    prompts: prompts to the operator before the segment, in order, each with its place in the file. conditioning: True if the plan
-    declares that the segment only brings the sensor to a state. sound: False if the state is not known completely: the segment
+    prompts: prompts to the operator that precede the segment, in order, each with its place in the file. conditioning: True if the
+    plan declares that the segment only brings the sensor to a state. sound: False if the state is not known completely: the segment
     inherits a value from `defaults` that could not be read, or its label names a key that is not swept.
     """
 
@@ -81,7 +81,8 @@ _DECISIVE = tuple(name for name, traits in STATE_TRAITS.items() if traits.decisi
 
 
 def _count(spec: SegmentSpec) -> int:
-    """Number of segments that an entry makes. Segments that will be omitted are included, because the expansion visits them too."""
+    """Number of segments that one entry of `segments` makes. The number includes segments that will be omitted later, because the
+    expansion visits them too."""
     own = spec.repeat * (spec.for_each.size if spec.for_each else 1)
     return own * (sum(_count(step) for step in spec.steps) or 1)
 
@@ -117,7 +118,7 @@ def _one_motion(own: State, log: Findings) -> bool:
 
 
 def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
-    """Checks that no key is both swept and given as a single value, and that rate and motion are not both swept."""
+    """Checks that no key is both swept and set to a single value, and that rate and motion are not both swept."""
     swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
     for name in swept:
         twin = STATE_TRAITS[name].replaces or name
@@ -197,7 +198,7 @@ def _filled(
     used: set[str],
     log: Findings,
 ) -> str:
-    """The text of `key` with its {placeholders} replaced; the names of the placeholders are added to `used`."""
+    """The text of `key` after its {placeholders} have been replaced; adds the names of the placeholders to `used`."""
 
     def fill(match: re.Match[str]) -> str:
         name = match[1]
@@ -225,7 +226,7 @@ def _prompts(
 
 
 def _check_unique(segments: list[StatedSegment], log: Findings) -> None:
-    """Adds one finding for each place in the plan that makes repeated labels, regardless of the number of these labels."""
+    """Adds one finding for each place in the plan that makes repeated labels, however many labels it repeats."""
     first: dict[str, Mark] = {}
     repeated: dict[Mark, list[str]] = {}
     for segment in segments:

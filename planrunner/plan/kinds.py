@@ -37,10 +37,10 @@ class Kind(Protocol):
     """The permitted values of a key."""
 
     def read(self, node: source.Node, log: Findings) -> Any:
-        """The value in a node; None after a finding was added to `log`."""
+        """Reads the value in a node; returns None after adding a finding to `log`."""
 
     def schema(self) -> Schema:
-        """The kind as JSON Schema (draft 2020-12)."""
+        """Describes the permitted values as a JSON Schema (draft 2020-12)."""
 
 
 # -- scalars ---------------------------------------------------------------------------------------------------------
@@ -70,10 +70,10 @@ def _takes_numbers(pattern: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A text. pattern: regular expression that the whole text must match; what: the required form in words; hint: advice on how to
-    write the text.
+    """A text. pattern: a regular expression that the whole text must match. what: a description of the required form, for messages.
+    hint: advice on how to write the text.
 
-    A plain number is accepted as written, unless the pattern rejects some numbers.
+    A text that is a plain number in the file is accepted as written, unless the pattern rejects it.
     """
 
     pattern: str = ""
@@ -111,8 +111,8 @@ _WORDS_FOR = {
 
 
 def _in_words(pattern: str) -> str:
-    """Advice on how to write a name that does not match its pattern. A pattern that limits only the length needs no entry in
-    `_WORDS_FOR`."""
+    """Advice on how to write a name, for the finding about a name that does not match `pattern`. The advice for most patterns is in
+    `_WORDS_FOR`; for a pattern that limits only the length it is made here."""
     if pattern.startswith(r"[^\x00-\x1f]"):
         limit = pattern.rpartition(",")[2].rstrip("}")
         return f"write it on one line, 1 to {limit} characters without control characters"
@@ -210,7 +210,7 @@ Sign = Literal["any", "positive", "not negative"]
 
 
 def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: str = "") -> bool:
-    """Whether a quantity has this sign. If not, a finding is added. name: key that the finding names."""
+    """Whether a quantity has the required sign; adds a finding if it does not. name: the key that the finding names."""
     if sign == "any" or quantity.value > 0 or (sign == "not negative" and quantity.value == 0):
         return True
     hint = "write zero or more" if sign == "not negative" else "write a value above zero"
@@ -221,10 +221,10 @@ def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: st
 
 @dataclass(frozen=True, slots=True)
 class QuantityOf:
-    """A number with a unit of the named dimension (None: any).
+    """A number with a unit of the named dimension, or with any unit if the dimension is None.
 
-    uncertain: True if an uncertainty may be stated; results then use it. elsewhere: if an uncertainty may not be stated here, a
-    text that says where to state it.
+    uncertain: True if an uncertainty may be stated; results then include it. elsewhere: a text that says where to state the
+    uncertainty if it may not be stated here.
     """
 
     dimension: str | None
@@ -294,8 +294,8 @@ class ListOf:
 
 @dataclass(frozen=True, slots=True)
 class MapOf:
-    """A mapping from names to values of one kind. names: the only permitted names; if empty, all names that match `pattern` are
-    permitted. of_channels: True if the names are channels of the sensor."""
+    """A mapping from names to values of one kind. names: the permitted names; if there are none, every name that matches `pattern`
+    is permitted. of_channels: True if the names are channels of the sensor."""
 
     item: Kind
     names: tuple[str, ...] = ()
@@ -326,10 +326,10 @@ class MapOf:
 
 @dataclass(frozen=True, slots=True)
 class ByShape:
-    """A value whose kind depends on the form of the node: there are separate kinds for a scalar, a mapping and a list. A node is
+    """A value whose kind depends on the form of the node: a scalar, a mapping and a list each have their own kind. A node is
     refused if there is no kind for its form.
 
-    A mapping with the key `value` is read like a scalar if scalars are quantities here.
+    If scalars are read as quantities, a mapping with the key `value` is read as a quantity too.
     """
 
     scalar: Kind | None = None
@@ -368,10 +368,10 @@ class WordOr:
 
 
 class Origin:
-    """The places of the keys of a record in its file. Empty for records made in code.
+    """The places in the file where the keys of a record stand. It is empty for a record made in code.
 
-    broken: keys whose values could not be read completely. meant: absent key → places of the unknown keys that may be misspellings
-    of the absent key.
+    broken: the keys whose values could not be read completely. meant: maps an absent key to the places of the unknown keys that may
+    be misspellings of it.
     """
 
     def __init__(
@@ -394,8 +394,8 @@ class Origin:
 
     @cached_property
     def keys(self) -> Mapping[str, Mark]:
-        """The place of each key: `report` is the place where the value of that key begins, `report[1]` the place of the second
-        entry of its list, and `limits.x` the place of the value of `x` in its mapping."""
+        """Maps the path of each key to a place: `report` to the place where the value of that key begins, `report[1]` to the second
+        entry of its list, and `limits.x` to the value of `x` in the mapping `limits`."""
         marks: dict[str, Mark] = {}
         for name, item in self._node.entries if self._node else ():
             marks[name.text] = _used(name, item)
@@ -419,8 +419,8 @@ class Origin:
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
-        """The mark of a key, or of an entry in its list or mapping. If an entry has no mark, the mark of its key is returned; if
-        the key has no mark either, the mark of the record."""
+        """The mark of a key, or of an entry in the list or mapping that is the key's value. If an entry has no mark, the mark of
+        its key is returned; if the key has no mark either, the mark of the record is returned."""
         if key in self.keys:
             return self.keys[key]
         return self.keys.get(key.partition("[")[0].partition(".")[0], self.mark)
@@ -458,7 +458,7 @@ def key(
 
 
 def optional(kind: Kind, description: str, example: object, *, name: str | None = None, traits: object = None) -> Any:
-    """A key that may be left out; its value is then None."""
+    """Makes a key that may be left out; its value is then None."""
     return key(kind, description, example, default=None, name=name, traits=traits)
 
 
@@ -502,8 +502,8 @@ def is_required(item: dataclasses.Field[Any]) -> bool:
 def read_keys(
     node: source.Mapping, fields: Mapping[str, dataclasses.Field[Any]], log: Findings, passed: Iterable[str] = ()
 ) -> tuple[JsonObject, Origin]:
-    """Reads the values of the given keys; returns the values by Python name, and their places. Unknown and missing keys become
-    findings. Keys in `passed` are permitted, but other code reads them."""
+    """Reads the values of the given keys; returns the values by Python name, and the places of the keys. Unknown and missing keys
+    become findings. Keys in `passed` are permitted and not read here, because other code reads them."""
     values: JsonObject = {}
     broken: set[str] = set()
     known, given = dict.fromkeys((*fields, *passed)), {name.text for name, _ in node.entries}
@@ -532,7 +532,7 @@ def read_keys(
 def _meant(
     node: source.Mapping, known: Collection[str], missing: Sequence[str]
 ) -> tuple[dict[str, tuple[Mark, ...]], dict[str, str]]:
-    """For each absent key, the unknown keys that may be misspellings of it; also the hint for each unknown key.
+    """Maps each absent key to the unknown keys that may be misspellings of it, and each unknown key to a hint.
 
     An unknown key counts as a misspelling of the absent key that it resembles. An unknown key that resembles no absent key may mean
     any optional key. It may also mean a required key if the number of such unknown keys is at least the number of required keys

@@ -193,7 +193,8 @@ def channels_of(parameters: Record) -> tuple[str, ...]:
 
 
 def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
-    """Every channel that the parameters name, after its key and the path of its value, for example `channels[1]`."""
+    """Yields each channel that the parameters name, as a tuple of the key, the path of the value in the parameters (such as
+    `channels[1]`) and the channel."""
     for key, name, kind in _naming(type(parameters)):
         value = getattr(parameters, name)
         if isinstance(kind, ListOf):
@@ -207,7 +208,7 @@ def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
 
 
 def _naming(parameters: type[Record]) -> tuple[tuple[str, str, Kind], ...]:
-    """The keys whose values name channels, each with its name in the record and its kind."""
+    """The keys whose values name channels: a tuple of the key, the name of its field in the record, and the kind of its value."""
     if parameters not in _NAMING:
         kinds = [(key, item.name, item.metadata["kind"]) for key, item in keys_of(parameters).items()]
         _NAMING[parameters] = tuple(

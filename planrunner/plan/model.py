@@ -86,7 +86,7 @@ class DiagnosisSpec(Record):
 
 
 class MonteCarloSpec(Record):
-    """How the draws are made."""
+    """How the Monte Carlo draws are made."""
 
     digits: int = key(
         Number(1, 2, integer=True),
@@ -387,10 +387,11 @@ class Plan(Record):
 
 
 def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan | None, Findings]:
-    """Reads the plan in a document as far as possible; returns it with the findings about it, which are added to `log` if it is
-    given.
+    """Reads the plan in a document as far as possible; returns the plan and its findings. If `log` is given, the findings are also
+    added to it.
 
-    A part with an error is omitted (a segment is marked as not sound), so that all other parts can still be checked.
+    A part with an error is omitted, except that a segment is kept and marked as not sound, so that all other parts can still be
+    checked.
     """
     log = Findings() if log is None else log
     if root.get("planrunner") is None and root.get("planrunner_bench") is not None:
@@ -404,8 +405,8 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
 
 
 def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
-    """Reads the plan in `text`; returns it with all findings about it. shown: file name that findings state. No content of the text
-    makes it raise an error."""
+    """Reads the plan in `text`; returns the plan and all its findings. shown: the file name that the findings state. It never
+    raises an error, whatever the text contains."""
     log = Findings()
     try:
         root = source.parse(text, shown, log)

@@ -160,7 +160,7 @@ def _cycle(motion: model.MotionSpec, sign: float, log: Findings) -> Cycle | None
 def _check_positions(
     moves: list[Move], positions: Mapping[str, float], motion: model.MotionSpec, log: Findings
 ) -> None:
-    """Adds one finding for each name that is not the name of a position, regardless of the number of moves that use it."""
+    """Adds one finding for each name that is not the name of a position, however many moves use it."""
     users: dict[str, list[int]] = {}
     for index, move in enumerate(moves):
         for name in dict.fromkeys((move.start, move.end)):

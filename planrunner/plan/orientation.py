@@ -57,7 +57,8 @@ def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
 
 
 def as_mapping(attitude: Matrix) -> str | None:
-    """The orientation as a plan states it, `{x: up, y: north, z: west}`; None if an axis points in a direction without a word."""
+    """The orientation as a plan states it, such as `{x: up, y: north, z: west}`; None if an axis points in a direction without a
+    word."""
     words = [word_of(row) for row in attitude]
     return (
         None
@@ -181,7 +182,7 @@ _TURNED = ("from", "rotate")
 
 @lru_cache(maxsize=1024)
 def _sound(words: tuple[tuple[str, object], ...]) -> Orientation | None:
-    """The orientation that these words describe; None if they do not describe a valid orientation."""
+    """The orientation that these words describe; None after adding a finding that they describe no valid orientation."""
     nowhere = Written("")
     entries = [(Scalar(key, key, nowhere), Scalar(str(word), str(word), nowhere)) for key, word in words]
     return _read_words(Mapping(tuple(entries), nowhere), Findings())
@@ -238,8 +239,8 @@ def _right_handed(given: dict[str, Direction], node: Mapping, log: Findings) -> 
 
 @lru_cache(maxsize=256)
 def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[float, ...], ...], str, bool]:
-    """The three axes that follow from two or three perpendicular ones, as rows in East-North-Up and in words; also whether they are
-    right-handed."""
+    """Completes two or three given perpendicular axes to three axes. Returns the axes as rows in East-North-Up, the axes in words,
+    and True if they are right-handed."""
     known = dict(given)
     rows = [np.array(known[axis], dtype=float) if axis in known else None for axis in AXES]
     for index in range(3):
@@ -250,8 +251,8 @@ def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[fl
 
 
 def _repairs(matrix: Matrix) -> list[str]:
-    """The right-handed orientations, in words, that differ from a left-handed `matrix` by one mistake: two axes exchanged, or one
-    axis reversed."""
+    """The right-handed orientations, in words, that result from a left-handed `matrix` by exchanging two axes or reversing one
+    axis."""
     repairs = []
     for i, j in ((1, 2), (0, 1), (0, 2)):
         swapped = matrix.copy()

@@ -25,14 +25,14 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A value for a parameter, and the place where the value was given."""
+    """A value that the user gives for a parameter, and the place where the value was given."""
 
     value: str
     mark: Mark
 
 
 def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
-    """Reads the values of `--parameter NAME=VALUE`. Raises `InputError`."""
+    """Reads the values from the options `--parameter NAME=VALUE`. Raises `InputError` for an option that has another form."""
     log, found = Findings(), dict[str, Given]()
     for setting in settings:
         name, _, value = (part.strip() for part in setting.partition("="))
@@ -53,7 +53,7 @@ def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """The text of a plan with other values for its parameters. places: parameter → place of its value in `text`."""
+    """The text of a plan with other values for its parameters. places: maps each parameter to the place of its value in `text`."""
 
     text: str
     places: Mapping[str, Mark]
@@ -61,8 +61,8 @@ class Varied:
 
 @dataclass(frozen=True, slots=True)
 class _Anchored:
-    """A value with an anchor. start: index of the anchor in the text. begin, end: indices between which the value stands, without
-    its anchor; they are equal if it is not a single value on one line."""
+    """A value with an anchor. start: index of the anchor in the text. begin, end: indices of the text of the value, without its
+    anchor; they are equal if the value is not a scalar on one line."""
 
     mark: Mark
     start: int
@@ -162,7 +162,7 @@ def _anchored(text: str, file: str, log: Findings) -> dict[str, _Anchored]:
 
 
 def _nodes(text: str) -> Iterator[tuple[yaml.NodeEvent, bool]]:
-    """Each node except aliases, and whether it is the key of a mapping."""
+    """Yields each node that is not an alias, with True if the node is a key of a mapping."""
     open_: list[bool | None] = []  # of each open mapping: whether a key comes next; None for a list
     for event in yaml.parse(text, _Loader):
         if isinstance(event, yaml.CollectionEndEvent):

@@ -54,7 +54,7 @@ DISTRIBUTIONS = {"rectangular": math.sqrt(3), "triangular": math.sqrt(6), "u-sha
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """`value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written. distribution:
-    distribution of the uncertainty, one of `DISTRIBUTIONS`."""
+    distribution of the value's uncertainty, one of `DISTRIBUTIONS`."""
 
     value: float
     unit: Unit
@@ -80,7 +80,7 @@ class Quantity:
 
 
 class QuantityError(ValueError):
-    """A text is not a quantity. The error has a `code`, a message and a hint."""
+    """The error for a text that is not a quantity. It has a `code`, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = ""):
         super().__init__(message)
@@ -184,15 +184,15 @@ def parse_symmetric(text: str) -> Quantity | None:
 
 
 def _parts(text: str) -> re.Match[str] | None:
-    """The number, its unit, the uncertainty and the unit of the uncertainty, as far as the text contains them; None for a text that
-    is not a quantity."""
+    """The number, its unit, the uncertainty and the unit of the uncertainty, each None if the text does not contain it; None if the
+    text is not a quantity."""
     return _grammar(max(text, default="") <= "\xff").fullmatch(text) if len(text) <= _MAX_TEXT else None
 
 
 @cache
 def _grammar(latin: bool) -> re.Pattern[str]:
-    """The regular expression that `_parts` uses. latin: True for a text of Latin-1 characters, the usual case. A smaller expression
-    is then enough; compiling the full one takes milliseconds."""
+    """The regular expression that `_parts` uses. latin: True for a text of Latin-1 characters only, which is the usual case. A
+    smaller expression is then enough; compiling the full one takes milliseconds."""
     return re.compile(re.sub(r"\\u(?!00)[0-9a-f]{4}|[^\x00-\xff]", "", _PARTS) if latin else _PARTS)
 
 
@@ -276,7 +276,8 @@ def states_uncertainty(text: str) -> bool:
 
 
 def uncertain_piece(text: str) -> str | None:
-    """The first value that states an uncertainty in the text of a sweep, without a leading ±; None if no value states one."""
+    """The first value in the text of a sweep that states an uncertainty, returned without its leading ±; None if no value states
+    one."""
     pieces = [signed[2] if (signed := _SIGNED.fullmatch(piece)) else piece for piece in text.split(",")]
     return next((piece for piece in pieces if states_uncertainty(piece)), None)
 
@@ -375,8 +376,8 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
 def _width(
     node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
 ) -> tuple[Quantity | None, str]:
-    """The stated standard uncertainty or half-width, and its distribution. misspelt: places of unknown keys, which may be
-    misspellings of the key that is missing here."""
+    """The stated standard uncertainty or half-width of a quantity, and its distribution. misspelt: places of unknown keys, one of
+    which may be a misspelling of the missing `half_width`."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:
@@ -468,5 +469,5 @@ def sweep_schema() -> dict[str, object]:
 
 
 def signed_schema() -> dict[str, object]:
-    """JSON Schema of one value with ± before it, which stands for both signs."""
+    """JSON Schema of a single value with a leading ±, which stands for both signs."""
     return {"type": "string", "maxLength": _MAX_TEXT, "pattern": anchored(SIGNED)}

@@ -84,7 +84,7 @@ def keys_reference() -> str:
 
 
 def section(title: str, about: str, fields: Mapping[str, dataclasses.Field[object]]) -> str:
-    """The section about one record: its title, a text, and a table of its keys."""
+    """The section of the page about one record: its title, a text, and a table of its keys."""
     if not fields:
         return f"## {title}\n\n{about}\n"
     lines = [f"## {title}", "", about, "", "| key | value | meaning | example |", "|---|---|---|---|"]

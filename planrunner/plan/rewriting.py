@@ -82,8 +82,8 @@ def _degrees(angle: float, decimals: int) -> str:
 
 
 def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) -> str:
-    """The text with the orientations that begin at the given (line, column) replaced; lines and columns count from 1. Raises
-    `RewriteError` if no orientation begins at one of these places."""
+    """Replaces the orientations that begin at the given positions (line, column), and returns the new text. Lines and columns count
+    from 1. Raises `RewriteError` if no orientation begins at one of these positions."""
     spans = []
     known = {(node.start_mark.line + 1, node.start_mark.column + 1): node for node in _mappings(yaml.compose(text))}
     for place, new in replacements.items():
@@ -100,10 +100,11 @@ def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) ->
 
 
 def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: Mapping[tuple[int, int], str]) -> str:
-    """The text with sweeps over orientations split into separate segments, each with its dwell.
+    """Splits sweeps over orientations into separate segments, each with its own dwell, and returns the new text.
 
-    dwells, orientations: (line, column) where an orientation begins → its new dwell, or the new orientation. All others stay
-    unchanged. Raises `RewriteError` if an orientation is written in another form.
+    dwells, orientations: map the (line, column) where an orientation begins to its new dwell, or to the new orientation. A dwell or
+    orientation that is not in these maps stays unchanged. Raises `RewriteError` if an orientation in `dwells` is not written in a
+    sweep of this kind.
     """
     left = dict(dwells)
     spans = []
@@ -140,7 +141,7 @@ def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: 
 
 
 def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
-    """The text with new moves instead of the list of moves that begins at (line, column), which count from 1. Raises `RewriteError`
+    """Replaces the list of moves that begins at (line, column), which count from 1, and returns the new text. Raises `RewriteError`
     if no list of moves begins there."""
     for node in _sequences(yaml.compose(text)):
         if (node.start_mark.line + 1, node.start_mark.column + 1) == place and node.value:
@@ -155,10 +156,10 @@ def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
 
 
 def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: Sequence[int] | None = None) -> str:
-    """The text with other rates in the sweep over rates that begins at (line, column), which count from 1.
+    """Replaces the rates of the sweep that begins at (line, column), which count from 1, and returns the new text.
 
-    turns: for each rate, its dwell in whole turns; the segment with the sweep is then written once for each rate. Raises
-    `RewriteError` if no sweep begins there.
+    turns: the dwell for each rate, in whole turns; if given, the segment with the sweep is replaced by one segment for each rate.
+    Raises `RewriteError` if no sweep begins there.
     """
     for item in _mappings(yaml.compose(text)):
         node = _child(_child(item, "for_each"), "rate")
@@ -184,7 +185,7 @@ def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: S
 
 
 def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
-    """The position at which an item is appended to a mapping or list, and the text to insert there."""
+    """The position in the text at which an item must be inserted to append it to a mapping or list, and the text to insert there."""
     begin = node.start_mark.index
     end = begin + len(text[begin : last.end_mark.index].rstrip())
     if node.flow_style:
@@ -203,7 +204,7 @@ def _changed(text: str, begin: int, end: int, changes: Sequence[tuple[yaml.Node,
 
 
 def _with_key(part: str, entry: str, item: yaml.Node) -> str:
-    """The text of a mapping with one more key."""
+    """The text of a mapping after one more key has been added."""
     if isinstance(item, yaml.MappingNode) and item.flow_style:
         return part.rstrip().removesuffix("}").rstrip() + f", {entry}}}"
     return part + "\n" + " " * item.start_mark.column + entry

@@ -31,9 +31,9 @@ class Spin:
 class Rock:
     """Sinusoidal rocking of the table's rings: angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad].
 
-    It lasts `duration` s at full amplitude. The outermost ring is first. t: time since the record began, s. The rocking fades in
-    during one period before `steady`, and fades out during one period after `steady` + `duration`. delay: time at rest at the
-    beginning of the record, s; if it is zero, the rocking fades in before the record begins.
+    The rocking has its full amplitude for `duration` s. `phases` has one entry for each ring, the outermost first. t: time since
+    the record began, s. The rocking fades in during one period before `steady`, and fades out during one period after `steady` +
+    `duration`. delay: time at rest at the beginning of the record, s; if it is zero, the rocking fades in before the record begins.
     """
 
     amplitude: float
@@ -44,7 +44,7 @@ class Rock:
 
     @property
     def period(self) -> float:
-        """The period of the rocking, s."""
+        """The period of the rocking [s]."""
         return 1 / self.frequency
 
     @property
@@ -85,11 +85,11 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMotion:
-    """A motion that no table was commanded to make, and that channels of the recording show.
+    """A motion that channels of the recording show, and that no table was commanded to make.
 
     angle: channel of the encoder of an axis along the site direction `about`; the angle is zero in the segment's orientation.
     attitude: the four channels of a unit quaternion from the sensor's axes to East-North-Up, real part first. rates, forces: three
-    channels of angular rate and three channels of specific force along the sensor's x, y, z. At least one of these is stated.
+    channels of angular rate and three channels of specific force along the sensor's x, y, z. At least one of these four is stated.
     averaging: time over which outputs and motion are averaged, s; 0 if the samples are used as they are.
     """
 
@@ -111,9 +111,9 @@ Motion = Rest | Spin | Rock | Cycle | RecordedMotion
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """When readings count as settled. limits: reading → largest permitted value, SI, for example of `temperature_drift` in K/s.
-    duration: how long the readings must stay within the limits without interruption, s; patience: time after which the readings
-    should have settled, s."""
+    """The condition under which readings count as settled. limits: maps each reading to its largest permitted value in SI units,
+    for example `temperature_drift` to a value in K/s. duration: time [s] for which the readings must stay within the limits without
+    interruption. patience: time [s] after which the readings should have settled."""
 
     limits: Mapping[str, float]
     duration: float
@@ -122,9 +122,9 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Conditions that must hold while a segment records. limits: as for `Stability`. lost, corrupt: permitted fractions of lost and
-    of corrupt frames; None if any fraction is permitted. doubts: True if an instrument's doubts about its samples count as an
-    exceeded limit. retakes: how often the segment may be repeated after a limit was exceeded."""
+    """Conditions that must hold while a segment records. limits: largest permitted value of each reading, as in `Stability`. lost,
+    corrupt: permitted fractions of lost and of corrupt frames; None if any fraction is permitted. doubts: True if an instrument's
+    doubts about its samples count as an exceeded limit. retakes: how often the segment may be repeated after a limit was exceeded."""
 
     limits: Mapping[str, float] = field(default_factory=dict)
     lost: float | None = None
@@ -139,17 +139,19 @@ class Segment:
 
     attitude: attitude at the start of the motion, shape (3, 3); its rows are the sensor's x, y, z axes in East-North-Up of the site, so
         v_sensor = attitude @ v_site; None if the plan says `unknown`.
-    temperature, ramp_to: K; `temperature` is None for a ramp. kept_temperature: temperature [K] at which the chamber has kept the sensor
-        since an earlier segment; None if no earlier segment states a temperature, and on a bench that plays back a recording.
+    temperature: stated temperature [K]; None for a ramp. ramp_to: temperature [K] at the end of a ramp; otherwise None.
+    kept_temperature: temperature [K] at which the chamber has kept the sensor since an earlier segment; None if no earlier segment
+        states a temperature, and on a bench that plays back a recording.
     supply_voltage: V; ambient_pressure: Pa; each is None if the plan does not state it.
-    soak, settle, dwell, transition, start: s. `dwell` is None if it is the length of the recording; `transition` is the planned time to
-        reach the state (moves, spin-up, temperature); `start` is the planned time from the beginning of the run to that of the dwell.
+    soak, settle, dwell, transition, start: s. `dwell` is None if the dwell lasts as long as the recording. `transition` is the planned
+        time to reach the state (moves, spin-up, temperature). `start` is the planned time from the beginning of the run to the
+        beginning of the dwell.
     sample_rate: Hz; None for the sensor's own rate.
     mode: operating mode of the sensor; None if the plan does not set it.
     on_break: what happens to a segment interrupted by a crash: 'retake' repeats it, 'keep' keeps the recorded part.
     stable, soaked: readings that must be steady before the waits `settle` and `soak` end; None for a wait of fixed length. watch:
         conditions during the dwell. prompts: prompts to the operator before the segment.
-    marks: places of the keys in the plan, for messages.
+    marks: places of the segment's keys in the plan, for messages.
     """
 
     index: int

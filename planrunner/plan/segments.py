@@ -139,8 +139,8 @@ class RockSpec(Record):
 
 
 class RecordedSpec(Record):
-    """Channels of the recording that show a motion that was not commanded, such as that of a hand, a vehicle, or a jig without a drive.
-    One of angle, attitude and rates gives the rotation."""
+    """Channels of the recording that show a motion that was not commanded, for example of a hand-held sensor, a vehicle, or a jig
+    without a drive. One of angle, attitude and rates gives the rotation."""
 
     angle: str | None = optional(
         CHANNEL,
@@ -180,7 +180,8 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 
 
 class MotionSpec(Record):
-    """What the sensor does while the segment records. Give one of rate, rock, cycle and recorded; without any of them, it is at rest."""
+    """What the sensor does while the segment records. Give one of rate, rock, cycle and recorded; if none is given, the sensor is
+    at rest."""
 
     rate: Quantity | None = optional(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY), "Constant rate about the rotation axis.", "300 deg/s"

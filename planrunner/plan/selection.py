@@ -53,7 +53,7 @@ class SelectionKind:
 
 
 def matches(label: str, pattern: str) -> bool:
-    """Whether a pattern matches a label. A pattern with '/' is compared with the whole label; any other pattern is compared with
+    """Whether a label matches a pattern. A pattern with '/' is compared with the whole label; any other pattern is compared with
     each part of the label."""
     if "/" in pattern:
         return fnmatchcase(label, pattern)
@@ -72,15 +72,15 @@ def _selected(labels: tuple[str, ...], patterns: tuple[str, ...]) -> tuple[int, 
 
 
 def spelt_alike(recorded: str, planned: str) -> bool:
-    """Whether a recorded label equals the planned label apart from plus signs, which labels made by an older rule lack."""
+    """Whether a recorded label equals the planned label apart from plus signs, which older labels lack."""
     return recorded == planned or recorded.replace("+", "") == planned.replace("+", "")
 
 
 def closest_label(label: str, known: Iterable[str]) -> str:
-    """A hint with the known label or pattern that was probably meant.
+    """A hint that suggests the known label, or the pattern, that was probably meant.
 
-    Labels that differ only in plus signs are closest. The table of a recording, or a plan written for an older rule, may lack the
-    plus sign in the label of a sweep. Such a label is only suggested; it does not count as a match.
+    A label that differs only in plus signs is suggested first. The table of a recording, or a plan written for an older rule, may
+    lack the plus sign in the label of a sweep. Such a label is only suggested; it does not count as a match.
     """
     names = list(known)
     bare = label.replace("+", "")
@@ -96,7 +96,8 @@ _MOST_COMPARED = 50
 
 
 class Labels:
-    """The labels of a plan, prepared for many patterns: each distinct part is compared with a pattern only once."""
+    """The labels of a plan, prepared for comparison with many patterns: each distinct part of a label is compared with a pattern
+    only once."""
 
     def __init__(self, labels: Sequence[str]):
         self._whole: dict[str, list[int]] = {}

@@ -65,7 +65,7 @@ class Position(Protocol):
 class _Placed:
     """A part of a text. begin, end: the places where the part begins and ends; None for a part that was made in code.
 
-    Its `mark` is made only on request, because a plan has hundreds of nodes and few of them are named in a finding.
+    Its `mark` is made only when it is needed, because a plan has hundreds of nodes and few of them are named in a finding.
     """
 
     __slots__ = ("_begin", "_end", "_written")
@@ -285,8 +285,8 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
 
 @dataclass(slots=True)
 class _Open:
-    """A sequence or mapping that is not complete yet. around: the nodes that precede it in the collection that contains it; before:
-    number of all nodes that precede it in the file, where an alias counts as all the nodes that it stands for."""
+    """A sequence or mapping whose end has not been read yet. around: the nodes before it in the enclosing collection. before:
+    number of all nodes before it in the file, where an alias counts as all the nodes that it stands for."""
 
     start: yaml.CollectionStartEvent
     around: list[Node]
@@ -393,7 +393,7 @@ class _Builder:
         self._items.append(node)
 
     def _entries(self, items: list[Node]) -> tuple[tuple[Scalar, Node], ...]:
-        """The entries of a mapping, from its keys and values in turn."""
+        """The entries of a mapping, made from a list in which keys and values alternate."""
         pairs = tuple(zip(items[::2], items[1::2], strict=True))
         if _sound(pairs):
             return pairs

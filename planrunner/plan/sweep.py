@@ -42,7 +42,7 @@ from planrunner.plan.quantity import (
 
 @dataclass(frozen=True, slots=True)
 class SweepValue:
-    """One value of a sweep. name: the part of a label that the value gives; short: the text that replaces a {placeholder} in a
+    """One value of a sweep. name: the part of a label that shows the value. short: the text that replaces a {placeholder} in a
     label."""
 
     name: str
@@ -95,10 +95,11 @@ def _product(axes: tuple[SweepAxis, ...], serpentine: bool) -> Iterator[tuple[Sw
 class StateTraits:
     """Properties of a key of a state in addition to its value.
 
-    swept: True if `for_each` accepts the key. directed: True if the sign of the quantity is a direction, so that labels show + as
-    well as −. decisive: True if a value that could not be read prevents the checks of the rest of the segment. replaces: the key
-    that states the same thing in another form. A segment has only one of these two keys, and setting this key removes an inherited
-    value of the other key. sweep_example: an example of a sweep, if the example of one value does not show how to write a sweep.
+    swept: True if the key may be swept with `for_each`. directed: True if the sign of the quantity is a direction, so that labels
+    show + as well as −. decisive: True if a value that could not be read prevents the checks of the rest of the segment. replaces:
+    another key that states the same thing in another form. A segment has only one of these two keys: setting this key removes an
+    inherited value of the other key. sweep_example: an example of a sweep, if the example of one value does not show how to write a
+    sweep.
     """
 
     swept: bool = False
@@ -115,7 +116,7 @@ def traits_of(state: type[Record]) -> dict[str, StateTraits]:
 
 @dataclass(frozen=True, slots=True)
 class SweptKey:
-    """A key of a state that `for_each` accepts. quantity: kind of the values if they are quantities; otherwise None."""
+    """A key of a state that `for_each` accepts. quantity: the kind of the values if they are quantities; otherwise None."""
 
     name: str
     kind: Kind
@@ -242,7 +243,7 @@ def _values(key: SweptKey, node: source.Node, log: Findings) -> tuple[SweepValue
 
 
 def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[object, Mark]]:
-    """The values that one entry of a list gives: two for a quantity with both signs; none after a finding was added."""
+    """The values that one entry of a list gives: two if the entry is a quantity with both signs, none after a finding was added."""
     if (
         key.quantity is not None
         and isinstance(item, source.Scalar)
@@ -269,7 +270,7 @@ def _quantity_kind(kind: Kind) -> QuantityOf | None:
 
 
 def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Findings) -> bool:
-    """Whether no value of a sweep states an uncertainty. If a value states one, a finding is added, because the uncertainty would
+    """Whether a sweep has no value with an uncertainty. If a value states one, a finding is added, because the uncertainty would
     not be used."""
     piece = uncertain_piece(text)
     if piece is not None:
@@ -326,7 +327,7 @@ def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepVa
 
 
 def _figure(key: SweptKey, quantity: Quantity) -> str:
-    """The number of a swept quantity for its label, in the unit as written. For signs, see the docstring of the module."""
+    """The number of a swept quantity for its label, in the unit as written. The module's docstring gives the rule for signs."""
     figure = f"{quantity.unit.from_si(quantity.value):.9g}"
     if float(figure) == 0:
         return "0"

@@ -112,7 +112,7 @@ class Unit:
 
 
 class UnknownUnitError(ValueError):
-    """The text is not a unit; the message explains it to the user."""
+    """The error for a text that is not a unit. Its message explains the fault to the user."""
 
 
 _DEG = math.pi / 180
@@ -285,7 +285,7 @@ def _registry() -> Any:
 
 
 def convert(value: float, from_unit: str, to_unit: str) -> float:
-    """`value` in another unit of the same dimension. Raises `UnknownUnitError` for a unit or a dimension that does not fit."""
+    """`value` in another unit of the same dimension. Raises `UnknownUnitError` if a unit is unknown or has another dimension."""
     source, target = unit(from_unit), unit(to_unit)
     if source.dimension != target.dimension:
         raise UnknownUnitError(f"{from_unit} cannot be expressed in {to_unit}")
