@@ -1,1 +1,1 @@
-"""Run folders: written atomically, sealed, and readable by all later versions."""
+"""Run folders: they are written atomically, sealed, and remain readable for all later versions."""

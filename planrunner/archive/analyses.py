@@ -1,4 +1,5 @@
-"""Analyses of a run: numbered folders, each written atomically with a list of digests and never changed afterwards.
+"""Analyses of a run: each is stored in a numbered folder, which is written atomically with a list of digests and never changed
+afterwards.
 
 Each list contains the digest of the previous list, the journal head at the time of the analysis, and the digest of the seal, if
 there was one. Analyses therefore form a chain, like the events of the journal: a changed or removed analysis is detected as long as
@@ -42,7 +43,7 @@ class Basis:
 
 @dataclass(frozen=True)
 class StoredAnalysis:
-    """A stored analysis: its number, its folder, its list of digests, and the digest of that list."""
+    """A stored analysis: its number, its folder, its list of digests, and the digest of the list itself."""
 
     run: GuardedFolder
     number: int
@@ -59,13 +60,13 @@ class StoredAnalysis:
 
     @property
     def basis(self) -> Basis | None:
-        """The data from which the analysis was made; None for an analysis in an earlier format, which did not record them."""
+        """The data from which the analysis was made; None for an analysis in an earlier format, in which this was not recorded."""
         if self.digests["planrunner_digests"] == 1:
             return None
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
 
     def read(self, name: str, limit: int = MOST_RESULTS) -> bytes:
-        """Reads a file of the analysis and checks its digest. Raises `IntegrityError`."""
+        """Reads a file of the analysis and checks its digest. Raises `IntegrityError` if the file is missing or was changed."""
         try:
             data = self._folder().read(name, limit)
         except OSError as error:
@@ -108,7 +109,7 @@ class StoredAnalysis:
 
 
 def exchanged(path: Path, other: str) -> IntegrityError:
-    """The error for a file whose content belongs to another file."""
+    """Makes the error for a file that has the content of another file of the run."""
     return IntegrityError(
         f"{path}: it has the content of {other}: files were exchanged; {formats.FROM_BACKUP}", "run-reordered"
     )
@@ -141,8 +142,8 @@ def _is_number(name: str) -> bool:
 
 
 def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
-    """An analysis with its list of digests. The list is checked against its schema and its own digest; the files are not checked. Raises
-    `IntegrityError`."""
+    """Reads an analysis with its list of digests. The list is checked against its schema and its own digest; the files are not
+    checked. Raises `IntegrityError`."""
     path = run.path / FOLDER / str(number) / DIGESTS
     try:
         data = run.folder(FOLDER).folder(str(number)).read(DIGESTS, MOST_DIGESTS)
@@ -156,7 +157,7 @@ def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
 def add_analysis(
     run: GuardedFolder, files: Mapping[str, bytes], basis: Basis, *, storage: Storage | None = None
 ) -> StoredAnalysis:
-    """Adds an analysis in `analyses/<n>` and returns it. files: contents by file name.
+    """Adds an analysis in `analyses/<n>` and returns it. files: maps each file name to the content of the file.
 
     The analysis is written under a temporary name and then renamed, so it exists completely or not at all. Two simultaneous
     analyses get different numbers. Raises `InputError` if the analysis cannot be written.
@@ -199,7 +200,7 @@ def _take_number(
     basis: Basis,
     storage: Storage,
 ) -> int:
-    """Gives the analysis the next number and the digest of the previous one."""
+    """Writes the number of the new analysis and the digest of the previous analysis into its list of digests."""
     while True:
         standing = numbers(run)
         last = stored_analysis(run, standing[-1]) if standing else None

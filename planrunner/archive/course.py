@@ -1,12 +1,13 @@
-"""The course of a motion: the signal that a turning or rocking table causes in the samples of a segment, because the sensor
-measures the Earth's rate, gravity and its own motion. The scatter of the samples is computed about the course.
+"""The course of a motion: the periodic signal in the samples of a segment that arises because the table turns or rocks and the
+sensor measures the Earth's rate, gravity and its own motion. The scatter of the samples is computed from their differences from
+this course.
 
 
 
 The course repeats with the period of the motion. An output that is linear in the sensed quantity contains the fundamental; a
-second-order effect adds twice its frequency. The fundamental may change linearly over the segment, because a table whose rate is
-wrong by some ppm drifts away from the planned phase. A rocking table causes more harmonics, because the sensed quantity follows
-sines of an angle that is itself a sine.
+second-order effect adds twice its frequency. The amplitude and phase of the fundamental may change linearly over the segment,
+because a table whose rate is wrong by some ppm drifts away from the planned phase. A rocking table causes more harmonics, because
+the sensed quantity follows sines of an angle that is itself a sine.
 """
 
 from __future__ import annotations
@@ -28,10 +29,12 @@ _PER_COLUMN = 4  # times as many means as columns that a fit needs
 
 @dataclass(frozen=True, slots=True)
 class MotionCourse:
-    """The course of a motion. columns: (c, p), values of the p functions that make up the course, each as a mean over c short
-    intervals. Weighted by the number of samples in each interval, the columns are orthonormal and have zero mean. samples: (c,),
-    number of samples in each interval; zero where the table is not in its steady motion. products: (p, p), inner products of the
-    same functions over single samples, which averaging does not attenuate."""
+    """The course of a motion, that is, the periodic signal that the motion causes in the samples.
+
+    columns: (c, p), values of the p functions that make up the course, each as a mean over c short intervals. Weighted by the
+    number of samples in each interval, the columns are orthonormal and have zero mean. samples: (c,), number of samples in each
+    interval; zero while the table is not in its steady motion. products: (p, p), inner products of the p functions over single
+    samples; unlike the means, single samples do not attenuate the functions."""
 
     columns: Array
     samples: Array
@@ -39,15 +42,15 @@ class MotionCourse:
 
 
 def follows_course(motion: Motion) -> bool:
-    """Whether a motion gives a periodic course."""
+    """Whether a motion causes a periodic course, that is, a periodic signal in the samples."""
     return isinstance(motion, Rock) or (isinstance(motion, Spin) and motion.rate != 0)
 
 
 def course_of(motion: Motion, time: Array, samples: Array, interval: float) -> MotionCourse | None:
     """The course of a periodic motion in short means of consecutive samples; None if there are too few short means.
 
-    time: (c,), s, middle of each short mean, counted from the segment's first sample. samples: (c,), number of samples in each
-    mean. interval: time between samples, s.
+    time: (c,), s, middle of the interval of each short mean, counted from the segment's first sample. samples: (c,), number of
+    samples in each mean. interval: time between samples, s.
     """
     if isinstance(motion, Rock):
         since = time - motion.steady

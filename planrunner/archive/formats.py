@@ -15,7 +15,7 @@ from planrunner.base.documents import Json, JsonObject
 
 
 class IntegrityError(Exception):
-    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy. code:
+    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy. code: the
     code of the finding that reports this error."""
 
     def __init__(self, message: str, code: str = "run-changed"):
@@ -36,19 +36,19 @@ FROM_BACKUP = "take the run folder from a backup"
 
 
 def to_bytes(value: Json) -> bytes:
-    """JSON text of a file: full precision, no NaN, the same bytes for the same data. A lone surrogate is written as its escape
-    sequence."""
+    """JSON text for a file, with full precision and without NaN; the same data always give the same bytes. A lone surrogate is
+    written as its escape sequence."""
     return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "backslashreplace")
 
 
 def digested(value: JsonObject) -> bytes:
-    """JSON text of a file whose last key, `digest`, is the SHA-256 of the same file without this key."""
+    """JSON text for a file whose last key, `digest`, contains the SHA-256 of the text without this key."""
     return to_bytes({**value, "digest": hashlib.sha256(to_bytes(value)).hexdigest()})
 
 
 def require_own_digest(data: bytes, value: JsonObject, path: Path) -> None:
-    """Checks the digest in a file that `digested` has made, byte by byte. A file of an earlier format, without `digest`, passes.
-    Raises `IntegrityError`."""
+    """Checks the digest in a file whose text was made by `digested`. A file of an earlier format, without `digest`, passes. Raises
+    `IntegrityError`."""
     if "digest" in value and digested({key: item for key, item in value.items() if key != "digest"}) != data:
         raise IntegrityError(f"{path}: changed after it was written: it does not match its own digest; {FROM_BACKUP}")
 
@@ -122,7 +122,7 @@ def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int
 
 
 def event_fault(event: Mapping[str, Json]) -> str | None:
-    """The fault of a journal event according to its schema; None if it is valid."""
+    """The reason why the schema rejects a journal event; None if the event is valid."""
     kind = event.get("event")
     check = _events().get(kind) if isinstance(kind, str) else None
     if check is None:
@@ -136,7 +136,7 @@ def event_fault(event: Mapping[str, Json]) -> str | None:
 
 @lru_cache(maxsize=1)
 def _events() -> dict[str, Check]:
-    """Maps each kind of event to the check of its keys: the keys common to all events, and the keys of this kind."""
+    """Maps each kind of event to a check of the keys common to all events and of the keys of this kind."""
     whole = schema("journal-event")
     checks = {}
     for kind, branch in whole["$defs"]["events"].items():

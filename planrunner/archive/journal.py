@@ -39,7 +39,7 @@ def utc_now() -> str:
 
 @lru_cache(maxsize=1)
 def _whole_second(seconds: int) -> str:
-    """A time in whole seconds since 1970, UTC."""
+    """Converts a time to whole seconds since 1970, UTC."""
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S")
 
 
@@ -56,7 +56,7 @@ _encode = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=
 
 
 def finite(readings: Mapping[str, float]) -> dict[str, float | None]:
-    """Readings for JSON: NaN and infinities, which JSON lacks, become null."""
+    """Makes readings that JSON can represent: NaN and infinities become null."""
     return {name: value if math.isfinite(value) else None for name, value in readings.items()}
 
 
@@ -83,9 +83,9 @@ class Journal:
     def append(self, event: str, data: Mapping[str, Json], *, acknowledge: bool = True) -> str:
         """Adds one event; returns the digest of its line.
 
-        acknowledge: if True, waits in durable mode until the event is on the disk. It is False for events that only announce
-        something; the next acknowledged event writes them to the disk too. Raises `OSError`, and ValueError for data that JSON
-        cannot represent.
+        acknowledge: in durable mode, True waits until the event is on the disk. Use False for an event that only announces
+        something; the next acknowledged event writes it to the disk too. Raises `OSError`, and ValueError for data that JSON cannot
+        represent.
         """
         if self._broken:
             raise OSError("the journal could not be repaired after a failed write; resume the run to repair it")
@@ -122,12 +122,14 @@ class Journal:
 
 
 class JournalScan:
-    """Reader of a journal. Iterate once over the events; afterwards `head`, `count`, `size`, `torn`, `heads` and `digests` are known.
+    """Reader of a journal. Iterate once over the events; `head`, `count`, `size`, `torn`, `heads` and `digests` are known
+    afterwards.
 
-    size: bytes of complete lines. torn: bytes of an incomplete last line. marks: event counts. After each of these numbers of
-    events, the head of the chain is stored in `heads`, and the SHA-256 of the file up to this event in `digests`; both are also
-    stored before each event `reopened`. times: the times of the events at the marks. name: name of the file. Raises
-    `IntegrityError` if the chain is broken, and `OSError`.
+    size: number of bytes in complete lines. torn: number of bytes in an incomplete last line. marks: numbers of events after which
+    a state of the chain is to be stored. After each of these numbers of events, `heads` receives the head of the chain, and
+    `digests` the SHA-256 of the file up to this event; both are also stored before each event `reopened`. times: maps each mark to
+    the time of the event there. name: name of the file, for messages. Raises `IntegrityError` if the chain is broken, and
+    `OSError`.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = (), name: str = NAME):
@@ -184,7 +186,8 @@ class JournalScan:
         return event
 
     def _misplaced(self, number: Json, rest: BufferedReader) -> IntegrityError:
-        """The error for a line whose number does not match its position: lines were removed, inserted or exchanged."""
+        """The error for a line whose number does not match its position, which shows that lines were removed, inserted or
+        exchanged."""
         expected = self.count + 1
         what = f"has the number {str(number)[:20]}, but {expected} is expected here"
         if type(number) is not int:
@@ -206,8 +209,8 @@ class JournalScan:
 
 
 def _two_lines(line: bytes) -> bool:
-    """Whether zero bytes lie between two complete lines. The first line was then complete and counted, so this is not an
-    interrupted write."""
+    """Whether zero bytes are followed by a line end and preceded by a complete line. The preceding line was then acknowledged, so
+    this is not the trace of an interrupted write."""
     first, zeros, _ = line.partition(b"\0")
     if not zeros or not line.endswith(b"\n"):
         return False

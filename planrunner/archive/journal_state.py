@@ -19,7 +19,7 @@ MOST_TURNS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
-    """A segment that counts: its files, its readings, and the reason why it is shorter than planned, if it is."""
+    """A segment that counts: its files, its readings, and, if it is shorter than planned, the reason."""
 
     index: int
     label: str
@@ -44,7 +44,7 @@ class Begun:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """Data that were kept but do not count, with the reason."""
+    """Data of a segment that were kept but do not count, with the reason."""
 
     index: int
     label: str
@@ -55,14 +55,15 @@ class Rejected:
 
 @dataclass(slots=True)
 class JournalState:
-    """The state of a run according to its journal. clock, states: values at the last acknowledged segment, from which the run can
-    be resumed. open: the segment in which the process ended. earlier_seals: maps the SHA-256 of each seal that the run had when it
-    was reopened to the number of events at that time. turning_times: number and time of the first and of the last event, and of the
-    two events at each place where the time goes back. planned: number of segments of the schedule, 0 if the run never started.
-    stamped, unstamped: the events about time stamps. unstamped_ends: numbers of those events `finished` before which the journal
-    was not stamped to its end. renewals: for each event that reopened the run with further approvals, its time and the entries of
-    these approvals. standards: for each event that reopened the run on a bench with a check standard, its time and the state of the
-    check standard at that time."""
+    """The state of a run according to its journal. clock, states: time and states that were stored with the last acknowledged
+    segment, and from which the run can be resumed. open: the segment during which the process ended; None if it ended between
+    segments. earlier_seals: maps the SHA-256 of each seal that the run had when it was reopened to the number of events at that
+    time. turning_times: number and time of the first and of the last event, and of the two events at each place where the time goes
+    back. planned: number of segments in the schedule; 0 if the run never started. stamped, unstamped: the events about time stamps
+    that were obtained, and about those that were not. unstamped_ends: numbers of the events `finished` for which no time stamp
+    covers the journal up to its end at that time. renewals: for each event that reopened the run with further approvals, its time
+    and the entries of these approvals. standards: for each event that reopened the run on a bench with a check standard, its time
+    and the state of the check standard at that time."""
 
     created: JsonObject = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -95,7 +96,7 @@ class JournalState:
             yield from self.open.parts
 
     def take(self, event: Mapping[str, Json]) -> None:
-        """Updates the state with one event."""
+        """Updates the state for one event of the journal."""
         kind = event["event"]
         handler = getattr(self, f"_{kind}", None)
         if handler is not None:
@@ -104,8 +105,8 @@ class JournalState:
             self._end_of_others = event.get("seq", self._end_of_others)
 
     def take_time(self, number: int, at: str) -> None:
-        """Updates `turning_times` with the time of one event. Times of events are written in one form, so that the order of their
-        texts is the order of the times."""
+        """Updates `turning_times` for one event of the journal. All events state the time in the same form, so that the
+        alphabetical order of the texts is the order of the times."""
         kept = self.turning_times
         rising = len(kept) > 1 and kept[-2][1] <= kept[-1][1] <= at
         if rising or len(kept) > MOST_TURNS:
@@ -185,8 +186,8 @@ class JournalState:
 
 
 def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[JournalState, JournalScan]:
-    """The state described by a journal, and the scan with its head and size. marks: event counts at which the scan stores the head.
-    Raises `IntegrityError`."""
+    """Reads a journal; returns the state that it describes, and the scan, which has the journal's head and size. marks: numbers of
+    events after which the scan stores the head of the chain. Raises `IntegrityError`."""
     scan = JournalScan(folder, marks)
     state, path = JournalState(), scan.path
     try:
@@ -214,6 +215,6 @@ _FILE = re.compile(r"(?P<number>\d{4,})-(?P<label>.+?)(?:\.try(?P<attempt>\d+))?
 
 
 def name_parts(name: str) -> tuple[int, str, int] | None:
-    """(index, label, attempt) from the name of a file of samples; None for any other file."""
+    """Splits the name of a file of samples into (index, label, attempt); returns None for any other file."""
     match = _FILE.fullmatch(name)
     return (int(match["number"]) - 1, match["label"], int(match["attempt"] or 1)) if match else None

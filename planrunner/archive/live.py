@@ -1,8 +1,9 @@
 """The live state of a run, and answers to its prompts: two small files in the run folder, for other processes.
 
-The process that executes a run replaces `.live` about once a second and removes it at the end. A process that watches the run reads it, and
-writes `.answer` when a person has confirmed a prompt. Neither file belongs to the record of the run: they are not flushed to the disk, not
-sealed, and a run works without them. What others wrote is checked against a schema and a maximum size before it is used.
+The process that executes a run replaces `.live` about once a second and removes it at the end. A process that watches the run reads
+it, and writes `.answer` when a person has confirmed a prompt. Neither file belongs to the record of the run: they are not flushed
+to the disk, not sealed, and a run works without them. The files may come from other processes, so they are checked against a schema
+and a maximum size before they are used.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ _STORAGE = Storage("flushed")
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A prompt that waits for an answer. id: a new identifier for each prompt that is shown, so that an answer cannot apply to
-    another prompt."""
+    """A prompt that waits for an answer. id: identifier of the prompt; each prompt that is shown has a new one, so that an answer
+    cannot apply to another prompt."""
 
     id: str
     text: str
@@ -83,7 +84,7 @@ class LiveNotice:
 class LiveState:
     """The present state of a run. at: time of this state, UTC, ISO 8601. index: index of the present segment, counted from 0.
     fraction: completed part of the planned time, 0 to 1. time_left: remaining real time, s; None if it is not yet known.
-    strip_time: end of each interval of the strip charts, s, on the sensor's clock. hidden_channels: number of channels beyond those
+    strip_time: end of each interval of the strip charts, s, on the sensor's clock. hidden_channels: number of channels that are not
     listed."""
 
     at: str
@@ -175,7 +176,8 @@ def _channel(data: JsonObject) -> LiveChannel:
 
 
 def _short(text: str) -> str:
-    """A text, shortened if necessary. A plan or a driver may give a text of any length, but the schema limits the length."""
+    """A text, shortened to the length that the schema permits. This is necessary because a plan or a driver may give a text of any
+    length."""
     return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
 
 
@@ -190,12 +192,12 @@ def _value(value: Json) -> float:
 
 
 def publish(run: GuardedFolder, state: LiveState) -> None:
-    """Replaces the live state. Raises `OSError`."""
+    """Replaces the live state in the run folder. Raises `OSError`."""
     _STORAGE.write_whole(run, NAME, formats.to_bytes(state.to_json()))
 
 
 def withdraw(run: GuardedFolder) -> None:
-    """Removes the live state and an unused answer, as far as possible, because the run has ended."""
+    """Removes the live state, and an answer that was not used, as far as possible, because the run has ended."""
     for name in (NAME, ANSWER):
         with contextlib.suppress(OSError):
             run.remove(name)

@@ -1,4 +1,4 @@
-"""One writer per run folder: a lock that the operating system releases when the process ends for any reason."""
+"""Ensures that a run folder has only one writer, by a lock that the operating system releases when the process ends for any reason."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ NAME = ".lock"
 class FolderLock:
     """An exclusive lock on a folder, held from creation to `release`.
 
-    Raises `InputError` if another process, or another writer of this process, holds the lock. Raises `OSError`.
+    Raises `InputError` if another process, or another writer of this process, holds the lock. Raises `OSError` if the lock file
+    cannot be opened.
     """
 
     def __init__(self, folder: GuardedFolder):

@@ -14,11 +14,11 @@ EMPTY = hashlib.sha256(b"").digest()
 
 
 class ProofError(ValueError):
-    """A proof does not fit the tree. The message gives the reason."""
+    """The error for a proof that does not fit the tree. The message gives the reason."""
 
 
 def leaf_hash(entry: bytes) -> bytes:
-    """Hash of a leaf: the prefix 00 separates leaves from nodes (2.1.1)."""
+    """Hash of a leaf; its prefix 00 distinguishes leaves from nodes (2.1.1)."""
     return hashlib.sha256(b"\0" + entry).digest()
 
 
@@ -27,7 +27,7 @@ def node_hash(left: bytes, right: bytes) -> bytes:
 
 
 def tree_hash(leaves: Hashes) -> bytes:
-    """MTH of a tree with these hashes of leaves (2.1.1)."""
+    """MTH of a tree whose leaves have these hashes (2.1.1)."""
     if not leaves:
         return EMPTY
     level = list(leaves)
@@ -38,7 +38,7 @@ def tree_hash(leaves: Hashes) -> bytes:
 
 
 def complete_nodes(leaves: Hashes) -> list[list[bytes]]:
-    """Hashes of all complete subtrees, grouped by height, for `root_of`: the subtrees of 1, 2, 4 … leaves."""
+    """Hashes of all complete subtrees, which have 1, 2, 4 … leaves, grouped by height, as `root_of` needs them."""
     levels = [list(leaves)]
     while len(below := levels[-1]) > 1:
         levels.append([node_hash(below[i], below[i + 1]) for i in range(0, len(below) - 1, 2)])
@@ -72,8 +72,8 @@ def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
 
 
 def consistency_proof(size: int, leaves: Hashes) -> list[bytes]:
-    """PROOF(size, leaves): shows that the tree begins with the tree of its first `size` leaves (2.1.4.1). The proof is empty for
-    size 0."""
+    """PROOF(size, leaves): shows that the tree of the first `size` leaves is a part of the tree of all leaves (2.1.4.1). The proof
+    is empty for size 0."""
     if not 0 <= size <= len(leaves):
         raise ProofError(f"the tree has fewer than {size} leaves")
     return _subproof(size, leaves, whole=True) if 0 < size < len(leaves) else []
@@ -112,7 +112,8 @@ def require_inclusion(leaf: bytes, index: int, size: int, path: Hashes, root: by
 
 
 def require_consistency(first: int, second: int, first_hash: bytes, second_hash: bytes, path: Hashes) -> None:
-    """Verifies that the tree of size `first` is the beginning of the tree of size `second` (2.1.4.2). Raises `ProofError`."""
+    """Verifies that the tree of size `second` was made by appending leaves to the tree of size `first` (2.1.4.2). Raises
+    `ProofError`."""
     if not 0 <= first <= second:
         raise ProofError("the second tree is smaller than the first")
     if first in (0, second):

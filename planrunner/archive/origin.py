@@ -33,11 +33,11 @@ _PURPOSE = b"planrunner run folder 1\n"
 
 
 class OriginUnknownError(Exception):
-    """The key cannot be read or made. The message gives the reason."""
+    """The error if the key of this user cannot be read or made. The message gives the reason."""
 
 
 def state_folder() -> Path:
-    """Folder of this user's key. Raises `OriginUnknownError` if there is none."""
+    """The folder for the key of this user. Raises `OriginUnknownError` if there is no such folder."""
     stated = os.environ.get(STATE)
     try:
         if stated:
@@ -73,7 +73,7 @@ def leave_origin(run: GuardedFolder, first: str) -> None:
 
 
 def made_here(run: GuardedFolder, first: str) -> bool:
-    """Whether this user made the run folder on this computer. Raises `OriginUnknownError` if that cannot be determined."""
+    """Whether this user made the run folder on this computer. Raises `OriginUnknownError` if this cannot be determined."""
     key = _key(make=False)
     if not key:
         return False
@@ -98,8 +98,8 @@ def _mark(key: bytes, first: str) -> str:
 
 
 def _key(make: bool) -> bytes:
-    """Reads the key. If there is no key and `make` is False, the result is empty; if `make` is True, the key is made first. Raises
-    `OriginUnknownError`."""
+    """Reads the key. If there is no key, it is made if `make` is True; otherwise the result is empty. Raises `OriginUnknownError`
+    if the key cannot be read or made."""
     path = state_folder()
     try:
         if make:
@@ -118,7 +118,7 @@ def _key(make: bool) -> bytes:
 
 
 def _make_key(folder: GuardedFolder) -> None:
-    """Makes the key. If two processes start at once, the second waits and uses the key of the first."""
+    """Makes the key of this user. If two processes try this at the same time, the second waits and uses the key of the first."""
     with _alone(folder):
         if folder.entry(KEY) is not None:
             return

@@ -1,4 +1,4 @@
-"""Pausing a run at the next segment boundary from any other process, by a file in the run folder."""
+"""Requests from any process that a run pause at the next segment boundary, by means of a file in the run folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NAME = ".pause"
 
 
 def ask_to_pause(run: GuardedFolder) -> None:
-    """Requests a pause. Raises `OSError` if the folder cannot be written."""
+    """Requests that the run pause at the next segment boundary. Raises `OSError` if the folder cannot be written."""
     os.close(run.open_or_make(NAME))
 
 
@@ -22,15 +22,15 @@ def asked_to_pause(run: GuardedFolder) -> bool:
 
 
 def take_back(run: GuardedFolder) -> bool:
-    """Ends a requested pause. Returns True if a process is still there to continue the run. A run whose process has ended in the
-    meantime must be resumed."""
+    """Ends a requested pause. Returns True if a pause was requested and a process still writes the run, so that the run continues.
+    A run whose process has ended in the meantime must be resumed."""
     asked = asked_to_pause(run)
     run.remove(NAME)
     return asked and is_written(run)
 
 
 def is_written(run: GuardedFolder) -> bool:
-    """Whether a process is writing the run at present."""
+    """Whether a process is writing to the run folder at present."""
     if run.entry(LOCK) is None:
         return False
     try:

@@ -1,4 +1,4 @@
-"""Segments of a recording that is played back, as a run would record them, but without a run folder."""
+"""The segments of a recording that is played back, in the form in which a run would record them, but without a run folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from planrunner.plan.schedule import Segment
 
 def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
     """The segments of a recording as the player plays them back. The recording is kept in memory or in a temporary Parquet file, so
-    that it can be read repeatedly. Raises `InstrumentError`."""
+    that it can be read repeatedly. Raises `InstrumentError` if the recording cannot be read."""
     if isinstance(player, SummaryPlayer):
         name, units = player.parameters.file, player.channels()
         return tuple(summarised(one, units, player.summary, player.stream(one), name) for one in segments)
@@ -31,8 +31,8 @@ def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment])
 
 
 def _play(player: RecordingPlayer, segment: Segment, passed: RowsRead) -> RecordedSegment:
-    """Plays back one segment of the recording. If the player holds the recording in memory, the blocks of the segment are in memory
-    too; otherwise every pass reads them again."""
+    """Plays back one segment of the recording. If the player holds the recording in memory, the samples of the segment are in
+    memory too; otherwise they are read again each time they are needed."""
     units = dict(player.channels())
     read = partial(player.stream, segment)
     if isinstance(player.file, HeldRecording):

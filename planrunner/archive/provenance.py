@@ -1,4 +1,4 @@
-"""Software that a result depends on: versions of the interpreter, the system and the libraries."""
+"""The software on which a result depends: versions of the interpreter, the operating system and the libraries."""
 
 from __future__ import annotations
 

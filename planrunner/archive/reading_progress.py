@@ -12,14 +12,14 @@ from planrunner.instruments.interfaces import Block
 
 
 class RowsRead:
-    """Counts the rows read from several segments, of which the total number of rows is known."""
+    """Counts the rows read from several segments whose total number of rows is known, and reports the progress."""
 
     def __init__(self, what: str, rows: float, notice: Announce | None):
         self._pace = Pace(what, rows, notice)
         self._done = 0
 
     def through(self, blocks: Iterator[Block]) -> Iterator[Block]:
-        """Yields the same blocks and counts their rows."""
+        """Yields the given blocks unchanged and counts their rows."""
         for block in blocks:
             yield block
             self._done += len(block.time)
@@ -27,9 +27,9 @@ class RowsRead:
 
 
 def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce | None) -> tuple[RecordedSegment, ...]:
-    """The given segments, with a display of progress. Long passes over their samples are reported to `notice` under the name
-    `what`, with the fraction of all rows that have been read at least once. After all rows have been read, the next pass starts
-    again from zero."""
+    """The given segments, changed so that reading their samples displays the progress. A pass over the samples that takes long is
+    reported to `notice` under the name `what`, with the fraction of all rows that have been read at least once. After all rows have
+    been read, the next pass starts again from zero."""
     if notice is None:
         return tuple(recording)
     passes = _Passes([item.statistics.count + item.statistics.rejected for item in recording], what, notice)
@@ -40,7 +40,8 @@ def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce 
 
 
 class _Passes:
-    """Counts the rows read in passes over the segments. rows: number of rows of each segment."""
+    """Counts the rows that have been read from the segments, also if they are read several times. rows: number of rows of each
+    segment."""
 
     def __init__(self, rows: Sequence[int], what: str, notice: Announce):
         self._rows, self._what, self._notice = rows, what, notice

@@ -69,7 +69,7 @@ _Place = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Pushed:
-    """Result of `push_run`. written: number of files that were written; present: number of files that already existed with the same
+    """Result of `push_run`. written: number of files that were written. present: number of files that already existed with the same
     content."""
 
     written: int
@@ -78,8 +78,8 @@ class Pushed:
 
 @dataclass(frozen=True, slots=True)
 class _RemoteFile:
-    """A file of a remote folder. path: path in the file system; size: in bytes; changed: time of the last change in ns since 1970,
-    None if the file system does not report it."""
+    """A file of a remote folder. path: path in the remote file system. size: number of bytes. changed: time of the last change in
+    ns since 1970; None if the file system does not report it."""
 
     path: str
     size: int
@@ -94,7 +94,8 @@ def is_url(text: str) -> bool:
 
 
 def fetched(url: str, *, anew: bool = False, notice: Announce | None = None) -> Path:
-    """A private copy of a remote folder. Files that have not changed since an earlier copy are not read again, unless `anew`.
+    """Makes a private copy of a remote folder, and returns the path of the copy. Unless `anew` is True, files that have not changed
+    since an earlier copy are not read again.
 
     The copy has the files of the remote folder and no others. Raises `InputError` if the folder cannot be read, or has entries that are not
     accepted.
@@ -134,14 +135,14 @@ def _hold(place: Path, url: str) -> None:
 
 
 class _Copying:
-    """Copies a remote folder. anew: whether to copy unchanged files too."""
+    """Copies a remote folder. anew: True to copy unchanged files too."""
 
     def __init__(self, files: AbstractFileSystem, url: str, anew: bool, notice: Announce | None):
         self.files, self.url, self.anew, self.notice = files, url, anew, notice
 
 
 def _copy(copying: _Copying, root: str, folder: GuardedFolder, place: _Place) -> None:
-    """Makes a folder equal to the remote folder."""
+    """Makes a local folder equal to the remote folder."""
     if len(place) > DEEPEST:
         raise _refused(copying.url, f"{'/'.join(place)}: more than {DEEPEST} folders inside one another")
     listed = {
@@ -184,8 +185,8 @@ def _copy_files(
     place: _Place,
     but: set[str] | None = None,
 ) -> None:
-    """Makes a folder contain exactly the wanted files. wanted: files by their place in this folder. but: entries of the folder that
-    are left as they are."""
+    """Makes a local folder contain exactly the wanted files. wanted: maps the place of each file in the local folder to the remote
+    file. but: entries of the local folder that are left as they are."""
     below: dict[str, dict[_Place, _RemoteFile]] = {}
     own: dict[str, _RemoteFile] = {}
     for parts, file in wanted.items():
@@ -237,7 +238,7 @@ def _copy_file(copying: _Copying, file: _RemoteFile, folder: GuardedFolder, name
 
 
 def _counts(info: Mapping[str, object]) -> bool:
-    """Whether an entry belongs to the archive. Empty objects that storage consoles make for folders do not, and neither do files
+    """Whether an entry belongs to the archive. False for the empty objects that storage consoles make for folders, and for files
     that are being written."""
     name = str(info["name"])
     return not (name.endswith("/") and info["type"] != "directory" and not info["size"]) and not name.endswith(ASIDE)
@@ -266,7 +267,7 @@ def _name(info: Mapping[str, object], root: str) -> str:
 
 
 def _parts(info: Mapping[str, object], root: str, url: str) -> _Place:
-    """The names that lead from the root to an object. Raises `InputError` for an object whose name would lead to another place."""
+    """The names on the path from the root to an object. Raises `InputError` for an object whose name would lead to another place."""
     inner = str(info["name"]).strip("/").removeprefix(root.strip("/")).removeprefix("/")
     parts = tuple(inner.split("/")) if inner else ()
     for part in parts:
@@ -290,15 +291,15 @@ def _refused(url: str, what: str) -> InputError:
 
 @dataclass(frozen=True, slots=True)
 class Pulled:
-    """Result of `pull_runs`. runs: the runs that were copied; present: number of runs that already existed."""
+    """Result of `pull_runs`. runs: the runs that were copied. present: number of runs that already existed."""
 
     runs: tuple[Path, ...]
     present: int
 
 
 def pull_runs(copy: Path, folder: Path) -> Pulled:
-    """Copies the runs from the copy of an archive into a folder, after they have been verified. Runs whose name already exists stay
-    as they are. Raises `IntegrityError` for a run that was changed; in this case no run is copied."""
+    """Copies the runs in the local copy of a remote archive into another folder, after they have been verified. Runs whose name
+    already exists stay as they are. Raises `IntegrityError` for a run that was changed; in this case no run is copied."""
     found = [one for one in find_runs(copy) if not one.fault]
     for one in found:
         examine(open_run(one.path), samples="digests").require_whole()
@@ -321,7 +322,8 @@ def pull_runs(copy: Path, folder: Path) -> Pulled:
 
 
 def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
-    """Writes a sealed run to a remote archive, or only the files that the remote run lacks, such as a new analysis.
+    """Writes a sealed run to a remote archive; if the archive already has the run, writes only the files that are missing there,
+    such as a new analysis.
 
     including: a folder within the run; it is an error if none of its files is in the remote run afterwards. Raises `IntegrityError`
     for a run that was changed. Raises `InputError` if the run is not sealed, if `including` is missing, if the archive has another
@@ -350,7 +352,7 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
 
 
 def _content(folder: GuardedFolder) -> Iterator[tuple[str, bytes]]:
-    """The files of a run, each with its place. The seal comes last."""
+    """The files of a run, each with its place in the remote run. The seal comes last."""
     entries = folder.entries()
     for name, entry in entries.items():
         if entry.kind == "file" and name in FILES and name not in _LOCAL and name != seals.NAME:
@@ -371,15 +373,15 @@ def _below(folder: GuardedFolder, place: str) -> Iterator[tuple[str, bytes]]:
 
 
 def push_back(run: Path, analysis: Path) -> None:
-    """Writes to a remote run everything that was added to its local copy, including this new analysis. Does nothing if the run is
-    not a copy. Raises the same errors as `push_run`."""
+    """Writes to a remote run everything that was added to the local copy of it, including this new analysis. Does nothing if the
+    run is not a copy. Raises the same errors as `push_run`."""
     source = source_of_copy(run)
     if source is not None:
         push_run(run, source.rpartition("/")[0], including=f"{ANALYSES}/{analysis.name}")
 
 
 def source_of_copy(run: Path) -> str | None:
-    """URL of the remote folder of which this folder is a copy; None if it is not a copy."""
+    """URL of the remote folder from which this folder was copied; None if it is not a copy."""
     inner, cache = run.resolve(), _cache().resolve()
     if not inner.is_relative_to(cache) or len(inner.relative_to(cache).parts) < 2:
         return None
@@ -389,12 +391,13 @@ def source_of_copy(run: Path) -> str | None:
 
 
 def _source(name: str) -> str:
-    """Name of the file with the URL of a copy, next to the copy."""
+    """Name of the file, next to a copy, that contains the URL from which it was copied."""
     return f".{name}.url"
 
 
 def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) -> bool:
-    """Writes a file if necessary; returns whether it was written. Raises `InputError` if the file exists with different content."""
+    """Writes a file to the remote archive if it is not there yet; returns True if it was written. Raises `InputError` if the file
+    exists with different content."""
     new = not files.exists(path)
     if new:
         files.makedirs(path.rpartition("/")[0], exist_ok=True)
@@ -411,7 +414,7 @@ def _written(files: AbstractFileSystem, path: str, data: bytes, archive: str) ->
 
 
 def _write(files: AbstractFileSystem, path: str, data: bytes) -> None:
-    """Writes a new file completely or not at all. Raises `FileExistsError` if the storage already has it."""
+    """Writes a new file completely or not at all. Raises `FileExistsError` if the file already exists in the storage."""
     from fsspec import AbstractFileSystem
 
     write = files.pipe_file
@@ -429,7 +432,7 @@ def _write(files: AbstractFileSystem, path: str, data: bytes) -> None:
 
 
 def _opened(url: str) -> tuple[AbstractFileSystem, str]:
-    """The file system of a URL, and the path in it. Raises `InputError`."""
+    """The file system of a URL, and the path in it. Raises `InputError` if the file system cannot be used."""
     try:
         from fsspec.core import url_to_fs
     except ImportError:
@@ -453,7 +456,7 @@ def _missing(url: str, why: str) -> InputError:
 
 @contextlib.contextmanager
 def _told(url: str) -> Iterator[None]:
-    """Converts failures of the file system, whose libraries have their own exceptions, to `InputError`."""
+    """Converts the exceptions of file systems, which differ from library to library, to `InputError`."""
     try:
         yield
     except InputError:

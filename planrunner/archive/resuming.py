@@ -1,4 +1,4 @@
-"""The point where an interrupted run continues, and the treatment of the segment in which it was interrupted."""
+"""Determines where an interrupted run continues, and treats the segment in which it was interrupted."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ REASON = "the process ended in this segment"
 
 @dataclass(slots=True)
 class ResumePoint:
-    """The state from which an interrupted run continues. states: states that resumable instruments and the executor stored with the last
-    acknowledged segment; clock: time at which they were stored, s.
+    """The state from which an interrupted run continues. states: states that the executor and the instruments that can be resumed
+    stored with the last acknowledged segment. clock: time at which the states were stored, s.
 
-    instruments: descriptions that the instruments gave of themselves before the interruption. files: name → SHA-256 of everything
-    recorded so far, for the seal. attempts: how often each segment was begun.
+    instruments: descriptions that the instruments gave of themselves before the interruption. files: maps the name of every file
+    recorded so far to its SHA-256, for the seal. attempts: how often each segment has been begun.
     """
 
     clock: float = 0.0
@@ -44,10 +44,10 @@ class ResumePoint:
 
 
 def settle_break(folder: GuardedFolder, storage: Storage, journal: Journal, state: JournalState) -> ResumePoint:
-    """Reconciles the journal and the files of an interrupted run; returns the point where to continue.
+    """Makes the journal and the files of an interrupted run agree; returns the point from which the run continues.
 
-    Temporary files are removed. The segment in progress keeps its finished parts. With `on_break: keep` in the plan, these parts
-    count and are marked as truncated. Otherwise they are rejected and the segment is repeated.
+    Temporary files are removed. The segment in progress keeps its finished parts. If the plan says `on_break: keep`, these parts
+    count and are marked as truncated. Otherwise these parts are rejected and the segment is repeated.
     """
     found = _unknown_files(folder, storage, state)
     begun = state.open

@@ -1,10 +1,10 @@
-"""Writing a run folder: created atomically, extended event by event and segment by segment, then sealed.
+"""Writes a run folder: creates it atomically, extends it event by event and segment by segment, then seals it.
 
     runs/<UTC time>-<plan name>-<short id>/
       run.json  plan.yaml  bench.yaml  approvals.json  journal.jsonl  segments/  seal.json  analyses/
 
-Acknowledged data are never changed or removed. An interrupted segment keeps its finished parts. They count if the plan says `on_break:
-keep`; otherwise they are kept with the reason, in addition to the repeated segment.
+Acknowledged data are never changed or removed. An interrupted segment keeps its finished parts of samples. They count if the plan
+says `on_break: keep`; otherwise they are kept with the reason, and the segment is repeated.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority, in DER,
-    or None. why: reason why there is no token. at: time in the token, UTC."""
+    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority in DER;
+    None if there is no time stamp. why: the reason why there is no time stamp. at: the time that the stamp states, UTC."""
 
     events: int
     token: bytes | None
@@ -66,17 +66,18 @@ class Witness(Protocol):
     """Obtains time stamps of the journal while it grows, without making the run wait."""
 
     def see(self, events: int, line: bytes, *, last: bool = False) -> None:
-        """Informs the witness that the journal has this number of acknowledged events and ends with this line. last: True if the
-        journal is finished, so that a stamp is due now."""
+        """Informs the witness of the number of acknowledged events in the journal, and of its last line. last: True if the journal
+        is finished, so that a stamp is due now."""
         ...
 
     def take(self, *, wait: bool = False) -> Sequence[Witnessed]:
-        """The stamps that have arrived since the last call. wait: whether to wait for stamps that are still missing."""
+        """The stamps that have arrived since the last call. wait: True to wait for stamps that have been requested but not
+        received."""
         ...
 
 
 class RunWriter:
-    """The only writer of a run folder. It is made by `create` or `reopen`; `close` it, or use it as a context manager."""
+    """The only writer of a run folder. It is made by `create` or `reopen`, and must be closed by `close` or by leaving its context."""
 
     def __init__(
         self,
@@ -124,7 +125,7 @@ class RunWriter:
     ) -> RunWriter:
         """Makes a new run folder in `root`, which is created if it does not exist.
 
-        identity: the last part of the folder's name, hexadecimal digits; random by default. A caller that states this part can find
+        identity: hexadecimal digits for the end of the folder's name; random by default. A caller that gives these digits can find
         the folder even if this process is killed.
 
         info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench
@@ -219,11 +220,11 @@ class RunWriter:
         twice.
 
         reason: reason for reopening a finished, sealed run; required for such a run. lock: lock of the folder, if the caller
-        already holds it; the writer takes it over. bench: a bench file that replaces the one in the folder; the journal records its
-        digest. approvals: entries of approvals of the plan that were given since the run began; the journal records them.
-        check_standard: the present state of the check standard of the bench.
+        already holds it; the writer then becomes responsible for it. bench: a bench file that replaces the one in the folder; the
+        journal records its digest. approvals: entries of approvals of the plan that were given since the run began; the journal
+        records them. check_standard: the present state of the check standard of the bench.
 
-        Raises `InputError` if the folder is in use, finished or not writable, and `IntegrityError`.
+        Raises `InputError` if the folder is in use, finished or not writable, and `IntegrityError` if it was changed.
         """
         folder = run.folder if isinstance(run, Examined) else open_run(run)
         file: FileIO | None = None
@@ -284,13 +285,13 @@ class RunWriter:
         return self._point
 
     def acknowledged(self, index: int) -> bool:
-        """Whether a segment was acknowledged before the folder was opened."""
+        """Whether a segment had been acknowledged when the folder was opened."""
         return index in self._point.acknowledged
 
     # -- growing -----------------------------------------------------------------------------------------------------
 
     def note(self, event: str, **data: Json) -> None:
-        """Adds an event about the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
+        """Adds an event about the run as a whole, such as `started`, `failed`, `stopped`, `safe` or `instruments`."""
         self._append(event, data)
 
     def take_watchdog_report(self) -> None:
@@ -303,8 +304,8 @@ class RunWriter:
     def begin(
         self, segment: Segment, clock: float, channels: Mapping[str, str], summary: SummaryChannels | None = None
     ) -> None:
-        """Begins a segment. channels: name → unit; empty if nothing is recorded. summary: meaning of the channels, if the segment
-        is recorded as a summary."""
+        """Begins a segment. channels: maps each channel to its unit; empty if nothing is recorded. summary: what the values of the
+        channels mean, if the segment is recorded as a summary."""
         index = segment.index
         self._attempt = self._point.attempts[index] = self._point.attempts.get(index, 0) + 1
         self._segment, self._parts, self._samples = segment, [], None
@@ -355,8 +356,8 @@ class RunWriter:
         reason: str = "",
         frames: Mapping[str, Json] | None = None,
     ) -> None:
-        """Finishes the segment's files and acknowledges it. clock, states: values from which the run can continue after this
-        segment; frames: frame counts of the sensor."""
+        """Finishes the segment's files and acknowledges it. clock, states: time and states from which the run can continue after
+        this segment. frames: frame counts of the sensor."""
         assert self._segment is not None
         parts = self._close_samples()
         event = {
@@ -415,8 +416,8 @@ class RunWriter:
         self._append("rejected", data)
 
     def finish(self) -> None:
-        """Finishes the run after every segment is acknowledged: writes the last event, enters the seal into the log of the archive,
-        if any, and seals the folder."""
+        """Finishes the run after every segment has been acknowledged: writes the last event, enters the seal into the log of the
+        archive if there is one, and seals the folder."""
         if self.witness is not None:
             self.witness.see(self._journal.count, self._journal.last, last=True)
             self._keep(self.witness.take(wait=True))
@@ -441,7 +442,7 @@ class RunWriter:
         self.close()
 
     def _append(self, event: str, data: Mapping[str, Json]) -> None:
-        """Adds an acknowledged event, and the stamps that have arrived."""
+        """Adds an event that is acknowledged, together with the time stamps that have arrived."""
         self._journal.append(event, data)
         if self.witness is not None:
             self._keep(self.witness.take())
@@ -465,7 +466,7 @@ class RunWriter:
             log.append(event, self._name, events=self._journal.count, head=self._journal.head, seal=seal)
 
     def _account(self, parts: list[Part]) -> None:
-        """Records the end of the segment by an event that names its files."""
+        """Records the end of the segment by an event that names the segment's files."""
         self._point.files.update((part.file, part.sha256) for part in parts)
         self._segment = None
 
@@ -476,7 +477,7 @@ class RunWriter:
         return self._parts
 
     def _keep_what_there_is(self) -> list[Part]:
-        """Finishes the file in progress as far as the disk permits; returns the segment's parts."""
+        """Finishes the file of samples in progress as far as the disk permits; returns all parts of the segment."""
         if self._samples is not None and self._samples.rows:
             try:
                 self._close_samples()
@@ -485,7 +486,7 @@ class RunWriter:
         return self._drop_samples()
 
     def _drop_samples(self) -> list[Part]:
-        """Discards the file in progress; returns the finished parts."""
+        """Discards the file of samples in progress; returns the finished parts of the segment."""
         if self._samples is not None:
             samples, self._samples = self._samples, None
             self._parts.extend(samples.take_finished())

@@ -48,9 +48,9 @@ LogEvent = Literal["created", "begun", "sealed", "retired"]
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """One entry of the log. seq: number of the entry, 1, 2, 3 …; at: time of the entry, UTC; events, head: number of events in the
-    journal at that time, and SHA-256 of the last of them; seal: SHA-256 of seal.json, for a sealed run; why: reason for removing
-    the run from the archive."""
+    """One entry of the log. seq: number of the entry, 1, 2, 3 …. at: time of the entry, UTC. events, head: number of events in the
+    journal at that time, and SHA-256 of the last of these events. seal: SHA-256 of seal.json, for a sealed run. why: reason for
+    removing the run from the archive."""
 
     seq: int
     at: str
@@ -62,13 +62,13 @@ class LogEntry:
     why: str = ""
 
     def to_json(self) -> JsonObject:
-        """The entry as JSON data, without absent values."""
+        """The entry as JSON data; values that are absent are left out."""
         value = {name: getattr(self, name) for name in self.__slots__}
         return {name: item for name, item in value.items() if item not in (0, "")}
 
     @property
     def line(self) -> bytes:
-        """The leaf: the line of the file without its line feed."""
+        """The entry as a leaf of the tree, which is its line in the file without the line feed."""
         return json.dumps(self.to_json(), separators=(",", ":"), ensure_ascii=False).encode("utf-8", "backslashreplace")
 
     @classmethod
@@ -116,7 +116,8 @@ def parse_head(data: bytes, path: Path) -> TreeHead:
 
 @dataclass(frozen=True)
 class LogContent:
-    """Everything in a log. torn: bytes of an incomplete last line. stored: the head in `head.json`; None if there is none."""
+    """The whole content of a log. torn: number of bytes in an incomplete last line. stored: the tree head in `head.json`; None if
+    the file does not exist."""
 
     entries: tuple[LogEntry, ...]
     size: int
@@ -125,7 +126,7 @@ class LogContent:
 
     @cached_property
     def leaves(self) -> tuple[bytes, ...]:
-        """Hashes of the entries."""
+        """Hashes of the entries, which are the leaves of the tree."""
         return tuple(leaf_hash(entry.line) for entry in self.entries)
 
     @cached_property
@@ -133,7 +134,7 @@ class LogContent:
         return complete_nodes(self.leaves)
 
     def root(self, size: int) -> str:
-        """Root of the tree of the first `size` entries."""
+        """Root of the tree that consists of the first `size` entries."""
         return root_of(self._levels, size).hex()
 
     @property
@@ -142,12 +143,12 @@ class LogContent:
         return self.leaves[0].hex() if self.leaves else ""
 
     def head(self) -> TreeHead:
-        """The head of the tree of all entries, with the present time."""
+        """The head of the tree of all entries; its time is the present time."""
         return TreeHead(len(self.entries), self.root(len(self.entries)), utc_now())
 
 
 class RunLog:
-    """The log in an archive. Several processes may append; each waits for the others."""
+    """The log of an archive. Several processes may append entries; each waits until the others have finished."""
 
     def __init__(self, folder: GuardedFolder, storage: Storage | None = None):
         self.folder = folder
@@ -235,12 +236,12 @@ class RunLog:
             return grown
 
     def write_beside(self, name: str, data: bytes) -> None:
-        """Writes a file next to the entries, such as a signed head. The caller must hold the lock. Raises `OSError`."""
+        """Writes a file into the folder of the log, such as a signed head. The caller must hold the lock. Raises `OSError`."""
         self._storage.write_whole(self.folder, name, data)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Excludes other writers. Raises `OSError` if another writer does not finish."""
+        """Excludes other writers while the enclosed code runs. Raises `OSError` if another writer does not finish."""
         until = time.monotonic() + PATIENCE
         while True:
             try:
@@ -257,7 +258,7 @@ class RunLog:
 
 
 def require_growth(content: LogContent, path: Path) -> None:
-    """Checks the entries against the stored head. Raises `IntegrityError`."""
+    """Checks that the entries continue the tree of the stored head. Raises `IntegrityError` if they do not."""
     head = content.stored
     if head is None:
         message = f"{path / HEAD}: the tree head of the log is missing; {formats.FROM_BACKUP}"
@@ -267,7 +268,8 @@ def require_growth(content: LogContent, path: Path) -> None:
 
 
 def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tuple[str, str]]:
-    """Contradictions between the log and a head that was remembered, each as code and message. named: how messages name this head."""
+    """Contradictions between the log and a tree head that was noted earlier, each as code and message. named: the words by which
+    messages refer to this head."""
     if head.size > len(content.entries):
         yield "log-cut", f"the log was cut: {named} counts {head.size} entries, the log has {len(content.entries)}"
     elif content.root(head.size) != head.root:
@@ -275,13 +277,13 @@ def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tup
 
 
 def unwritable(archive: Path, error: OSError) -> InputError:
-    """The error for a log that cannot be written."""
+    """Makes the error for a log that cannot be written."""
     message = f"the log of the archive cannot be written: {error.strerror or error}"
     return InputError.at(Mark(str(archive / FOLDER)), "log-unwritable", message, "make room, or change its permissions")
 
 
 def _parsed(line: bytes) -> LogEntry | None:
-    """The entry in a line; None if the line is not an entry."""
+    """Reads the entry in a line of the log; None if the line is not an entry."""
     try:
         value: Json = formats.from_bytes(line)
     except ValueError:

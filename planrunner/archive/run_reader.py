@@ -1,7 +1,7 @@
 """Reads a run folder: plan and bench, valid segments, their one-pass statistics, and their samples in blocks.
 
-While the samples of a file are used, the next file is read and its digest is checked in another thread. Reading and hashing release
-the interpreter's lock, so both happen at the same time. At most one file is read ahead, so that memory does not grow with the
+While the samples of a file are used, another thread reads the next file and checks its digest. Reading and hashing release the
+interpreter's lock, so both happen at the same time. At most one file is read ahead, so that memory does not grow with the
 recording.
 """
 
@@ -34,11 +34,12 @@ from planrunner.plan.selection import spelt_alike
 
 @dataclass(frozen=True)
 class RunReader:
-    """A run folder as it was when opened. Reading changes nothing and needs no lock.
+    """A run folder in the state in which it was opened. Reading changes nothing and needs no lock.
 
-    run: the content of run.json. torn: bytes of an incomplete last line of the journal. first: digest of the journal's first line.
-    basis: the data from which an analysis is made. analyses: the stored analyses, oldest first. findings: warnings, such as that
-    the run is not sealed. approvals: content of approvals.json, if the bench required approvals.
+    run: the content of run.json. torn: number of bytes in an incomplete last line of the journal. first: digest of the journal's
+    first line. basis: the state of journal and seal that an analysis of this run is based on. analyses: the stored analyses, oldest
+    first. findings: warnings, such as that the run is not sealed. approvals: content of approvals.json, if the bench required
+    approvals.
     """
 
     folder: GuardedFolder
@@ -59,13 +60,13 @@ class RunReader:
         """Opens a run folder. Digests of everything except samples are checked here; samples are checked when read (see `verifying`).
 
         Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. The incomplete
-        last line of a killed run is ignored. to_reopen: True accepts faults that reopening the run repairs.
+        last line of a killed run is ignored. to_reopen: True to accept faults that reopening the run repairs.
         """
         return cls.of(examine(open_run(path)), to_reopen=to_reopen)
 
     @classmethod
     def of(cls, found: Examined, *, to_reopen: bool = False) -> RunReader:
-        """A run folder that has already been examined; see `open`."""
+        """Reads a run folder that has already been examined; see `open`."""
         found.require_whole(*(MENDED if to_reopen else ()))
         assert found.state is not None and found.scan is not None
         return cls(
@@ -108,8 +109,8 @@ class RunReader:
         return tuple(self.state.rejected)
 
     def warnings(self, planned: int | None = None) -> list[str]:
-        """Unusual events of the run that a reader must know. planned: number of planned segments; by default, the number in the
-        journal."""
+        """Warnings about unusual events of the run that a reader of its results must know. planned: number of planned segments; by
+        default, the number in the journal."""
         planned = self.state.planned if planned is None else planned
         warnings = [f"Fault during the run: {text}" for text in self.state.failures]
         held = len(self.acknowledged())
@@ -144,8 +145,8 @@ class RunReader:
     ) -> tuple[RecordedSegment, ...]:
         """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
-        schedule: made from the run's own plan and bench. watch: screens the samples in the same pass. notice: receives the
-        progress. Raises `IntegrityError` if the schedule does not match the recording.
+        schedule: the schedule made from the plan and the bench in the run folder. watch: screens the samples in the same pass.
+        notice: receives the progress. Raises `IntegrityError` if the schedule does not match the recording.
         """
         segments = []
         whole = sum(part.rows for item in self.acknowledged() for part in item.parts)
@@ -177,13 +178,13 @@ class RunReader:
         return tuple(segments)
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:
-        """The samples of a segment in blocks of bounded size; `channels` is None for all channels."""
+        """The samples of a segment in blocks of bounded size; all channels if `channels` is None."""
         return _blocks((SegmentData(self.folder, part) for part in item.parts), channels)
 
     # -- analyses ------------------------------------------------------------------------------------------------------
 
     def add_analysis(self, files: Mapping[str, bytes]) -> StoredAnalysis:
-        """Stores an analysis made from the data that were read here; see `analyses.add_analysis`."""
+        """Stores an analysis that was made from the data of this reader; see `analyses.add_analysis`."""
         return add_analysis(self.folder, files, self.basis)
 
     # -- integrity -----------------------------------------------------------------------------------------------------
@@ -198,7 +199,7 @@ class RunReader:
 
 
 def _with_first(first: SegmentData | None, others: Iterator[SegmentData]) -> Iterator[SegmentData]:
-    """All parts of a segment, beginning with a part that is already open. No part stays in memory after it has been used."""
+    """Yields all parts of a segment, beginning with a part that is already open. Each part is released after it has been used."""
     if first is not None:
         yield first
     first = None
@@ -206,7 +207,8 @@ def _with_first(first: SegmentData | None, others: Iterator[SegmentData]) -> Ite
 
 
 def _blocks(parts: Iterator[SegmentData], channels: Sequence[str] | None) -> Iterator[Block]:
-    """The samples of a segment. All parts must have the columns of the first one, and times must increase from part to part."""
+    """Yields the samples of a segment in blocks. All parts of the segment must have the columns of its first part, and times must
+    increase from part to part."""
     units: Mapping[str, str] | None = None
     last = float("-inf")
     for data in parts:

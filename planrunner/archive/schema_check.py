@@ -1,5 +1,5 @@
-"""JSON Schema, compiled once into functions. They are fast enough to check journals with hundreds of thousands of events
-completely.
+"""Compiles a JSON Schema into functions. These functions are fast enough to check every event of a journal with hundreds of
+thousands of events.
 
 Only the keywords used in the schemas of run folders are supported. Any other keyword makes the compilation fail, so that no keyword
 is ignored. The check is stricter than the standard in three points, to match how these files are written: an integer has no decimal
@@ -23,7 +23,8 @@ FIRST_YEAR, LAST_YEAR = 1971, 9000  # range that every time zone and every syste
 
 
 def compile_schema(schema: Mapping[str, Json], whole: Mapping[str, Json]) -> Check:
-    """Compiles one schema to its check. whole: the document that `$ref` refers to. Raises ValueError for an unsupported keyword."""
+    """Compiles a schema to a function that checks data. whole: the document that `$ref` refers to. Raises ValueError for an
+    unsupported keyword."""
     return _compiled(schema, whole, {})
 
 
@@ -67,7 +68,7 @@ def _compiled(schema: Json, whole: Mapping[str, Json], known: dict[str, list[Che
 
 
 def _referred(reference: str, whole: Mapping[str, Json], known: dict[str, list[Check]]) -> Check:
-    """A definition that a schema refers to, compiled once. The definition may refer to itself."""
+    """Compiles a definition to which a schema refers, only once. The definition may refer to itself."""
     if reference not in known:
         known[reference] = []
         target: Json = whole

@@ -20,7 +20,7 @@ MOST_BYTES = 2**25
 
 
 def seal_of(folder: GuardedFolder, run: str, files: Mapping[str, str], head: str, events: int) -> bytes:
-    """The text of the seal of a run whose journal ends with `head` after `events` events.
+    """The text of the seal for a run whose journal ends with the digest `head` after `events` events.
 
     run: name of the run. files: maps the name of each other recorded file to its SHA-256, as computed while the file was written.
     Raises `OSError`.
@@ -47,11 +47,11 @@ def parse_seal(data: bytes, path: Path) -> JsonObject:
 def seal_faults(
     path: Path, seal: Mapping[str, Json], scan: JournalScan, state: JournalState
 ) -> Iterator[tuple[str, str]]:
-    """Differences between a seal and the journal, each as code and message. scan: a scan of the journal that has stored the head
-    and the digest after the number of events in the seal.
+    """Differences between a seal and the journal, each as a code and a message. scan: a scan of the journal that has stored the
+    head and the digest after the number of events in the seal.
 
-    If a finished run was reopened to repeat a segment, its journal continues after the seal; in that case only the sealed beginning
-    is checked.
+    If a finished run was reopened to repeat a segment, its journal continues after the seal; only the sealed part of the journal is
+    checked then.
     """
     sealed = seal["journal"]
     if sealed["events"] > scan.count:

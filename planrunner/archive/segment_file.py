@@ -1,4 +1,4 @@
-"""The samples of one segment on disk: Parquet files of limited length, each complete or absent.
+"""The samples of one segment on disk, in Parquet files of limited length, each of which is either complete or absent.
 
 Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written as `….partial`, synced and
 renamed; its SHA-256 is computed from the bytes as they are written. A reader loads a part into memory, checks the digest of these bytes and
@@ -47,7 +47,7 @@ MOST_COLUMNS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A finished file: its name within the run folder, its SHA-256, its number of rows, and its size in bytes."""
+    """A finished file of samples: its name within the run folder, its SHA-256, its number of rows, and its size in bytes."""
 
     file: str
     sha256: str
@@ -70,13 +70,13 @@ def safe_name(label: str) -> str:
 
 
 def file_stem(index: int, label: str, attempt: int) -> str:
-    """`0001-P1`, or `0001-P1.try2` for a repeated segment; numbers count from 1."""
+    """The beginning of a file name, `0001-P1`, or `0001-P1.try2` for a repeated segment; the numbers count from 1."""
     again = f".try{attempt}" if attempt > 1 else ""
     return f"{index + 1:04d}-{safe_name(label)}{again}"
 
 
 class SegmentWriter:
-    """Writes the samples of one segment as they arrive; `take_finished` returns parts that are on the disk."""
+    """Writes the samples of one segment as they arrive; `take_finished` returns the parts that are complete on the disk."""
 
     def __init__(
         self,
@@ -115,7 +115,8 @@ class SegmentWriter:
         self._finished: list[Part] = []
 
     def append(self, block: Block) -> None:
-        """Adds consecutive samples. Raises `InstrumentError` for samples that do not fit, and `OSError` if they cannot be written."""
+        """Adds consecutive samples. Raises `InstrumentError` for samples that do not continue the segment, and `OSError` if they
+        cannot be written."""
         self._check(block)
         start = 0
         while start < len(block.time):
@@ -145,7 +146,8 @@ class SegmentWriter:
         return finished
 
     def close(self) -> list[Part]:
-        """Finishes the last part; a segment without samples gets one empty file. Returns the parts that were not yet taken."""
+        """Finishes the last part; a segment without samples gets one empty file. Returns the finished parts that `take_finished`
+        has not returned."""
         if self._part_filled or self.parts == 0:
             self._finish_part()
         return self.take_finished()
@@ -241,11 +243,11 @@ class _HashedSink:
         return False
 
     def close(self) -> None:
-        """Does not close the file: pyarrow closes its output, but the file stays open until it is synced."""
+        """Does nothing: pyarrow closes its output, but the file must stay open until it is synced."""
 
 
 class _OpenPart:
-    """One Parquet file being written under a temporary name."""
+    """A Parquet file that is being written under a temporary name."""
 
     def __init__(self, folder: GuardedFolder, name: str, schema: pa.Schema, storage: Storage):
         import pyarrow as pa
@@ -322,7 +324,7 @@ def _cut(block: Block, start: int, stop: int) -> Block:
 
 
 class SegmentData:
-    """The samples of one part: its bytes, checked against the digest in the journal, and its footer.
+    """The samples of one part: the bytes of the file, which have been checked against the digest in the journal, and its footer.
 
     folder: the run folder. Raises `IntegrityError` if the file is missing, differs from its digest, or does not have the form that this
     version writes.
@@ -349,7 +351,7 @@ class SegmentData:
             raise self._foreign(str(error)[:200]) from None
 
     def blocks(self, channels: Sequence[str] | None = None) -> Iterator[Block]:
-        """The samples, with one block for each row group; `channels` is None for all channels."""
+        """Yields the samples, one block for each row group; all channels if `channels` is None."""
         import pyarrow as pa
 
         names = list(self.units) if channels is None else list(channels)
@@ -380,8 +382,8 @@ class SegmentData:
                 raise self._foreign(str(error)[:200]) from None
 
     def _check_shape(self, part: Part, schema: pa.Schema) -> None:
-        """Checks the footer: as many rows as in the journal, only columns of 64-bit floats, and no more rows and columns than a
-        part can have."""
+        """Checks the footer: the file has as many rows as the journal states, only columns of 64-bit floats, and no more rows and
+        columns than a part can have."""
         import pyarrow as pa
 
         about: pq.FileMetaData = self._file.metadata
@@ -404,7 +406,7 @@ class SegmentData:
                     raise self._foreign("its samples would need more memory than a part may use")
 
     def _later(self, time: NDArray[np.float64], last: float) -> float:
-        """The last time of a block, after checking that its times are finite and increase after `last`, as the writer requires."""
+        """Returns the last time of a block, after checking that the block's times are finite, increase, and begin after `last`."""
         if len(time) == 0:
             return last
         if not (time[0] > last and np.isfinite(time[-1]) and bool(np.all(time[1:] > time[:-1]))):

@@ -1,4 +1,4 @@
-"""Disk space that a run needs, checked before anything moves."""
+"""Computes the disk space that a run needs, and checks it before anything moves."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ RESERVE = 16 * 2**20  # analyses and reports
 def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> int:
     """Maximum number of bytes that a run of `schedule` writes.
 
-    sample_rate: sample rate of the sensor, Hz, for segments that do not state one; channels: number of columns without the time.
-    Segments whose length is set by a recording that is played back count as zero.
+    sample_rate: sample rate of the sensor, Hz, for segments that do not state one. channels: number of columns, not counting the
+    time. A segment that lasts as long as a recording that is played back counts as zero.
     """
     values = sum(
         (segment.dwell or 0.0) * (segment.sample_rate or sample_rate) * (channels + 1) for segment in schedule.segments
@@ -35,7 +35,8 @@ def require_space(folder: Path, needed: int) -> None:
 
 
 def shortage(folder: Path, needed: int) -> str:
-    """The end of a sentence about a disk with less than `needed` bytes, such as "needs up to 2 GB, …"; empty if there is enough room."""
+    """The end of a sentence about a disk that has less than `needed` bytes, such as "needs up to 2 GB, …"; empty if the disk has
+    enough room."""
     existing = next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path.cwd())
     free = shutil.disk_usage(existing).free
     return "" if free >= needed else f"needs up to {_size(needed)}, the disk has {_size(free)} free"

@@ -1,13 +1,14 @@
 """Statistics of a segment, made in one pass over its samples.
 
-Valid samples are processed in chunks of fixed size from the beginning of the segment, so the result does not depend on the division into
-blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and LeVeque, "Updating formulae and a
-pairwise algorithm for computing sample variances" (1979). The standard error of the mean comes from the scatter of consecutive batch means
-(Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which allows for noise that is correlated over less than a batch.
+Valid samples are processed in chunks of fixed size from the beginning of the segment, so the result does not depend on the division
+into blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and LeVeque, "Updating
+formulae and a pairwise algorithm for computing sample variances" (1979). The standard error of the mean is computed from the
+scatter of consecutive batch means (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which allows for noise that is
+correlated over less than a batch.
 
-If the table turns or rocks during a segment, the scatter is computed about the course that the motion causes. The course is fitted
-to short means, of which a batch contains many. The fitted course is then subtracted from the batch means, and its contribution from
-the covariance.
+If the table turns or rocks during a segment, the scatter is computed from the differences from the course, which is the periodic
+signal that the motion causes. The course is fitted to short means, of which a batch contains many. The fitted course is then
+subtracted from the batch means, and its contribution is subtracted from the covariance.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ def statistics_of(
     watcher: Watcher | None = None,
     motion: Motion = AT_REST,
 ) -> Statistics:
-    """Statistics of `blocks`, which were recorded in the given motion and have `rows` rows in total. The total is known from the
-    files before the pass.
+    """Statistics of `blocks`, which were recorded during the given motion and have `rows` rows in total. The total is known from
+    the files before they are read.
 
     A row with a non-finite value in any channel is omitted and counted in `rejected`. With one sample, covariance and standard
     error are NaN; without samples, the mean is NaN too. watcher: examines the blocks in the same pass.
@@ -60,7 +61,7 @@ def statistics_of(
 
 def _products(values: Array) -> Array:
     """The product values @ values.T, (k, k), computed as inner products of short pieces. Longer pieces would start threads that
-    cost more than the sums, and a matrix product of a few long rows is slower too."""
+    cost more time than they save, and a matrix product of a few long rows is slower too."""
     channels, rows = values.shape
     whole = rows - rows % UNSHARED
     out = np.zeros((channels, channels))
@@ -74,16 +75,16 @@ def _products(values: Array) -> Array:
 
 
 def _range(columns: list[Array]) -> tuple[Array, Array]:
-    """The smallest and largest sample of each column; NaN if the column contains NaN."""
+    """The smallest and the largest sample of each column; NaN for a column that contains NaN."""
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
 
 
 class _Gathered:
-    """State of one pass, whose size is independent of the length of the segment: a chunk of samples, and a few numbers for each
-    channel and batch.
+    """State of one pass over the samples: a chunk of samples, and a few numbers for each channel and batch. Its size does not
+    depend on the length of the segment.
 
-    The chunk holds samples as deviations from its first sample. Of n samples, none is further than √n standard deviations from
-    their mean. Relating sums of products to the mean therefore loses at most a factor n in rounding.
+    Samples are held as deviations from the first sample of their chunk. Of n samples, none is further than √n standard deviations
+    from their mean. Converting the sums of products to sums about the mean therefore loses at most a factor n in rounding.
     """
 
     def __init__(self, channels: int, rows: int, motion: Motion):
@@ -231,7 +232,7 @@ class _Gathered:
         )
 
     def _course(self) -> MotionCourse | None:
-        """The course that the motion causes in the short means."""
+        """The course that the motion causes, as far as the short means show it."""
         if not self.follows or self.count < 3:
             return None
         interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)
@@ -240,7 +241,7 @@ class _Gathered:
 
 
 def _less(squares: Array, explained: Array) -> Array:
-    """Sums of products (k, k) without the explained part; zero if only rounding remains."""
+    """Sums of products (k, k) after subtracting the explained part; zero where only rounding errors remain."""
     left = np.asarray(squares - explained)
     left[:, (gone := np.diagonal(left) <= _ROUNDING * np.diagonal(squares))] = 0.0
     left[gone] = 0.0

@@ -1,7 +1,7 @@
 """All write operations on a run folder.
 
-Every write of the archive uses a `Storage`. It knows whether a write must survive a power failure (`durable`: fsync of the file and
-of the folder that names it) or only the end of the process (`flushed`: handed to the operating system). It writes to a
+Every write of the archive uses a `Storage`. A `Storage` knows whether a write must survive a power failure (`durable`: fsync of the
+file and of the folder that names it) or only the end of the process (`flushed`: handed to the operating system). It writes to a
 `GuardedFolder`, so that no link redirects a write.
 """
 
@@ -20,7 +20,7 @@ ASIDE = ".partial"
 
 
 class Storage:
-    """File operations with the same durability for all writes. Errors are `OSError`, as the operating system gives them."""
+    """File operations that all have the same durability. Errors are raised as `OSError`, as the operating system reports them."""
 
     def __init__(self, durability: Durability = "durable"):
         if durability not in ("durable", "flushed"):
@@ -36,7 +36,7 @@ class Storage:
         return folder.open_new(name)
 
     def open_existing(self, folder: GuardedFolder, name: str) -> FileIO:
-        """Opens a file for reading and writing, unbuffered, at its end."""
+        """Opens a file for reading and writing, unbuffered, positioned at its end."""
         file = folder.open_existing(name)
         file.seek(0, os.SEEK_END)
         return file

@@ -21,12 +21,12 @@ METADATA = "planrunner_summary"
 
 
 def to_text(summary: SummaryChannels) -> str:
-    """A summary as text for the metadata of a file."""
+    """Writes a summary as a text for the metadata of a file."""
     return json.dumps(asdict(summary), ensure_ascii=False, sort_keys=True)
 
 
 def from_text(text: str) -> SummaryChannels:
-    """Reads a summary. Raises ValueError for any other text."""
+    """Reads a summary from the text in the metadata of a file. Raises ValueError for any other text."""
     data = json.loads(text)
     if not isinstance(data, dict) or set(data) != {"deviations", "count", "seconds"}:
         raise ValueError("it is not the description of a summary")
@@ -46,8 +46,8 @@ def summarised(
     where: str,
     readings: Mapping[str, float] | None = None,
 ) -> RecordedSegment:
-    """Makes a segment from its summary. blocks: the one row of the summary; where: name of the run or of the file for messages.
-    Raises `IntegrityError`."""
+    """Makes a segment from its summary. blocks: blocks that contain the single row of the summary. where: name of the run or of the
+    file, for messages. Raises `IntegrityError`."""
     rows = [block for block in blocks if len(block.time)]
     named = {*summary.deviations, *summary.deviations.values(), summary.count, summary.seconds}
     if len(rows) != 1 or len(rows[0].time) != 1 or set(rows[0].channels) != named:
@@ -81,7 +81,7 @@ def summarised(
 
 
 def _no_samples(where: str, label: str, channels: Sequence[str]) -> Iterator[Block]:
-    """Raises `InputError`, because there are no samples to read."""
+    """Raises `InputError`, because a summary has no samples that could be read."""
     message = (
         f"'{label}' is a row of a table, with the mean, the standard deviation and the number of its samples; "
         "this operation needs the samples"

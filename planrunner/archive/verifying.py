@@ -1,4 +1,4 @@
-"""Verifying a run folder: its contents are checked against all of its digests, schemas and chains.
+"""Verifies a run folder: checks its contents against all its digests, schemas and chains.
 
 All commands use `examine`, which returns the verified contents together with the faults as findings. An error means that the folder
 differs from what was written. A warning means that the run is not sealed, so that less can be verified.
@@ -111,8 +111,9 @@ CLOCK_STEP = timedelta(seconds=1)
 class Examined:
     """The verified part of a run folder. findings: errors, warnings and notes.
 
-    seal_digest: SHA-256 of seal.json. sealed_before: True if the contents show that the run was ever sealed. state,
-    scan: None if the journal cannot be read; then nothing is verified. unknown: entries that planrunner did not write.
+    seal_digest: SHA-256 of seal.json. sealed_before: True if the contents show that the run was sealed at some time. state, scan:
+    None if the journal cannot be read; in that case nothing is verified. unknown: entries of the folder that planrunner did not
+    write.
     """
 
     folder: GuardedFolder
@@ -129,20 +130,20 @@ class Examined:
 
     @property
     def basis(self) -> Basis:
-        """The data from which a new analysis is made."""
+        """The state of journal and seal that a new analysis is based on."""
         assert self.scan is not None
         return Basis(self.scan.count, self.scan.head, self.seal_digest)
 
     @property
     def files(self) -> dict[str, Part]:
-        """Every file of samples listed in the journal, by its name in the run folder."""
+        """Maps the name of every file of samples in the journal to the file's record."""
         return {} if self.state is None else {part.file: part for part in self.state.files()}
 
     def error(self, code: str, message: str, hint: str = formats.FROM_BACKUP) -> None:
         self.findings.error(code, Mark(str(self.folder.path)), message, hint)
 
     def require_whole(self, *but: str) -> None:
-        """Raises one `IntegrityError` with all errors except those with the codes `but`."""
+        """Raises one `IntegrityError` with all errors whose codes are not in `but`."""
         found = [
             f"{item.message}; {item.hint}" if item.hint else item.message
             for item in self.findings.errors
@@ -178,8 +179,8 @@ def open_run(path: Path) -> GuardedFolder:
 def examine(folder: GuardedFolder, *, samples: SampleCheck = "sizes") -> Examined:
     """Examines a run folder. samples: how to check the files of samples.
 
-    A run that is being written can be examined too. Files are listed before the journal is read, so the journal may list more
-    files, but never fewer.
+    A run that is being written can be examined too. The files are listed before the journal is read, so that the journal can name
+    more files than the list, but never fewer.
     """
     found = Examined(folder)
     standing = _entries(found)
@@ -210,8 +211,8 @@ def _entries(found: Examined) -> RecordedEntries | None:
 
 
 def _recorded(found: Examined, standing: RecordedEntries) -> RecordedEntries:
-    """Entries in the folder of samples, listed before the journal is read. If a listed file has an event, the journal then contains
-    this event."""
+    """Lists the entries in the folder of samples, before the journal is read. A listed file that has an event is therefore always
+    named in the journal."""
     if SEGMENTS not in standing:
         found.error("run-file-missing", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
         return {}
@@ -345,7 +346,7 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
 
 
 def is_being_written(found: Examined) -> bool:
-    """Whether a process is writing the run at present, so that its seal or signature may follow."""
+    """Whether a process is writing to the run folder at present, so that a seal or signature may still be added."""
     try:
         return pausing.is_written(found.folder)
     except OSError:
@@ -384,15 +385,15 @@ def _check_chain(found: Examined) -> None:
 
 
 def _follows_seal(found: Examined, basis: Basis) -> bool:
-    """Whether the analysis was made after the present seal. In a reopened run, the analysis may belong to an earlier seal."""
+    """Whether the analysis was made after the present seal. An analysis of a reopened run may belong to an earlier seal instead."""
     return found.seal is not None and basis.events >= int(found.seal["journal"]["events"])
 
 
 def _check_times(found: Examined) -> None:
-    """Checks that no time is earlier than the time of the data before it, and that none is in the future.
+    """Checks that no time is earlier than the times of the data before it, and that no time is in the future.
 
-    A clock that was set back causes the same findings as an altered time. Therefore other commands only warn; the data themselves
-    are unchanged.
+    A clock that was set back causes the same findings as an altered time. Therefore this check only adds warnings for other
+    commands; the data themselves are unchanged.
     """
     assert found.state is not None and found.scan is not None
     path = found.folder.path
@@ -418,7 +419,7 @@ def _check_times(found: Examined) -> None:
 
 
 def _of_the_whole(found: Examined) -> list[StoredAnalysis]:
-    """The analyses that were made from the complete journal, not before its last events were added."""
+    """The analyses that were made from the whole journal as it is now."""
     assert found.scan is not None
     return [one for one in found.analyses if one.basis is not None and one.basis.events == found.scan.count]
 
@@ -429,8 +430,8 @@ def _tell_clock(found: Examined, message: str) -> None:
 
 
 def _check_samples(found: Examined, recorded: RecordedEntries, samples: SampleCheck) -> None:
-    """Checks every file of samples in the journal: that it exists, has the recorded size and, on request, the recorded digest and
-    contents."""
+    """Checks every file of samples in the journal: that it exists and has the recorded size and, on request, the recorded digest
+    and contents."""
     assert found.state is not None
     known: dict[str, Part] = {}
     for part in found.state.files():
@@ -473,7 +474,7 @@ def _check_samples(found: Examined, recorded: RecordedEntries, samples: SampleCh
 
 
 def _check_digest(found: Examined, folder: GuardedFolder, own: str, part: Part, size: int, *, read: bool) -> None:
-    """Checks the digest of a file of samples, or reports its wrong size. read: whether the file may be read to compute its digest."""
+    """Checks the digest of a file of samples, or reports its wrong size. read: True if the file may be read to compute its digest."""
     path = folder.path / own
     value = ""
     if read:
@@ -510,8 +511,8 @@ def _check_names(found: Examined, standing: RecordedEntries) -> None:
 
 
 def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
-    """Reports an entry that planrunner did not write; this is an error if the folder was sealed or if the entry is not a plain file
-    or folder."""
+    """Reports an entry that planrunner did not write. It is an error if the folder was sealed or if the entry is not a plain file
+    or folder; otherwise it is a warning."""
     if entry.kind == "file" and path.name in FILE_MANAGERS:
         return
     message = f"{path}: {entry.what} that planrunner did not write"
@@ -522,7 +523,7 @@ def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
 
 
 def _aside(name: str, entry: Entry, kind: str) -> bool:
-    """Whether an entry is left over from an interrupted write; such entries are ignored."""
+    """Whether an entry is left over from an interrupted write; entries of this kind are ignored."""
     return name.endswith(ASIDE) and entry.kind == kind
 
 
