@@ -1,21 +1,22 @@
-"""Attribution of one amplitude, estimated in several runs, to its sources: the device, the bench, the occasion (the switch-on), and
-the part that all runs have in common (the type of device, the plan, the site, the declarations).
+"""Attribution of one amplitude, estimated in several runs, to its sources. The sources are the device, the bench, the occasion (the
+switch-on), and what all runs have in common (the type of device, the plan, the site, the declarations).
 
-The estimate of run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, with e_r ~ N(0, s_r²) known from the fit
-of the run. The parts from one source are independent draws from N(0, σ²), where σ belongs to that source. This is a random-effects
-model; the common part c has a σ of its own instead of a flat prior, because an amplitude of zero means that the run is as simulated
-(Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9).
+The estimate in run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, where e_r ~ N(0, s_r²) is known from the
+fit of the run. The parts that come from one source are independent draws from N(0, σ²); each source has its own σ. This is a
+random-effects model (Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9). The common part c also has a σ
+instead of a flat prior, because an amplitude of zero means that the run agrees with the simulation.
 
-The hypotheses are all subsets of the sources, including the empty set. For given σ the evidence is Gaussian:
+The hypotheses are all subsets of the sources, including the empty set. For given σ, the evidence is Gaussian:
 
     log p(y | σ) = −½ (n·log 2π + log det V + yᵀ V⁻¹ y),    V = S + Z G Zᵀ
 
-Z holds the grouping and G the variances σ² of the parts. S is diagonal: the variances s², plus the σ² of a source that groups no two runs.
-With M = I + G^½ ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion
-lemma). Each σ has a log-uniform prior and is integrated out on a grid that is refined where the evidence is.
+Z holds the grouping of the runs, and G the variances σ² of the parts. S is diagonal. It contains the variances s², to which the σ²
+of a source is added if no two runs belong to the same group of this source. With M = I + G^½ ZᵀS⁻¹Z G^½, log det V = log det S +
+log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion lemma). Each σ has a log-uniform prior and is
+integrated out on a grid, which is refined where the evidence is large.
 
-Sources that group the runs in the same way (one device on one bench, devices with one run each) cannot be distinguished. They form one
-component.
+Sources that group the runs in the same way cannot be distinguished, for example one device on one bench, or devices with one run
+each. Such sources form one component.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from planrunner.base.arrays import Array
 
 
 class Source(Enum):
-    """The source of a part of an amplitude. OCCASION: a part that is drawn anew at each switch-on. COMMON: a part that is the same
-    in all runs."""
+    """A source of parts of an amplitude. OCCASION: a part that is drawn anew at each switch-on. COMMON: a part that is the same in
+    all runs."""
 
     DEVICE = "device"
     BENCH = "bench"
@@ -66,9 +67,9 @@ _NUMBERS = 2_000_000  # of the matrices M that are in memory at once
 @dataclass(frozen=True)
 class Estimates:
     """Estimates of one amplitude in n runs. values, standard_uncertainties: (n,), in one unit; all are finite, and the
-    uncertainties are positive. groups: the label of every run (n) for each source except `COMMON`. since: for each source with
-    steps, one text for every run (n): the moment of the last step of the run's group that is not later than the run, or an empty
-    text before the first step. After each step, a group counts as a new group."""
+    uncertainties are positive. groups: for each source except `COMMON`, the labels (n) of the groups to which the runs belong.
+    since: for each source with steps, one text for every run (n): the moment of the last step of the run's group that is not later
+    than the run; an empty text if there is no such step. After each step, the group counts as a new group."""
 
     values: Array
     standard_uncertainties: Array
@@ -82,8 +83,8 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One or more sources that group the runs in the same way. labels: (m,), for each group its label and the moment of the step after
-    which it counts (empty if there is none); members: (n,), index of the group of each run."""
+    """One or more sources that group the runs in the same way. labels: (m,), for each group its label and the moment of the step
+    with which it begins (empty if there is none); members: (n,), index of the group of each run."""
 
     sources: tuple[Source, ...]
     labels: tuple[tuple[str, str], ...]
@@ -97,7 +98,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Uncertain:
-    """A value with the half-width of the interval that has the probability `COVERAGE`."""
+    """A value, and the half-width of the interval about it that has the probability `COVERAGE`."""
 
     value: float
     expanded: float
@@ -105,11 +106,11 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """The part of an amplitude that belongs to one device, bench or occasion, if this source contributes. level: the sum of the
-    part and of the part that all runs have in common. The data often determine this sum better than each of its two terms.
-    difference: the part minus the mean of the other parts of the same source. `level` and `difference` are None if every group has
-    one run; `difference` is also None for a single group. runs: number of runs that contain the part. since: moment of the step
-    after which the part counts; empty if it counts from the first run."""
+    """The part of an amplitude that belongs to one device, bench or occasion, under the condition that this source contributes.
+    level: this part plus the part that all runs have in common. The data often determine this sum better than either of the two
+    parts. difference: this part minus the mean of the other parts of the same source. `level` and `difference` are None if every
+    group of the source has only one run; `difference` is also None if there is only one group. runs: number of runs that contain
+    the part. since: moment of the step from which the part counts; empty if it counts from the first run."""
 
     label: str
     since: str
@@ -121,10 +122,11 @@ class SourcePart:
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one component contributes. probability: probability that the component contributes. share: share of the mean square of
-    the amplitude over the runs, noise excluded; the shares of all components add up to 1, or are all 0. spread: posterior median of
-    the σ of the component, if it contributes; spread_interval: limits of the central 95 % of σ. parts: the parts of the component's
-    groups, in the order of the labels."""
+    """The contribution of one component to an amplitude. probability: probability that the component contributes. share: fraction
+    of the mean square of the amplitude over the runs, without noise, that the component explains; the shares of all components add
+    up to 1, or all are 0. spread: posterior median of the σ of the component under the condition that it contributes;
+    spread_interval: limits of the central 95 % of this posterior. parts: the parts of the component's groups, in the order of the
+    labels."""
 
     component: Component
     probability: float
@@ -137,7 +139,7 @@ class Contribution:
 @dataclass(frozen=True)
 class Attribution:
     """The attribution of an amplitude to sources. none: probability that no component contributes. probability: probability of
-    every subset of the components; the key of a subset is the names of its components, joined by '+'."""
+    every subset of the components; the key of a subset consists of the names of its components, joined by '+'."""
 
     none: float
     probability: Mapping[str, float]
@@ -161,7 +163,7 @@ class Attribution:
 def components(
     groups: Mapping[Source, Sequence[str]], since: Mapping[Source, Sequence[str]] | None = None
 ) -> tuple[Component, ...]:
-    """The components: sources that group the runs in the same way are combined. groups, since: as in `Estimates`."""
+    """Combines the sources that group the runs in the same way to components. groups, since: as in `Estimates`."""
     found: dict[tuple[int, ...], tuple[list[Source], list[tuple[str, str]]]] = {}
     n = len(groups[Source.OCCASION])
     for source in Source:
@@ -211,7 +213,7 @@ def attribute(given: Estimates) -> Attribution:
 
 
 class _Model:
-    """One subset of the components, with the σ of each component at every point of the grid."""
+    """A model in which one subset of the components contributes."""
 
     def __init__(self, given: Estimates, chosen: Sequence[Component]):
         self.chosen = tuple(chosen)
@@ -227,7 +229,7 @@ class _Model:
         self._limits = 0.5 * np.log(energies / float((1 / self._variance).sum()))
 
     def _weighed(self, spreads: Array) -> tuple[Array, Array, Array, Array]:
-        """The matrices S (P, n), G^½ (P, m), M (P, m, m) and G^½c (P, m) for σ (P, C)."""
+        """The arrays S (P, n), G^½ (P, m), M (P, m, m) and G^½c (P, m) of the formulas in the module's description, for σ (P, C)."""
         s = np.broadcast_to(self._variance, (len(spreads), len(self._y)))
         if self._alone is not None:
             s = s + spreads[:, [self._alone]] ** 2
@@ -257,7 +259,8 @@ class _Model:
 
     @cached_property
     def _grid(self) -> tuple[Array, Array, float]:
-        """Points σ (P, C), their posterior weights (P,) of sum 1, and the logarithm of the evidence averaged over the prior."""
+        """Returns the points of the grid, σ (P, C); their posterior weights (P,), whose sum is 1; and the logarithm of the evidence
+        averaged over the prior."""
         lowest, highest = self._limits
         low, high = (np.full(len(self.chosen), limit) for limit in (lowest, highest))
         count = _POINTS[len(self.chosen)]
@@ -283,14 +286,15 @@ class _Model:
         return self._grid[2]
 
     def spread(self, component: Component) -> tuple[Array, Array]:
-        """Values of σ of a component at the points of the grid, and their weights."""
+        """The values of a component's σ at the points of the grid, and the posterior weights of the points."""
         points, weights, _ = self._grid
         return points[:, self.chosen.index(component)], weights
 
     @cached_property
     def _moments(self) -> tuple[Array, list[Array], list[Array], Array, Array]:
-        """Weights (Q,) of the points that matter. At these points: means (Q, m) and variances (Q, m) of the parts of each
-        component, and the joint mean (Q, M) and covariance (Q, M, M) of all components that have groups of several runs."""
+        """Returns the weights (Q,) of those Q points of the grid that have a noticeable weight. For these points, it also returns
+        the means (Q, m) and variances (Q, m) of the parts of each component, and the joint mean (Q, M) and covariance (Q, M, M) of
+        all parts that belong to groups of several runs."""
         points, weights, _ = self._grid
         kept = weights > _CONSIDERED * weights.max()
         points, weights = points[kept], weights[kept] / weights[kept].sum()
@@ -309,14 +313,16 @@ class _Model:
         return weights, means, variances, mean, covariance
 
     def parts(self, component: Component) -> tuple[Array, Array, Array]:
-        """Weights (Q,), means (Q, m) and variances (Q, m) of the parts of a component."""
+        """The weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of the parts of a component at
+        these points."""
         weights, means, variances, _, _ = self._moments
         place = self.chosen.index(component)
         return weights, means[place], variances[place]
 
     def combined(self, component: Component, combinations: Array, also: Component | None) -> tuple[Array, Array, Array]:
-        """Weights (Q,), means (Q, m) and variances (Q, m) of linear combinations (m, own groups) of the parts of a component. If
-        the model contains `also`, its only part is added."""
+        """The weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of m linear combinations of the
+        parts of a component at these points. combinations: (m, groups of the component), coefficients. The single part of the
+        component `also` is added to each combination if the model contains this component."""
         weights, _, _, mean, covariance = self._moments
         design = np.zeros((len(combinations), len(self._column)))
         design[:, self._column == self.chosen.index(component)] = combinations
@@ -325,14 +331,14 @@ class _Model:
         return weights, mean @ design.T, np.einsum("ai,qij,aj->qa", design, covariance, design)
 
     def power(self, component: Component) -> float:
-        """Expected mean square over the runs of the part of a component."""
+        """Expected mean square, over the runs, of the parts of a component."""
         weights, means, variances = self.parts(component)
         runs = np.bincount(component.members, minlength=len(component.labels))
         return float(weights @ (means**2 + variances) @ runs / runs.sum())
 
 
 def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tuple[float, tuple[float, float]]:
-    """Median and central 95 % of σ, over the models that contain the component."""
+    """Median and limits of the central 95 % of the σ of a component, over the models that contain the component."""
     found = [(p * weights, values) for p, model in having for values, weights in [model.spread(component)]]
     weights, values = np.concatenate([w for w, _ in found]), np.concatenate([v for _, v in found])
     order = np.argsort(values)
@@ -345,8 +351,8 @@ def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tup
 def _parts(
     component: Component, having: Sequence[tuple[float, _Model]], common: Component | None
 ) -> tuple[SourcePart, ...]:
-    """The parts of a component, averaged over the models that contain it. common: the component of `Source.COMMON`, if this is
-    another component."""
+    """The parts of a component, averaged over the models that contain it. common: the component of `Source.COMMON`, or None if this
+    is the component itself."""
     m = len(component.labels)
     parts = _averaged([(p, *model.parts(component)) for p, model in having])
     levels: list[Uncertain | None] = [None] * m
@@ -362,7 +368,8 @@ def _parts(
 
 
 def _averaged(found: Sequence[tuple[float, Array, Array, Array]]) -> list[Uncertain]:
-    """Values with their intervals, from the probability, weights (Q,), means (Q, m) and variances (Q, m) of every model."""
+    """Averages over models: values and their intervals, from the probability, weights (Q,), means (Q, m) and variances (Q, m) of
+    every model."""
     weights = np.concatenate([p * w for p, w, _, _ in found])
     means, variances = np.vstack([m for _, _, m, _ in found]), np.vstack([v for _, _, _, v in found])
     order = np.argsort(-weights)
@@ -374,8 +381,8 @@ def _averaged(found: Sequence[tuple[float, Array, Array, Array]]) -> list[Uncert
 
 
 def _half_width(weights: Array, offsets: Array, spreads: Array) -> Array:
-    """Half-widths (m,) of the intervals about 0 with the probability `COVERAGE`, by bisection. The distributions are mixtures of
-    Gaussians with these weights (Q,), means (Q, m) and standard deviations (Q, m)."""
+    """Half-widths (m,) of the intervals about 0 that have the probability `COVERAGE`, found by bisection. The distributions are
+    mixtures of Gaussians with these weights (Q,), means (Q, m) and standard deviations (Q, m)."""
     from scipy.special import ndtr
 
     spreads = np.maximum(spreads, 1e-300)

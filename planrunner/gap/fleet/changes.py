@@ -1,18 +1,18 @@
-"""Changes of an amplitude in a fleet: when it changed, and with which device or bench.
+"""Changes of an amplitude in a fleet: when the amplitude changed, and in which device or on which bench.
 
-The estimates of one amplitude in n runs, in the order of time, consist of a part of each device, a part of each bench, and possibly
-changes:
+The estimates of one amplitude in n runs, in order of time, are the sum of a part for each device, a part for each bench, and
+possibly changes:
 
     y_r = d[device of r] + b[bench of r] + Σ_j x_j·h_j(r) + e_r,    e_r ~ N(0, c²·s_r²)
 
-A step of a device, of a bench or of all runs has h = 1 in the runs of this source from a certain run on, and 0 elsewhere; a drift
-has h = the days since the first run of its source. The parts are fitted without priors (analysis of covariance), so a constant
-difference between devices or benches does not count as a change. The change with the smallest p-value is added to the model if its
-p-value, multiplied by the number of changes that were tried (Bonferroni), is at most `LEVEL`. This is repeated until no change
-qualifies. The p-value of a change is that of Student's t test of the amplitude x_j of the change (forward selection; Hawkins,
-Journal of the American Statistical Association 72, 1977, for the place of a step). c² is χ²/ν of the fit with the change, at least
-1. Scatter from run to run that the s_r do not contain therefore makes changes less significant, never more. A drift is preferred to
-a step only if it has the smaller p-value.
+For a step of a device, of a bench or of all runs, h is 1 in the runs of this source from a certain run on, and 0 elsewhere. For a
+drift, h is the number of days since the first run of its source. The parts are fitted without priors (analysis of covariance), so a
+constant difference between devices or between benches does not count as a change. The change with the smallest p-value is added to
+the model if its p-value, multiplied by the number of changes that were tried (Bonferroni), is at most `LEVEL`. This is repeated
+until no change qualifies. The p-value of a change is that of Student's t test of the amplitude x_j of the change (forward
+selection; Hawkins, Journal of the American Statistical Association 72, 1977, for the place of a step). c² is the χ²/ν of the fit
+with the change, but at least 1. Scatter between runs that the s_r do not contain can therefore make changes less significant, but
+never more. A drift is preferred to a step only if it has the smaller p-value.
 """
 
 from __future__ import annotations
@@ -45,10 +45,11 @@ class ChangeKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FleetChange:
-    """A change of an amplitude. sources: the sources with their labels; there are several if the runs cannot distinguish them.
-    runs: indices of the runs of the first source; before: number of these runs before a step. earliest, latest: indices into `runs`
-    that bound the moment of a step (95 %): after the run `earliest` and not after the run `latest`. size: size of a step, or of a
-    drift per day; degrees_of_freedom: ν of the standard uncertainty of `size`; p: p-value after the correction."""
+    """A change of an amplitude: a step or a drift. sources: the sources of the change, each with its label; there are several if
+    the runs cannot distinguish them. runs: indices of the runs of the first of these sources; before: for a step, the number of
+    these runs before it. earliest, latest: indices into `runs` that bound the time of a step with 95 % confidence: it occurred
+    after the run `earliest` and not after the run `latest`. size: size of a step, or of a drift per day; degrees_of_freedom: ν of
+    the standard uncertainty of `size`; p: p-value, corrected for the number of changes that were tried."""
 
     kind: ChangeKind
     sources: tuple[tuple[Source, str], ...]
@@ -81,8 +82,9 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A candidate change. size, u, freedom, p: estimated size, standard uncertainty, degrees of freedom and p-value; chi2: χ² of
-    the fit with this change; factor: c²; direction: column of the change, scaled to length 1 and orthogonal to the other columns."""
+    """A candidate change after its fit. size, u, freedom, p: estimated size, standard uncertainty, degrees of freedom and p-value;
+    chi2: χ² of the fit with this change; factor: c², by which the variances are multiplied; direction: column of the change after
+    it has been made orthogonal to the other columns, scaled to length 1."""
 
     candidate: _Candidate
     size: float
@@ -95,9 +97,9 @@ class _Tried:
 
 
 def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tuple[FleetChange, ...]:
-    """The changes of an amplitude, the most significant first. given: estimates of the amplitude in the order of time, with groups
-    for device and bench; days: day of every run. amplitudes: number of amplitudes that are examined, for the correction of
-    p-values."""
+    """Finds the changes of an amplitude, the most significant first. given: estimates of the amplitude in order of time, with
+    groups for device and bench; days: time of every run, in days. amplitudes: number of amplitudes that are examined; p-values are
+    corrected for it."""
     time = np.asarray(days, dtype=float)
     listed = list(_candidates(given, time))
     root = 1 / given.standard_uncertainties
@@ -117,9 +119,9 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
 
 
 def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
-    """The moment of the last step of a run's device or bench before the run, in the form of `Estimates.since`. moments: moment of
-    every run, in the order of time. A step that several sources may have made counts for the first of them. A step of all runs does
-    not start new groups."""
+    """For each run, the moment of the last step of its device or bench up to this run, in the form of `Estimates.since`. moments:
+    moment of every run, in order of time. A step that several sources may have made is attributed to the first of them. A step of
+    all runs does not start new groups."""
     since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}
     for change in sorted(found, key=lambda one: one.before):
         source, _ = change.sources[0]
@@ -154,8 +156,8 @@ def _candidates(given: Estimates, time: Array) -> Iterator[_Candidate]:
 
 
 def _tried(design: Array, y: Array, listed: Sequence[tuple[_Candidate, Array]]) -> Iterator[_Tried]:
-    """Tries every candidate change whose column the other columns do not already contain. design: (n, m), y: (n,), weighted with
-    1/s."""
+    """Fits every candidate change that is not already a combination of the columns of the design. design (n, m) and y (n,) are
+    weighted with 1/s, where s is the standard uncertainty of the run."""
     from scipy.stats import t as student
 
     left, values, _ = np.linalg.svd(design, full_matrices=False)

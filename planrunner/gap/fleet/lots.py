@@ -15,10 +15,10 @@ MOST_CHANCE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SharedByLot:
-    """An amplitude that separates the devices of a lot from all others. difference: mean of the lot minus mean of the others, in
-    the unit of the key; expanded: half-width of its 95 % interval. Each device contributes one value, the mean of its amplitudes.
-    others: number of the other devices. chance: 1 divided by the number of ways to choose as many devices as the lot has from all
-    devices."""
+    """An amplitude that distinguishes the devices of a lot from all other devices. difference: mean of the lot minus mean of the
+    others, in the unit of the key; expanded: half-width of its 95 % interval. Each device contributes one value, the mean of its
+    amplitudes. others: number of the other devices. chance: probability that a random choice of devices, as many as the lot has, is
+    exactly the lot; that is 1 divided by the number of possible choices."""
 
     lot: str
     key: AmplitudeKey
@@ -32,9 +32,9 @@ class SharedByLot:
 def shared_by_lots(
     key: AmplitudeKey, levels: Mapping[str, Sequence[Uncertain]], lots: Mapping[str, str]
 ) -> Iterator[SharedByLot]:
-    """The lots whose devices all have larger amplitudes than all other devices, or all have smaller ones, with intervals that do
-    not overlap. levels: amplitudes of each device: a single one, or one before and one after every step of the device; lots: maps a
-    device to its lot, if known."""
+    """Finds the lots whose devices all have larger amplitudes, or all have smaller ones, than all other devices, with intervals
+    that do not overlap. levels: amplitudes of each device: a single one, or one for each time between steps of the device; lots:
+    the lot of each device for which it is known."""
     for lot in sorted(set(lots.values())):
         own = [name for name in levels if lots.get(name) == lot]
         others = [name for name in levels if lots.get(name) != lot]
@@ -58,6 +58,6 @@ def _high(levels: Sequence[Uncertain]) -> float:
 
 
 def _mean(given: Sequence[Uncertain]) -> Uncertain:
-    """The mean, with the half-width of its interval. The values count as independent."""
+    """The mean of values and the half-width of its interval. The values are treated as independent."""
     n = len(given)
     return Uncertain(sum(one.value for one in given) / n, math.hypot(*(one.expanded for one in given)) / n)

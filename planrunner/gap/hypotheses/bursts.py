@@ -1,8 +1,8 @@
-"""Bursts: windows of some seconds with a shifted bias or larger noise, at random times in a run.
+"""Bursts: windows of a few seconds with a shifted bias or with larger noise, at random times in a run.
 
-Every window has a burst with the same small probability. Windows are taken from the remainder outside the span of the coefficients,
-so a part of each burst is missing. If a deviation appears in most windows of segments of equal length, it is slow noise, not a
-burst.
+Every window contains a burst with the same small probability. Windows are cut from the remainder of the samples, outside the span
+of the coefficients, so a part of each burst is missing. A deviation that appears in most windows of segments of equal length is
+slow noise, not a burst.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows of one size. starts: (W,), first sample of each window. lasting: (W,), number of samples of the segment of each
-    window. kept: (W,), fraction of a bias in the window that the coefficients leave."""
+    """Windows that have the same number of samples. starts: (W,), first sample of each window. lasting: (W,), number of samples of
+    the segment to which each window belongs. kept: (W,), fraction of the energy of a constant bias in the window that the
+    coefficients do not take up."""
 
     starts: NDArray[np.int64]
     lasting: NDArray[np.int64]
@@ -57,13 +58,13 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
 
 
 def _summed(values: Array) -> Array:
-    """Cumulative sums (N + 1, K) of the samples, starting with the sum of zero samples."""
+    """Cumulative sums (N + 1, K) of the samples; the first sum is zero."""
     return np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
 
 
 def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
-    """Whole windows beginning at `begin`, in every segment at rest or turning. within: for each basis, the cumulative sums of its
-    vectors."""
+    """Divides every segment at rest or turning into whole windows of `size` samples, the first of which starts at the sample
+    `begin` of the segment. within: for each basis, the cumulative sums of its vectors."""
     observed, spectrum = weighing.observed, weighing.spectrum
     starts, lasting, kept = [], [], []
     known: dict[int, Array] = {}
@@ -89,8 +90,9 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """The log BF (scopes,) for windows of one size. both: cumulative sums of the samples, in units of the noise, and of their
-    squares. inefficiency: (K,), factor by which coloured noise reduces the degrees of freedom of a sum of squares."""
+    """The log BF (scopes,) of bursts, from windows of one size. both: cumulative sums of the samples in units of the noise, and
+    cumulative sums of the squares of these samples. inefficiency: (K,), factor by which coloured noise makes the degrees of freedom
+    of a sum of squares smaller."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
@@ -111,20 +113,21 @@ def _evidence(
 
 
 def _overdispersion(energy: Array, degrees: float) -> Array:
-    """Overdispersion (K,): variance of most of the energies (W, K), divided by 2·degrees, the variance for white noise. The level
-    of real noise always varies a little; the variance follows from the median absolute deviation, which bursts in a few windows do
-    not raise."""
+    """Overdispersion (K,) of the energies (W, K) of windows: their variance divided by 2·degrees, which is the variance for white
+    noise. It exceeds 1 because the level of real noise always varies a little. The variance is computed from the median absolute
+    deviation, which bursts in a few windows do not increase."""
     spread = np.median(np.abs(energy - np.median(energy, axis=0)), axis=0) / _DEVIATION
     return np.asarray(spread**2 / (2 * degrees))
 
 
 def _larger(energy: Array, degrees: float, added: Array) -> Array:
-    """The log BF (W, K, E) of a variance that is larger by each value of `added`, for energies (W, K) with the given degrees of
-    freedom."""
+    """The log BF (W, K, E) that the variance is 1 + a instead of 1, for each value a of `added`. energy: (W, K), energies with the
+    given degrees of freedom."""
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
 def _here_and_there(windows: Array) -> float:
-    """The log BF of bursts in random windows, from the log BF (W, E) of a burst in each window at each energy."""
+    """The log BF that each window contains a burst with a small probability. windows: (W, E), log BF of a burst in each window at
+    each energy."""
     each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
     return float(log_mean_exp(np.array(each).ravel(), 0))

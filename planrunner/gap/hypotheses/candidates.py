@@ -1,4 +1,4 @@
-"""Evaluates the candidates: the evidence for each form of every effect, and the fraction of the effect's energy that the nominal
+"""Evaluates candidates: the evidence for each form of every effect, and the fraction of the effect's energy that the nominal
 parameters do not absorb."""
 
 from __future__ import annotations
@@ -48,10 +48,11 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A whitened variant; its columns contain no samples. gram: (G, p, p), score: (G, p), at each of the G settings of the noise;
-    trace: energy of its columns after projection at the first setting; kept: ratio of this energy to the energy before projection.
-    by_channel: whitened, projected columns (M, p) at the first setting; raw: the same columns before whitening and projection, in
-    magnitudes. held: whether physics fixes the only amplitude to 1, so that only the shape is free."""
+    """A variant after whitening and evaluation; its columns no longer contain samples. gram (G, p, p) and score (G, p): values at
+    each of the G settings of the noise; trace: energy of the columns after projection, at the first setting; kept: ratio of this
+    energy to the energy before projection. by_channel: whitened, projected columns (M, p) at the first setting; raw: the same
+    columns before whitening and projection, in magnitudes. held: True if physics fixes the single amplitude to 1, so that only the
+    shape is free."""
 
     variant: Variant
     gram: Array = field(repr=False)
@@ -64,26 +65,28 @@ class Weighed:
 
     @cached_property
     def log_bayes(self) -> Array:
-        """The log BF (G,), averaged over λ; for a held amplitude, at amplitude 1."""
+        """The log BF (G,) at each setting of the noise, averaged over the energy λ of the effect; for a held amplitude, near the
+        amplitude 1."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
         return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
 
     def if_possible(self, log_bayes: Array) -> Array:
-        """The log BF (G,) of amplitudes that are physically possible, from that of any amplitudes. A fit that physics excludes
-        counts as no better than no effect, however well it reproduces the data."""
+        """The log BF (G,) under the condition that the amplitudes are physically possible. log_bayes: (G,), log BF without this
+        condition. An effect whose best fit is physically impossible counts as no better than no effect, however well it reproduces
+        the data."""
         found = log_bayes + self.log_possible
         return np.minimum(found, self.log_possible) if self.excluded else found
 
     @property
     def excluded(self) -> bool:
-        """Whether the amplitudes that fit best are physically impossible."""
+        """True if the amplitudes that fit best are physically impossible."""
         return self.log_possible <= EXCLUDED
 
     @cached_property
     def log_possible(self) -> float:
-        """The logarithm of the probability that every amplitude is physically possible. A prior without a limit overstates the
-        evidence by this factor."""
+        """The logarithm of the probability that every amplitude is physically possible. It is added to the log BF of a prior
+        without limits, which is too large by this amount."""
         columns = self.variant.columns
         limited = [k for k, column in enumerate(columns) if np.isfinite([column.smallest, column.largest]).any()]
         if not limited:
@@ -111,9 +114,9 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect and its evaluated variants. log_bayes: (G,), log BF averaged over the shape. at: the setting of the noise at which
-    forms are compared. It is the most probable setting without a random walk of the gyros, because a walk explains much of what a
-    wrong form explains."""
+    """An effect and its evaluated variants. log_bayes: (G,), log BF averaged over the shape of the effect. at: index of the setting
+    of the noise at which the forms are compared. This is the most probable setting without a random walk of the gyros, because a
+    random walk would explain much of what a wrong form leaves."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
@@ -130,18 +133,19 @@ class Candidate:
 
     @cached_property
     def stacked(self) -> tuple[Array, ...]:
-        """Whitened, projected columns of all variants side by side: for each channel, an array (M, V·p)."""
+        """Whitened, projected columns of all V variants side by side: for each channel, an array (M, V·p)."""
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
 
     def across(self, other: Weighed) -> Array:
-        """Inner products (V, q, p) of another variant's q columns with those of every variant, at the first setting."""
+        """Inner products (V, q, p) of the q columns of another variant with the p columns of each of the V variants, at the first
+        setting of the noise."""
         products = np.sum([x.T @ y for x, y in zip(other.by_channel, self.stacked, strict=True)], axis=0)
         return np.asarray(np.swapaxes(products.reshape(len(products), len(self.variants), -1), 0, 1))
 
     @property
     def shape_cost(self) -> float:
-        """Logarithm of the factor by which averaging over the shape reduces the evidence, relative to the best shape at the first
-        setting; never positive."""
+        """Logarithm of the factor by which averaging over the shape reduces the evidence relative to the best shape, at the first
+        setting of the noise; never positive."""
         return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
 
     @property
@@ -150,13 +154,14 @@ class Candidate:
 
 
 class Weighing:
-    """The recording with its noise and its nominal model, prepared for the evaluation of effects.
+    """A recording with its noise and its nominal model, prepared for the evaluation of effects.
 
     removed: (N, K), SI, signal that is subtracted from the samples before they are evaluated, such as a line. held: (N, K), True
     for samples that are replaced by the fit, such as samples that repeat an earlier one. coarse: (K,), True for channels whose
-    noise does not dither the rounding to counts; their samples show rounding, not noise. Settings of both triads are combined:
-    index = gyro setting × accelerometer settings + accelerometer setting. angles: for each channel, the columns (M, n) of
-    `angle_columns` that act on it. outliers: (N, K), SI, errors of single samples that are left out; None if there are none.
+    noise does not dither the rounding to counts; the scatter of their samples shows rounding, not noise. Each setting combines a
+    setting of the gyros and one of the accelerometers: index = gyro setting × number of accelerometer settings + accelerometer
+    setting. angles: for each channel, the columns (M, n) of `angle_columns` that act on it. outliers: (N, K), SI, errors of single
+    samples that are left out; None if there are none.
     """
 
     def __init__(
@@ -212,8 +217,8 @@ class Weighing:
             self.log_likelihood.append(likelihood)
 
     def _measure(self, reference: Array, held: NDArray[np.bool_] | None) -> None:
-        """The coefficients of the samples after `reference` (N, K) has been subtracted, the coefficients of the nominal columns,
-        and the noise."""
+        """Computes the coefficients of the samples after `reference` (N, K) has been subtracted, the coefficients of the nominal
+        columns, and the noise."""
         observed = self.observed
         self.spectrum: Spectrum = spectrum(observed, reference, held)
         level, self.white_degrees = white_level(observed, self.spectrum)
@@ -230,7 +235,7 @@ class Weighing:
         self.noise = noise_within(observed, self.spectrum, self.white, self._left())
 
     def _left(self) -> Array:
-        """The coefficients (M, K) without the nominal parameters, fitted by least squares."""
+        """The coefficients (M, K) after the nominal parameters, fitted by least squares, have been subtracted."""
         bases = [np.linalg.qr(columns)[0] for columns in self.nominal]
         each = [
             values - basis @ (basis.T @ values) for basis, values in zip(bases, self.spectrum.values.T, strict=True)
@@ -238,7 +243,7 @@ class Weighing:
         return np.column_stack(each)
 
     def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients. taken: for each
+        """The output (N, K) of the nominal model, whose parameters are fitted by least squares to all coefficients. taken: for each
         channel, the coefficients (M,) that an effect explains; they are subtracted before the fit."""
         out = self._reference.copy()
         for index, nominal in enumerate(self.whole):
@@ -252,7 +257,8 @@ class Weighing:
         return out
 
     def seen(self, taken: Sequence[Array] | None = None) -> Observed:
-        """The recording with the nominal model's output and its response to the rate, fitted as in `fitted`."""
+        """The recording, to which the fitted output of the nominal model and the fitted response of each channel to the rate are
+        added. taken: as in `fitted`."""
         observed, fitted = self.observed, self.fitted(taken)
         if observed.along is not None:
             return replace(observed, fitted=fitted)
@@ -262,19 +268,19 @@ class Weighing:
         return replace(observed, fitted=fitted, response=axes + more[:3].T)
 
     def beside(self, known: Weighed) -> Weighing:
-        """The recording with effects among the nominal parameters, so that their amplitudes are free in every channel."""
+        """A copy in which effects count as nominal parameters, so that their amplitudes are free in every channel."""
         made = self._with(lambda weight, channel: weight.beside(known.raw[channel]))
         acting = [raw[:, raw.any(axis=0)] for raw in known.raw]
         made.nominal = [independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)]
         return made
 
     def inflated(self, ratios: Sequence[float]) -> Weighing:
-        """The recording after the variance of each channel's noise has been multiplied by the ratio of the channel."""
+        """A copy in which the variance of each channel's noise has been multiplied by the ratio for this channel."""
         return self._with(lambda weight, channel: weight.inflated(ratios[channel]))
 
     def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights]) -> Weighing:
-        """A copy with changed weights. The log likelihood of a setting changes by the same amount as that of its weights; several
-        settings share the same weights."""
+        """A copy with changed weights. Settings can share weights. The log likelihood of a setting changes by the same amount as
+        that of its weights."""
         made = copy(self)
         made.__dict__.pop("base", None)
         made.__dict__.pop("likeliest", None)
@@ -292,7 +298,7 @@ class Weighing:
 
     @cached_property
     def base(self) -> Array:
-        """Log likelihood (G,) without any effect."""
+        """Log likelihood (G,) of the recording without any effect, at each setting of the noise."""
         parts = {"gyro": np.zeros(self.shape[0]), "accel": np.zeros(self.shape[1])}
         for channel, likelihood in zip(self.observed.channels, self.log_likelihood, strict=True):
             parts[channel.kind] += likelihood
@@ -300,7 +306,7 @@ class Weighing:
 
     @cached_property
     def log_prior(self) -> tuple[Array, Array]:
-        """Two log priors (G,) of the settings: without, and with, an undeclared random walk of the gyros."""
+        """Two log priors (G,) of the settings of the noise: one without and one with an undeclared random walk of the gyros."""
         gyro, accel = self.settings["gyro"], self.settings["accel"]
         prior = np.outer([s.prior for s in gyro], [s.prior for s in accel]).ravel()
         walking = np.repeat([s.walk > 0 for s in gyro], len(accel))
@@ -309,17 +315,18 @@ class Weighing:
 
     @cached_property
     def likeliest(self) -> tuple[int, ...]:
-        """The most probable setting without a random walk of the gyros, and, if a random walk is a hypothesis, the most probable setting
-        with it."""
+        """Index of the most probable setting of the noise without a random walk of the gyros, and, if a random walk is a
+        hypothesis, index of the most probable setting with it."""
         return tuple(int(np.argmax(self.base + prior)) for prior in self.log_prior if np.isfinite(prior).any())
 
     def likeliest_with(self, log_bayes: Array, walking: bool) -> int:
-        """The most probable setting if a hypothesis with log BF (G,) is true, with or without a random walk of the gyros."""
+        """Index of the most probable setting of the noise if a hypothesis is true, with or without a random walk of the gyros.
+        log_bayes: (G,), log BF of the hypothesis."""
         terms = self.base + self.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
         return int(np.argmax(terms))
 
     def whitened_at(self, weighed: Weighed, setting: int) -> list[tuple[ChannelWeights, Array]]:
-        """For each channel, its weights and the projected columns (M, p) of a variant at one setting of the noise."""
+        """For each channel, its weights and the whitened, projected columns (M, p) of a variant, at one setting of the noise."""
         if setting == 0:
             return [(own[0], columns) for own, columns in zip(self.weights, weighed.by_channel, strict=True)]
         at = dict(zip(("gyro", "accel"), divmod(setting, self.shape[1]), strict=True))
@@ -327,19 +334,20 @@ class Weighing:
         return [(weight, weight.project(raw)) for weight, raw in zip(weights, weighed.raw, strict=True)]
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
-        """Log evidence of a hypothesis with log BF (G,), marginalised over the noise."""
+        """Log evidence of a hypothesis, averaged over the settings of the noise. log_bayes: (G,), log BF of the hypothesis at each
+        setting."""
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
     def projected(self, variants: Sequence[Variant]) -> tuple[list[Variant], list[Array]]:
-        """The variants without their samples; and, for each channel, the coefficients (M, P) of all their columns. The samples of
-        the forms of all effects together would need many times the memory of the recording."""
+        """Returns the variants without their samples and, for each channel, the coefficients (M, P) of all their columns. Samples
+        are not kept, because those of all forms of all effects together would need many times the memory of the recording."""
         raw = coefficients_of(self.observed, self.spectrum, [c for variant in variants for c in variant.columns])
         return [_without_samples(variant) for variant in variants], raw
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, over the settings of the noise with or without a random walk of
-        the gyros."""
+        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, averaged over the settings of the noise with or without
+        a random walk of the gyros."""
         terms = self.base + weighed.log_bayes + self.log_prior[int(walking)]
         share = np.exp(terms - terms.max())
         share /= share.sum()
@@ -351,7 +359,8 @@ class Weighing:
         return mean, np.tensordot(share, covariances, 1) + (share[:, None] * away).T @ away
 
     def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
-        """Whitens variants and evaluates them at every setting. raw: result of `projected`, if it is already known."""
+        """Whitens variants and evaluates them at every setting of the noise. raw: coefficients that `projected` has already
+        computed, if any."""
         if raw is None:
             variants, raw = self.projected(variants)
         columns = [column for variant in variants for column in variant.columns]
@@ -404,7 +413,8 @@ class Weighing:
         first: Sequence[Array],
         raw: Sequence[Array],
     ) -> Weighed:
-        """One evaluated variant, whose columns are the range `part` of all columns. The settings of both triads are combined."""
+        """Makes one evaluated variant, whose columns are the range `part` of all columns. Settings of the gyros and of the
+        accelerometers are combined."""
         p = len(variant.columns)
         gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
         score = (scores["gyro"][:, None, part] + scores["accel"][None, :, part]).reshape(-1, p)
@@ -414,14 +424,14 @@ class Weighing:
 
 
 def _without_samples(variant: Variant) -> Variant:
-    """The variant with empty signatures, which only state the channels on which its columns act."""
+    """The variant without samples; its signatures only state on which channels its columns act."""
     nothing = np.empty(0)
     columns = (replace(column, parts=dict.fromkeys(column.parts, nothing)) for column in variant.columns)
     return replace(variant, columns=tuple(columns))
 
 
 def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
-    """The columns of the nominal model."""
+    """The columns of the terms that the nominal simulation fits."""
     columns: list[Column] = []
     for kind in ("gyro", "accel"):
         for part, make in PARTS.items():
@@ -431,9 +441,9 @@ def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
 
 
 def angle_columns(observed: Observed) -> list[Column]:
-    """The change of the specific force per radian of the angle of the table at the beginning of a segment, for each accelerometer
-    and each segment in which gravity shows this angle. The angle that gravity shows contains the errors of the accelerometers. With
-    a free correction for each channel, a wrong angle therefore does not count as evidence."""
+    """Columns for the angle of the table at the start of a segment: the change of the specific force per radian, for each
+    accelerometer. There is one column for each segment whose angle was found from gravity. An angle found from gravity contains the
+    errors of the accelerometers. With a correction that is free in each channel, an error of this angle does not count as evidence."""
     shown = [index for index, source in enumerate(observed.angle_from) if source is AngleFrom.GRAVITY]
     if not shown:
         return []
@@ -453,8 +463,9 @@ def angle_columns(observed: Observed) -> list[Column]:
 
 
 def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
-    """Variance (M, K) of the coefficients, SI²·samples, from the nominal input with an unknown phase (`Observed.unknown_phase`).
-    The cosine and sine components of this input count as normal, each with the amplitude of the input as standard deviation."""
+    """Variance (M, K) of the coefficients, SI²·samples, that the nominal input of unknown phase (`Observed.unknown_phase`) causes.
+    The cosine and the sine component of this input are treated as normal variables whose standard deviation is the amplitude of the
+    input."""
     amplitude = observed.unknown_phase
     if not amplitude.any():
         return np.zeros((len(spectrum_.segment), len(observed.channels)))
@@ -464,7 +475,7 @@ def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
 
 
 def simulated(observed: Observed, nominal: Sequence[str]) -> Array:
-    """Output of the nominal simulation before any parameter is fitted, (N, K), SI."""
+    """Output (N, K) of the nominal simulation before any parameter is fitted, SI."""
     omega = observed.omega if "earth_rate" in nominal else observed.omega - observed.earth_rate
     return np.column_stack(
         [

@@ -1,9 +1,10 @@
-"""Wrong declarations, found before effects of the sensor are evaluated: signs, axes, units, the sense of rotation, the mounting.
+"""Wrong declarations of signs, axes, units, sense of rotation or mounting. They are found before effects of the sensor are
+evaluated.
 
-The means of the segments are fitted by a free 3×3 matrix M and a bias for each triad. With correct declarations, M is near the
-identity, apart from scale factors and misalignments. A wrong declaration makes M a signed permutation, times known factors between
-units. A declaration counts as wrong only if the corrected recording follows the plan. Directions of the stimulus that the plan does
-not vary remain undetermined.
+For each triad, the means of the segments are fitted by a bias and a 3×3 matrix M whose elements are all free. With correct
+declarations, M differs from the identity only by scale factors and misalignments. A wrong declaration makes M a signed permutation,
+possibly multiplied by a known factor between two units. A declaration counts as wrong only if the corrected recording follows the
+plan. Elements of M along directions in which the plan does not vary the stimulus remain undetermined.
 """
 
 from __future__ import annotations
@@ -53,9 +54,9 @@ FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
 @dataclass(frozen=True, slots=True)
 class WrongDeclaration:
     """A wrong declaration in the bench file that explains the gap. effect: name of the effect in the catalogue. parameters:
-    parameters of the effect that make a simulation reproduce the mistake. message: what is wrong, for a finding; where: the
-    channels or axes, for the remedy. alternative: another declaration that the recording cannot distinguish from this one, empty if
-    there is none."""
+    parameters of the effect with which a simulation reproduces the mistake. message: what is wrong, for a finding; where: the
+    channels or axes, for the hint that tells the user what to correct. alternative: another declaration that may be wrong instead,
+    because the recording cannot distinguish the two; empty if there is none."""
 
     effect: str
     parameters: Mapping[str, float]
@@ -66,7 +67,7 @@ class WrongDeclaration:
 
 @dataclass(frozen=True)
 class _Reading:
-    """The input that a channel shows: the input along an axis (0, 1, 2), times a sign and a factor."""
+    """The input that a channel shows: the input along an axis (0, 1, 2), multiplied by a sign and a factor."""
 
     axis: int
     sign: float
@@ -75,9 +76,9 @@ class _Reading:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Result of the free fit of the triads. readings: reading of each channel, None if the plan does not determine it. sound: True
-    if every determined channel follows the plan apart from its reading (axis, sign and factor). misfit: sum over channels of
-    squared residuals relative to the variance of the means."""
+    """Result of the free fit of the triads. readings: the reading of each channel, None if the plan does not determine it. sound:
+    True if every determined channel follows the plan after its reading (axis, sign and factor) has been taken into account. misfit:
+    sum, over the channels, of the squared residuals divided by the sum of squares of the means."""
 
     readings: tuple[_Reading | None, ...]
     sound: bool
@@ -85,8 +86,8 @@ class _Fit:
 
 
 def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
-    """The recording with wrong declarations corrected, and these declarations. The recording is unchanged if no wrong declaration
-    is found, or if no correction makes the recording follow the plan."""
+    """Corrects wrong declarations. Returns the corrected recording and the wrong declarations. The recording is unchanged if no
+    wrong declaration is found, or if no correction makes the recording follow the plan."""
     if observed.along is not None or len(observed) < 2:
         return observed, []
     planned, found = _fit(observed), []
@@ -146,8 +147,8 @@ def _fit(observed: Observed) -> _Fit:
 
 
 def _stuck(observed: Observed, index: int) -> bool:
-    """Whether a channel is constant throughout a segment although it has noise in most other segments. Such a channel is at a limit
-    and shows only a part of its input. A channel with coarse counts is constant in most segments at rest."""
+    """True if a channel is constant throughout at least one segment although it has noise in most segments. Such a channel is at a
+    limit, so it shows only a part of its input. A channel with coarse counts is not meant: it is constant in most segments at rest."""
     spread = np.array([np.ptp(observed.values[part, index]) for part in observed.segments()])
     return bool(np.median(spread) > 0 and spread.min() == 0)
 
@@ -175,7 +176,8 @@ def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
 
 
 def _factor(gain: Array, direction: Array, kind: str) -> float | None:
-    """The known factor between a gain and a direction; 1 for an ordinary scale factor, None for an unknown factor."""
+    """The known factor that agrees with the ratio of a gain to a direction: 1 for an ordinary scale factor, None if no known factor
+    agrees."""
     size = float(gain @ direction) / float(direction @ direction)
     if size <= 0:
         return None
@@ -187,8 +189,8 @@ def _factor(gain: Array, direction: Array, kind: str) -> float | None:
 
 
 def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> bool:
-    """Whether the opposite sense of rotation explains the recording: it fits clearly better, or it fits equally well and the
-    planned sense requires all gyros to be reversed."""
+    """True if the opposite sense of rotation explains the recording: it fits clearly better, or it fits equally well while the
+    planned sense would require all gyros to be reversed."""
     told = [index for index in observed.of_kind("gyro") if opposite.readings[index] is not None]
     straight = [one is None or one.sign > 0 for one in opposite.readings]
     if not told or not opposite.sound or not all(straight[index] for index in told):
@@ -202,8 +204,8 @@ def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> boo
 def _of_channels(
     observed: Observed, readings: Sequence[_Reading | None]
 ) -> tuple[list[WrongDeclaration], list[int], list[float]]:
-    """Wrong declarations of channels, and for every channel the index of the channel that shows its axis, with the signed factor of
-    that channel. No declaration counts as wrong if two channels show the same axis."""
+    """Returns the wrong declarations of channels; for every channel, the index of the channel that shows its axis; and the signed
+    factor of that channel. If two channels show the same axis, no declaration counts as wrong."""
     sources, factors = list(range(len(readings))), [1.0] * len(readings)
     shown: dict[str, dict[int, _Reading]] = {}
     for kind in ("gyro", "accel"):
@@ -224,7 +226,7 @@ def _of_channels(
 
 
 def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -> list[WrongDeclaration]:
-    """A mounting in another orientation, or a left-handed system, if both triads show the same wrong axes."""
+    """If both triads show the same wrong axes: a mounting in another orientation, or a left-handed system."""
     matrices = []
     for own in shown.values():
         if len(own) < 3:
@@ -256,7 +258,7 @@ def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -
 
 
 def _rows(matrix: Array) -> list[tuple[str, int, float]]:
-    """For each axis: its letter, the index of the axis that it shows, and the sign."""
+    """For each axis: its letter, the index of the axis whose input it shows, and the sign."""
     axes = np.abs(matrix).argmax(axis=1)
     return [
         (letter, int(axis), float(matrix[row, axis]))

@@ -1,11 +1,11 @@
-"""Effects as candidates: their forms on the grid of each effect. The grid is refined if the evidence has a sharp peak, and the
-forms are nonlinear if the effect is strong.
+"""Evaluates effects in different forms, one for each value of the shape on the effect's grid. The grid is refined if the evidence
+has a sharp peak. Strong effects are evaluated in a nonlinear form.
 
-An effect that is fully determined by its shape (a lag, a delay, a dead zone, a limit) has no amplitude. A weak effect of this kind
-is evaluated like the others, with an amplitude in addition to the shape, because amplitude and shape are then redundant. A strong
-effect is evaluated with the amplitude 1, and its shape is found exactly. If the effect acts on the output of the sensor, the
-nominal parameters are fitted together with it (Gauss–Newton in these parameters, a search in the shape). If they were fitted
-without the effect, they would absorb a part of it and give a wrong output.
+An effect that its shape determines completely (a lag, a delay, a dead zone, a limit) has no amplitude. If such an effect is weak,
+it is evaluated like the others, with an amplitude in addition to its shape, because the data cannot separate the two. If it is
+strong, it is evaluated with the amplitude 1, and its shape is found exactly. If a strong effect acts on the output of the sensor,
+the nominal parameters are fitted together with it: Gauss–Newton in these parameters, a search in the shape. Nominal parameters
+fitted without the effect would absorb a part of it and give a wrong output.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justi
 
 
 def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
-    """Evaluates effects: the shapes on each effect's grid, refined if the evidence is sharp."""
+    """Evaluates effects with every shape on their grids, which are refined if the evidence is sharp."""
     if not effects:
         return []
     ways = [way for effect in effects for way in ways_of(effect)]
@@ -41,7 +41,7 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
 
 
 def _likeliest(ways: Sequence[Candidate]) -> Candidate:
-    """The most probable way in which an effect may act, with the evidence averaged over all ways that the plan can show."""
+    """The most probable of several ways in which an effect can act. Its evidence is averaged over all ways that the plan can show."""
     shown = [way for way in ways if np.isfinite(way.log_bayes).any()]
     if len(ways) == 1 or not shown:
         return ways[0]
@@ -67,8 +67,8 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """A strong nonlinear effect, approximated by its secants at the most probable amplitudes. This is repeated as long as the new
-    secants explain more."""
+    """Approximates a strong nonlinear effect by its secants at the most probable amplitudes. The approximation is repeated as long
+    as the new secants explain more."""
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -82,8 +82,8 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """`_curved` for an effect with a shape. The shape is searched again with the secants at the amplitudes of the most probable
-    shape, and the nominal parameters are fitted together with it."""
+    """Does the same as `_curved`, for an effect with a shape. With the secants at the amplitudes of the most probable shape, the
+    shape is searched again, and the nominal parameters are fitted together with the effect."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -102,8 +102,8 @@ def _along_secants(
 def _settled(
     weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """A strong effect on the output, evaluated at the fitted output: the nominal parameters are fitted together with its best form,
-    and the effect is evaluated again with the result. This is repeated as long as the result explains more."""
+    """Evaluates a strong effect on the output of the sensor again: the nominal parameters are fitted together with the effect's
+    best form, and the effect is evaluated at the output that results. The evaluation is repeated as long as it explains more."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         seen = weighing.seen([raw[:, 0] for raw in best.raw])
@@ -122,9 +122,9 @@ def _settled(
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """A strong effect without a free amplitude, with the amplitude that physics fixes. For example, the time constant of a lag
-    determines both the delay and the attenuation. λ has the same prior as for every effect. The candidate is unchanged if the data
-    require the opposite sign."""
+    """Evaluates a strong effect that its shape determines completely, with the amplitude that physics fixes. For example, the time
+    constant of a lag determines both the delay and the attenuation. The energy λ has the same prior as for other effects. The
+    candidate is unchanged if the data require the opposite sign."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
     forms = [replace(form, held=True) for form, _ in whole_forms(weighing, effect)] if best.amplitudes[0][0] > 0 else []
     if len(forms) < 3 or any(form.trace <= 0 for form in forms):  # too weak for the amplitude 1 to mean anything
@@ -136,11 +136,12 @@ def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: 
 
 
 def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Observed) -> tuple[list[Weighed], Array]:
-    """Shapes between those of the grid around the best one, and the evidence by the trapezoidal rule. Every interval of the grid
-    has the same prior.
+    """Adds shapes between those of the grid, around the best one, and averages the evidence over the shape by the trapezoidal rule.
+    Every interval of the grid has the same prior.
 
-    Three rounds add four values between the best shape and each neighbour, enough for the sharp peak of an effect at a hundred
-    standard deviations. If a random walk of the gyros acts too, another shape may be the best; the grid is refined around both.
+    Three rounds add four shapes between the best shape and each neighbour, which is enough for the sharp peak of an effect at a
+    hundred standard deviations. With a random walk of the gyros, another shape may be the best; the grid is then refined around
+    both shapes.
     """
     have = {float(item.variant.shape or 0.0): item for item in coarse}
     grid = np.array(sorted(have))
@@ -172,7 +173,7 @@ _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
 
 
 def shape_alone(candidate: Candidate) -> Shaped | None:
-    """The effect of a candidate that has a shape and no amplitude; None for other candidates."""
+    """The effect of a candidate if its shape determines it completely; otherwise None."""
     effect = candidate.effect
     if isinstance(effect, Shaped) and any(is_whole(item.variant.columns) for item in candidate.variants):
         return effect
@@ -180,9 +181,10 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 
 
 def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
-    """Forms around the most probable shape, in equal steps of its logarithm, and their probabilities. The result is empty if the
-    search finds no effect because the data require the opposite sign. If the search alternates between shapes, or does not
-    converge, the most probable shape that it visited counts, with the nominal parameters that belong to it."""
+    """Forms around the most probable shape, in equal steps of the logarithm of the shape, and their probabilities. The result is
+    empty if no form explains more than no effect does, because the data require the opposite sign. If the search alternates between
+    shapes or does not converge, the most probable of the visited shapes is used, with the nominal parameters that were fitted for
+    it."""
     seen, found, before = weighing.observed, np.nan, np.nan
     likeliest = (-np.inf, seen, np.nan, np.nan)
     for _ in range(_STEPS):
@@ -208,15 +210,15 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
 
 
 def _evidence(weighing: Weighing, form: Weighed) -> float:
-    """Log evidence of an amplitude of 1, relative to no effect, up to a constant."""
+    """Log evidence of a form with the amplitude 1, up to a constant that is the same for all forms."""
     return weighing.evidence(form.score[:, 0] - 0.5 * form.gram[:, 0, 0])
 
 
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: float) -> tuple[float, float]:
-    """The most probable shape and the standard deviation of its logarithm. The search uses the grid, continues beyond it if the
-    best shape is at its edge, and then refines between the best shape and its neighbours until the neighbours are within one
-    standard deviation. A shape that the data barely constrain is reported up to the edge of the grid. near: a shape near which the
-    search begins, NaN if none is known."""
+    """The most probable shape and the standard deviation of its logarithm. The search starts on the grid and continues beyond it if
+    the best shape is at an edge. It then refines between the best shape and its neighbours until the neighbours are within one
+    standard deviation. For a shape that the data barely constrain, the standard deviation is limited by the width of the grid.
+    near: a shape near which the search starts, NaN if none is known."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)

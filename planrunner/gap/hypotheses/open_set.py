@@ -1,9 +1,10 @@
-"""Competitors outside the catalogue, so that a diagnosis can report "something that the catalogue does not contain".
+"""Patterns outside the catalogue that compete with the effects, so that a diagnosis can report "something that the catalogue does
+not contain".
 
-Each competitor is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking
-period that differ at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or
-in a triad; one odd segment; a periodic bias; bursts; and a tone that keeps its phase over the whole run. The competitors are
-evaluated like effects, individually and in combination.
+Such a competitor is a pattern of the whitened residual, in one channel or in a triad. Possible patterns are offsets, scale-like
+errors, transients and waveforms per turn or per rocking period, which differ at random from segment to segment or change smoothly
+with rate, gravity, temperature or time; a deviation in a single segment; a periodic bias; bursts; and a tone that keeps its phase
+over the whole run. The competitors are evaluated like effects, individually and in combination.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ _BLOCKS = 1024  # of time, over which shifted samples are summed
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A tone that keeps its phase over the run. frequency: Hz; amplitude: in the unit of the channel. evidence: log Bayes factor."""
+    """A tone that keeps its phase over the whole run. frequency: in Hz; amplitude: in the unit of the channel. evidence: log Bayes
+    factor of the tone."""
 
     channel: str
     frequency: float
@@ -48,11 +50,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Evidence for the competitors. log_bayes: (G,), log BF of each competitor against none, for each setting of the noise; −∞ for
-    settings with a random walk of the gyros' bias; several: (G,), log BF of patterns of several kinds at once. by_channel: (K,),
-    log BF of each competitor in a single channel, at the first setting of the noise. outside: log BF of the patterns outside the
-    coefficients, on which no effect of the catalogue acts; they are therefore independent of every effect. lines: the strongest
-    tone of each channel that has one."""
+    """Evidence for the patterns outside the catalogue (competitors). log_bayes: (G,), log BF of each competitor against none, for
+    each setting of the noise; −∞ for settings with a random walk of the gyros' bias; several: (G,), log BF of combinations of
+    patterns of different kinds. by_channel: (K,), log BF of each competitor in each channel alone, at the first setting of the
+    noise. outside: log BF of the patterns outside the coefficients. No effect of the catalogue acts there, so these patterns are
+    independent of every effect. lines: the strongest tone of each channel that shows a tone."""
 
     log_bayes: dict[Pattern, Array]
     several: Array
@@ -62,7 +64,8 @@ class Kinds:
 
 
 def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
-    """Evaluates all competitors. outside_: evidence for the patterns outside the basis, if it is known."""
+    """Evaluates all patterns outside the catalogue. outside_: evidence for the patterns outside the basis if it has already been
+    computed."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
     patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
@@ -87,8 +90,9 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
 
 
 def something_else(weighing: Weighing) -> float:
-    """The log BF of patterns of the coefficients, alone and in combination, against none at the most probable setting of the noise.
-    If the weighing includes effects, this is the evidence for something else in addition to these."""
+    """The log BF of the patterns of the coefficients, single and in combination, against none, at the most probable setting of the
+    noise. If the weighing includes effects (`Weighing.beside`), this is the evidence for something else in addition to these
+    effects."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
@@ -97,23 +101,23 @@ def something_else(weighing: Weighing) -> float:
 
 
 def unknown(kinds: Kinds) -> Array:
-    """The log BF (G,) of "something else": the mean over its kinds and over combinations of them."""
+    """The log BF (G,) of "something else": the mean over single patterns and over combinations of patterns."""
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
 
 
 def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
-    """The channels' weights under one setting of the noise."""
+    """The weights of all channels at one setting of the noise."""
     at = dict(zip(("gyro", "accel"), divmod(g, weighing.shape[1]), strict=True))
     return [each[at[channel.kind]] for each, channel in zip(weighing.weights, weighing.observed.channels, strict=True)]
 
 
 def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Array]) -> float:
-    """The log BF of patterns of several sorts together, each present with probability ½. A cause outside the catalogue often
-    appears in more than one sort.
+    """The log BF of combinations of patterns of several sorts, where each sort is present with probability ½. A cause outside the
+    catalogue often appears in more than one sort.
 
-    The coefficients of different sorts share only the nominal parameters, so a strong sort influences all others through these
-    parameters. Therefore the strongest sort is evaluated first, and the others without its coefficients, until the remaining sorts
-    are weak.
+    Coefficients of different sorts are connected only by the nominal parameters, through which a strong sort influences all others.
+    Therefore the strongest sort is evaluated first, and the other sorts without its coefficients; this is repeated until the
+    remaining sorts are weak.
     """
     left, total = _by_sort(found), 0.0
     while True:
@@ -126,7 +130,7 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Arr
 
 
 def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
-    """The evidence by sort, without patterns that span several sorts, because these would count twice."""
+    """The log BF of each sort. Patterns that span several sorts are left out, because they would count twice."""
     sorts: dict[Sort, list[float]] = {}
     for pattern, value in found.items():
         if pattern.sort is not Sort.SEVERAL:
@@ -140,13 +144,13 @@ def _maybe(log_bayes: float) -> float:
 
 
 def scopes_of(weighing: Weighing) -> list[list[int]]:
-    """The scopes: every single channel, then the triads."""
+    """The scopes of patterns: every single channel, then the triads."""
     triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
     return [[index] for index in range(len(weighing.observed.channels))] + triads
 
 
 class _Patterns:
-    """All patterns of the coefficients, with cached results, because settings of the noise share the weights of a triad."""
+    """All patterns of the coefficients. Results are cached, because several settings of the noise share the weights of a triad."""
 
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
@@ -154,7 +158,8 @@ class _Patterns:
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
-        """The log BF of each pattern by scope, and of one odd segment in any scope. among: the requested sorts, by default all."""
+        """The log BF of each pattern in each scope, and of a deviation in a single segment of any channel. among: the sorts to
+        evaluate, by default all."""
         found: dict[Pattern, list[float]] = {}
         for pattern, per_channel in self.designs:
             if among is None or pattern.sort in among:
@@ -174,7 +179,7 @@ class _Patterns:
 
 
 def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
-    """The log BF of a design in the channels of each scope; −∞ if the design is not visible there."""
+    """The log BF of a design in the channels of each scope; −∞ for scopes in which the design has no effect."""
     size = np.zeros((len(scopes), max(sum(len(spectra[index][0]) for index in scope) for scope in scopes)))
     along = np.zeros_like(size)
     for row, scope in enumerate(scopes):
@@ -191,8 +196,8 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
 
 @dataclass(frozen=True)
 class Outside:
-    """Evidence for the patterns outside the basis. log_bayes: log BF of each pattern by scope. lines: the strongest tone of each
-    channel that has one. causes: those tones that are separate causes."""
+    """Evidence for the patterns outside the basis of the coefficients. log_bayes: log BF of each pattern in each scope. lines: the
+    strongest tone of each channel that shows a tone. causes: those of these tones that count as separate causes."""
 
     log_bayes: dict[Pattern, Array]
     lines: tuple[Line, ...]
@@ -200,7 +205,7 @@ class Outside:
 
 
 def outside(weighing: Weighing) -> Outside:
-    """Evaluates the patterns outside the basis.
+    """Evaluates the patterns outside the basis of the coefficients.
 
     Real noise often contains lines (supply, dither, resonances). A line counts as a separate cause only if it is a single tone that
     visibly increases the noise. Other lines belong to the noise and are only reported.
@@ -225,10 +230,11 @@ def outside(weighing: Weighing) -> Outside:
 
 @dataclass(frozen=True)
 class _Scan:
-    """The remainder of a channel at rest and turning, prepared for a periodogram. chosen: (n,), indices of the samples; weight:
-    (n,), number of raw samples in each of them; samples: (n,), SI, divided by the level of the noise of their segments. slot: (n,),
-    place on a grid of `length` times `step` s. level: (n,), level of the noise, as standard deviation relative to `white`;
-    coloured: True if the spectrum of the noise is not white. The scan is empty if the run is too long."""
+    """The remainder of a channel in segments at rest and turning, prepared for a periodogram. chosen: (n,), indices of the samples;
+    weight: (n,), number of raw samples in each of these samples; samples: (n,), SI, divided by the level of the noise of their
+    segments. slot: (n,), place of each sample on a grid of `length` steps of `step` seconds. level: (n,), level of the noise, as a
+    standard deviation relative to `white`; coloured: True if the spectrum of the noise is not white. The scan has no samples if the
+    run is too long or too short, or if the counts of the channel are coarse."""
 
     chosen: NDArray[np.int64]
     weight: Array
@@ -241,14 +247,15 @@ class _Scan:
     coloured: bool
 
     def energy(self, samples: Array) -> float:
-        """Energy [SI²], summed over the raw samples, of samples (n,) that are divided by the level of the noise."""
+        """Energy [SI²] of samples (n,), summed over the raw samples. samples: divided by the level of the noise, like the field
+        `samples`."""
         return float(self.weight @ samples**2)
 
 
 @dataclass(frozen=True)
 class _Periodogram:
-    """The periodogram of a scan. frequency: (F,), Hz; power: (F,), in units of the noise; amplitude: (F,), SI, of a sine with that
-    power."""
+    """The periodogram of a scan. frequency: (F,), Hz; power: (F,), in units of the noise; amplitude: (F,), SI, amplitude of a sine
+    with this power."""
 
     frequency: Array
     power: Array
@@ -256,7 +263,7 @@ class _Periodogram:
 
     @classmethod
     def of(cls, scan: _Scan, samples: Array) -> _Periodogram:
-        """The periodogram of samples (n,) that replace those of the scan."""
+        """Computes the periodogram of samples (n,) at the places of a scan."""
         from scipy.fft import next_fast_len, rfft
 
         if not len(samples):
@@ -273,7 +280,7 @@ class _Periodogram:
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
-    """The log BF that the means of all channels deviate in one unknown segment."""
+    """The log BF that the mean of one channel deviates in one segment, neither of which is known."""
     each = []
     for left in channels:
         at, whitened = left.whitened(np.eye(len(means)), means)
@@ -310,8 +317,8 @@ def _scan(weighing: Weighing, index: int) -> _Scan:
 def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
     """Fits a sine near this frequency [Hz] to the samples of a scan (Gauss–Newton in the frequency) and subtracts the part of the
     sine that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. spacing: distance between the
-    frequencies of the periodogram, Hz. The search begins at the highest of finer values about the frequency, because gaps between
-    segments raise the neighbouring values almost as high."""
+    frequencies of the periodogram, Hz. The search starts at the highest of closely spaced values around `frequency`: gaps between
+    segments make neighbouring values of the periodogram almost as high as the highest one."""
     observed, spectrum = weighing.observed, weighing.spectrum
     time = observed.time - observed.time.mean()
     root = np.sqrt(scan.weight)
@@ -331,8 +338,8 @@ def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: fl
 
 
 def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> float:
-    """The distance [Hz] from a frequency to the highest power among finer values about it. Samples (n,) that are shifted to frequency zero
-    change little within a block of time, so that their sums over blocks are enough."""
+    """The distance [Hz] from `frequency` to the closely spaced value around it that has the highest power. After a shift to
+    frequency zero, the samples (n,) change little within a block of time, so sums over blocks are sufficient."""
     place = ((time - time[0]) * (_BLOCKS / (time[-1] - time[0]) * (1 - 1e-9))).astype(np.int64)
     shifted = samples * np.exp(-2j * np.pi * frequency * time)
     sums = np.bincount(place, shifted.real, _BLOCKS) + 1j * np.bincount(place, shifted.imag, _BLOCKS)
@@ -342,8 +349,8 @@ def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> f
 
 
 def _local_level(power: Array) -> Array:
-    """Level (F,) of a periodogram (F,) of coloured noise. It consists of medians over blocks, which a line in a block does not
-    raise, connected by straight lines in logarithms."""
+    """Level (F,) of the noise in a periodogram (F,), for coloured noise. The level is interpolated linearly, in logarithms, between
+    medians over blocks, which a line in a block does not raise."""
     blocks = np.array_split(power, max(len(power) // BLOCK, 1))
     middles = np.cumsum([len(block) for block in blocks]) - [len(block) / 2 for block in blocks]
     levels = [np.log(np.median(block) / np.log(2.0) + 1e-300) for block in blocks]
@@ -351,7 +358,8 @@ def _local_level(power: Array) -> Array:
 
 
 def _tone(powers: list[Array]) -> float:
-    """The log BF of a tone of any frequency that keeps its phase and appears in several channels, from their periodograms."""
+    """The log BF of a tone of unknown frequency that keeps its phase and appears in several channels. powers: for each channel, the
+    powers of its periodogram."""
     powers = [power for power in powers if len(power)]
     if not powers:
         return -np.inf

@@ -1,7 +1,7 @@
-"""Patterns of the coefficients outside the catalogue: possible forms of "something else", as designs.
+"""Patterns of the coefficients that effects of the catalogue do not cause: possible forms of "something else", as designs.
 
-They are offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ from segment to segment, or
-change smoothly with rate, gravity, temperature or time.
+The patterns are offsets, scale-like errors, transients and waveforms per turn or per rocking period. They differ from segment to
+segment, or change smoothly with rate, gravity, temperature or time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ Rows = NDArray[np.bool_]
 
 
 class Sort(Enum):
-    """The kind of coefficients that a pattern uses, or its place outside the basis. `SEVERAL`: coefficients of more than one kind."""
+    """The kind of coefficients that a pattern consists of; for a pattern outside the basis, the kind of pattern. `SEVERAL`: the
+    pattern consists of coefficients of more than one kind."""
 
     MEANS = "means"
     TRANSIENT = "transient"
@@ -38,7 +39,7 @@ class Sort(Enum):
 
 
 class Factor(StrEnum):
-    """A factor with which a gap may change. Differences from segment to segment count as time."""
+    """A factor that a gap may follow. Random differences from segment to segment count as `TIME`."""
 
     CHANNEL = "channel"
     ORIENTATION = "orientation"
@@ -51,7 +52,7 @@ class Factor(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """One competitor outside the catalogue. factor: the factor that the residual follows if this pattern explains it."""
+    """One pattern outside the catalogue. factor: the factor that the gap follows if this pattern explains the gap."""
 
     name: str
     sort: Sort
@@ -125,7 +126,7 @@ def designs(weighing: Weighing) -> Iterator[PatternDesign]:
 
 
 def _offset(name: str, factor: Factor) -> Pattern:
-    """A pattern of the means of segments."""
+    """Makes a pattern of the segment means."""
     return Pattern(name, Sort.MEANS, factor)
 
 
@@ -133,7 +134,7 @@ _BY_ORIENTATION = _offset("offset by orientation", Factor.ORIENTATION)
 
 
 def sorts(weighing: Weighing) -> dict[Sort, Rows]:
-    """The coefficients (M,) of each kind."""
+    """For each kind of coefficients, a mask (M,) of the coefficients of this kind."""
     spectrum, motions = weighing.spectrum, weighing.observed.motions
     spin = np.array([isinstance(motion, Spin) for motion in motions])[spectrum.segment]
     rock = np.array([isinstance(motion, Rock) for motion in motions])[spectrum.segment]
@@ -146,12 +147,12 @@ def sorts(weighing: Weighing) -> dict[Sort, Rows]:
 
 
 def factors(weighing: Weighing) -> Iterator[PatternDesign]:
-    """Designs, like those of `designs`, of patterns that effects of the catalogue also follow. They locate the gap and do not count
-    as unknown.
+    """Yields patterns that effects of the catalogue can also follow, with designs like those of `designs`. They serve to locate the
+    gap and do not count as unknown.
 
-    Each factor has its simplest form here, so that a factor with few parameters can be found in competition with one that needs
-    many. For an accelerometer, a rotation about the vertical does not change the orientation; for a gyro it does, because of the
-    Earth's rate.
+    Each factor is included in its simplest form, so that a factor with few parameters can prevail over one that needs many. A
+    rotation about the vertical does not change the orientation for an accelerometer, but it does for a gyro, because of the Earth's
+    rate.
     """
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = range(len(observed))
@@ -208,25 +209,25 @@ def _coordinates(weighing: Weighing) -> dict[Factor, Array]:
 
 
 def _orientations(observed: Observed) -> Array:
-    """Direction cosines of East, North and Up in the sensor's axes, means over each segment, (S, 9)."""
+    """Direction cosines (S, 9) of East, North and Up in the sensor's axes, averaged over each segment."""
     axes = [observed.in_sensor_axes(axis) for axis in np.eye(3)]
     counts = np.diff(observed.bounds)[:, None]
     return np.hstack([np.add.reduceat(axis, observed.bounds[:-1], axis=0) / counts for axis in axes])
 
 
 def _levels(names: Sequence[Hashable]) -> Array:
-    """One column for each distinct name, (S, levels)."""
+    """An indicator matrix (S, levels) with one column for each distinct name."""
     distinct = list(dict.fromkeys(names))
     return np.array([[float(name == other) for other in distinct] for name in names])
 
 
 def _coarse(values: Array) -> tuple[float, ...]:
-    """Values rounded to a tenth, to distinguish orientations."""
+    """Values rounded to a tenth, so that equal orientations get equal keys."""
     return tuple((np.round(values, 1) + 0.0).ravel().tolist())
 
 
 def _upward(observed: Observed, segment: int) -> Hashable:
-    """The direction of gravity in the sensor's axes and, at rest, that of North."""
+    """A key for the direction of gravity in the sensor's axes and, at rest, also for the direction of North."""
     first = int(observed.bounds[segment])
     still = isinstance(observed.motions[segment], Rest)
     north = observed.attitude[segment][:, 1] if still else np.zeros(3)
@@ -234,7 +235,7 @@ def _upward(observed: Observed, segment: int) -> Hashable:
 
 
 def _state(observed: Observed, segment: int, fast: bool = True) -> str:
-    """Kind of motion of the table, its rate if requested, and the sensor axis about which it turns."""
+    """A key for the kind of motion of the table, the sensor axis about which it turns, and (if `fast`) its rate."""
     motion, first = observed.motions[segment], int(observed.bounds[segment])
     axis = _coarse(observed.table_axis[first])
     if isinstance(motion, Spin):
@@ -243,8 +244,8 @@ def _state(observed: Observed, segment: int, fast: bool = True) -> str:
 
 
 def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
-    """Smooth functions (S, ≤ orders): cosines of a coordinate's position in its range, orders 1 to `most`, each weaker by
-    1/order^fading."""
+    """Smooth functions (S, at most `most`) of a coordinate: cosines of its position within its range, of orders 1 to `most`, with
+    the weight 1/order^fading."""
     span = float(np.ptp(values))
     if span <= 0:
         return np.zeros((len(values), 0))
@@ -254,14 +255,14 @@ def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Ar
 
 
 def _changing(observed: Observed) -> Rows:
-    """Segments (S,) within which the temperature changes."""
+    """A mask (S,) of the segments within which the temperature changes."""
     spans = np.maximum.reduceat(observed.temperature, observed.bounds[:-1])
     spans -= np.minimum.reduceat(observed.temperature, observed.bounds[:-1])
     return np.asarray(spans > CHANGED)
 
 
 def _monomials(direction: Array) -> Array:
-    """Monomials of degrees 2 to 4 of the direction of gravity."""
+    """Monomials of degrees 2 to 4 of the components of the direction of gravity."""
     columns = [
         direction[:, 0] ** a * direction[:, 1] ** b * direction[:, 2] ** (d - a - b)
         for d in (2, 3, 4)
@@ -272,7 +273,8 @@ def _monomials(direction: Array) -> Array:
 
 
 def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
-    """Cosine and sine of a harmonic whose amplitude is the same in all segments, or proportional to the rate and to its square."""
+    """Columns for the cosine and sine of a harmonic whose amplitude is the same in all segments, proportional to the rate, or
+    proportional to the square of the rate."""
     observed, spectrum = weighing.observed, weighing.spectrum
     if not rows.any():
         return np.zeros((len(rows), 0))

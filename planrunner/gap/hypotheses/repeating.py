@@ -1,8 +1,9 @@
-"""A bias that repeats with an unknown period: a sine, a smooth waveform, or a waveform with edges such as a saw-tooth.
+"""A bias that repeats with an unknown period: as a sine, a smooth waveform, or a waveform with edges such as a saw-tooth.
 
-Periods range from twice the run down to half a segment, at most `MOST` of them. A form is a sum of harmonics that decrease as 1/order. A
-waveform with edges has many harmonics, which stay coherent over the run only if the period is accurate. It is therefore evaluated on a
-finer grid near the likely periods of the simpler forms.
+The periods range from twice the duration of the run to half a segment; at most `MOST` periods are tried. A waveform is a sum of
+harmonics whose amplitudes decrease as 1/order. A waveform with edges has many harmonics, which remain coherent over the run only if
+the period is accurate. It is therefore evaluated on a finer grid of periods, near the periods that are likely for a sine or a
+smooth waveform.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ NODES = 24  # of a segment, at which waves are taken
 
 
 class Repeating:
-    """Biases with an unknown period as designs of the coefficients."""
+    """Designs of the coefficients for biases that repeat with an unknown period."""
 
     def __init__(self, weighing: Weighing):
         observed, spectrum = weighing.observed, weighing.spectrum
@@ -57,7 +58,8 @@ class Repeating:
         return found
 
     def _edged(self, peaks: NDArray[np.int64], channels: Sequence[Left]) -> float:
-        """The log BF of a waveform with edges, over the whole finer grid. Its period is near one of the peaks."""
+        """The log BF of a waveform with edges. The mean over periods near the `peaks` counts as the only contribution to the mean
+        over the whole finer grid."""
         steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
         near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
         waves = self.waves(near, EDGED)
@@ -65,7 +67,7 @@ class Repeating:
         return float(log_mean_exp(each, 0) + np.log(len(near) / (FINER * len(self.frequencies))))
 
     def waves(self, frequencies: Array, harmonics: int) -> Array:
-        """Cosines and sines of the harmonics of each frequency at the coefficients in `rows`, (n, F, H, 2)."""
+        """Cosines and sines (n, F, H, 2) of the H harmonics of each of F frequencies, as coefficients in the n `rows`."""
         orders = np.arange(1, harmonics + 1)
         pulses = 2 * np.pi * np.outer(frequencies, orders)
         within = _within(np.round(self.ends - self.starts, 9), pulses.ravel(), int(self._order.max()) + 1)
@@ -76,7 +78,7 @@ class Repeating:
         return raw.view(float).reshape(len(self.rows), *pulses.shape, 2)
 
     def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
-        """Eigenvalues (F, n) and squared scores (F, n) of the first columns of each frequency."""
+        """For each count, the eigenvalues (F, n) and squared scores (F, n) of the first `count` columns of each frequency."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
@@ -93,15 +95,15 @@ class Repeating:
 
 
 def _evidence(parts: Sequence[Eigen]) -> Array:
-    """The log BF (F,) of each frequency in several channels, with one prior for the energy."""
+    """The log BF (F,) of each frequency in several channels together, with one prior for the total energy."""
     size, along = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
     unit = np.maximum(size.sum(1, keepdims=True), 1e-300)
     return averaged(from_eigen(size / unit, along / unit, 1.0))
 
 
 def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
-    """Coefficients of the cosine transform (S, orders, P) of exp(iωt) from the beginning of segments with the durations (S,); computed once
-    for equal durations."""
+    """Coefficients (S, orders, P) of the cosine transform of exp(iωt), where t starts at zero in every segment. lasting_: (S,),
+    durations of the segments; segments of equal duration are computed once."""
     middles = (np.arange(NODES) + 0.5) / NODES
     cosines = (
         np.cos(np.pi * np.arange(orders)[:, None] * middles)
