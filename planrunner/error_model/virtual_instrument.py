@@ -1,7 +1,7 @@
-"""The virtual instrument that adds effects of the catalogue to a virtual sensor. The bench file names it, so the bench file documents
-the simulation.
+"""The virtual instrument that adds effects of the catalogue to a virtual sensor. A bench file lists this instrument with its
+effects, and so documents the simulation.
 
-It connects two independent layers: the virtual sensor passes its outputs without noise to `World.added`, and
+It connects two independent parts of the code: the virtual sensor passes its outputs without noise to `World.added`, and
 `planrunner.error_model.effects` contains the effects.
 
     added:
@@ -41,7 +41,7 @@ _WALKS = 2  # second part of a generator's key, of the first of four processes: 
 
 
 def _of_axis(item: Addition, kind: OutsideKind, output: str) -> float | None:
-    """The value of a noise effect for an output; None if the effect does not change this output."""
+    """The parameter of a noise effect for one output; None if the effect does not change the noise of this output."""
     from planrunner.error_model.added import BY_AXIS, NOISE
     from planrunner.error_model.observed import axis_of
 
@@ -51,7 +51,7 @@ def _of_axis(item: Addition, kind: OutsideKind, output: str) -> float | None:
 
 
 class AddedEffectsParameters(Record):
-    """The effects that a simulation contains beyond the declared errors of its sensor, table and site."""
+    """Lists the effects that a simulation contains beyond the declared errors of its sensor, table and site."""
 
     effects: dict[str, dict[str, str]] = key(
         MapOf(MapOf(Text(), pattern=r"[A-Za-z][A-Za-z0-9_]{0,59}"), pattern=NAME),
@@ -62,7 +62,7 @@ class AddedEffectsParameters(Record):
 
 
 class AddedEffects:
-    """The instrument of the virtual world that adds the effects."""
+    """The instrument that adds the effects in the virtual world."""
 
     role = "effects"
     Parameters = AddedEffectsParameters
@@ -181,7 +181,8 @@ class AddedEffects:
     # -- internals ----------------------------------------------------------------------------------------------------
 
     def _known(self, observed: Observed) -> Sequence[Addition]:
-        """The effects with all their parameters, determined from the sensor when the first samples arrive."""
+        """The effects with the values of all their parameters. They are determined when the first samples arrive, because they
+        depend on the sensor."""
         if len(self.additions) < len(self.parameters.effects):
             from planrunner.error_model.added import addition
             from planrunner.error_model.scheduled import everything
@@ -198,7 +199,7 @@ class AddedEffects:
         return self.additions
 
     def _observed(self, moments: Moments, gives: Mapping[str, Gives]) -> Observed:
-        """The samples as a recording of one segment."""
+        """Turns the samples into a recording of one segment."""
         from planrunner.error_model.observed import ObservedSegment, channel_of, joined
 
         segment = moments.segment
@@ -229,8 +230,8 @@ class AddedEffects:
         return replace(made, past=dict(self.past))
 
     def _remember(self, observed: Observed) -> None:
-        """Keeps the part of the past that effects with a memory need later. Every checkpoint contains this part, so it must not
-        grow."""
+        """Keeps the part of the earlier samples that effects with a memory need later. Every checkpoint contains this part, so it
+        must not grow."""
         from planrunner.error_model.effects.interface import DependsOnPast
 
         for item in self.additions:
@@ -239,7 +240,7 @@ class AddedEffects:
                 self.past[value] = item.effect.remembered(observed, value)
 
     def _number(self, segment: Segment) -> int:
-        """Number of the segment's orientation, from 1 in the order of first use."""
+        """The number of the segment's orientation, counted from 1 in the order of first use."""
         from planrunner.error_model.observed import orientation_key
 
         place = orientation_key(np.array(segment.attitude))
@@ -248,7 +249,7 @@ class AddedEffects:
         return self.orientations.index(place) + 1
 
     def _note_temperature(self, index: int, warm: Array) -> None:
-        """Updates the sign of the last change of temperature from segment to segment."""
+        """Updates the sign of the last temperature change when a segment begins."""
         if index != self.segment:
             self.segment = index
             now = float(warm.mean())
@@ -257,7 +258,7 @@ class AddedEffects:
             self.before = now
 
     def _walked(self, moments: Moments, observed: Observed) -> Array:
-        """The slow random changes of the biases at the samples, (N, K), SI."""
+        """The slow random changes (N, K) of the biases at the samples, SI."""
         from planrunner.error_model.added import OF_TRIAD, SIGMA
         from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 

@@ -1,9 +1,9 @@
-"""Computes the results of a recording: every estimate of a plan in the order that `uses` requires, then the limits.
+"""Computes the results of a recording: first every estimate of the plan, in the order that `uses` requires, then the limits.
 
 If one estimate fails, its failure is kept as a message, and the other estimates are still made.
 
-Each estimate gets warnings about its samples: about missing samples, and about counts that are too coarse for the noise, so that
-rounding errors do not average out.
+Each estimate also gets warnings about missing samples, and about counts that are too coarse for the noise, so that rounding errors
+do not average out.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ def analyse(
     notice: Announce | None = None,
     workers: Workers = ALONE,
 ) -> Results:
-    """Makes all estimates of a plan and applies its limits. notice: receives the progress of passes over the samples. workers:
+    """Makes all estimates of a plan and applies its limits. notice: called with the progress while samples are read. workers:
     processes that share the Monte Carlo draws.
 
-    Never raises because of the data: instead, a failure becomes a message under the name of the estimate, or under `limit on …`.
-    Raises `ClusterError` and `ProcessEndedError` if the workers fail.
+    The data never make this function raise an exception: a failure becomes a message under the name of the estimate, or under
+    `limit on …`. Raises `ClusterError` or `ProcessEndedError` if the workers fail.
     """
     looked_at = screened(announced(recording, "screening the samples", notice), sensor)
     recording = [replace(item, finds=one.finds) for item, one in zip(recording, looked_at, strict=True)]
@@ -106,8 +106,8 @@ def analyse(
 
 
 def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
-    """The names in an order in which every estimate comes after the estimates that it uses. Estimates that use each other in a
-    circle come last and fail because their input is missing."""
+    """The names of the estimates, ordered so that every estimate comes after the estimates that it uses. Estimates that use each
+    other in a circle come last, and fail because their inputs are missing."""
     order: list[str] = []
     waiting = list(estimates)
     while waiting:
@@ -171,7 +171,7 @@ _RESTS_ON = {
 
 
 def combined(estimate: Estimate) -> Estimate:
-    """The estimate, with its influences added to the contribution of the data and with a budget for each coefficient."""
+    """The estimate with a budget for each coefficient, which combines the contribution of the data with all influences."""
     basis = estimate.settings.get("uncertainty", "")
     measured = [
         Measured(item.name, item.value, item.unit, item.standard_uncertainty, item.degrees_of_freedom)
@@ -196,11 +196,11 @@ def combined(estimate: Estimate) -> Estimate:
 def coarse_counts(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
-    """A warning for each channel whose noise is too small, in some segment, to average out the rounding to counts. channels: the
-    channels to check; all outputs of the sensor if empty.
+    """A warning for each channel whose noise, in at least one segment, is too small to average out the rounding to counts.
+    channels: the channels to check; if empty, all outputs of the sensor.
 
-    Equal inputs of such a channel have equal rounding errors, so neither the noise within the segments nor the scatter of
-    repetitions shows these errors.
+    In such a channel, equal inputs have equal rounding errors. Neither the noise within the segments nor the scatter of repetitions
+    shows these errors.
     """
     found = []
     for output in sensor.outputs:
@@ -237,8 +237,8 @@ NAMED = 3
 
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
-    """One sentence about the samples that the segments do not include, and one about the gaps in the segments. sample_rate: Hz, for
-    segments that state no sample rate."""
+    """A sentence about the samples that the segments lack, and a sentence about gaps within the segments. sample_rate: sample rate
+    [Hz] for segments that state none."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics

@@ -1,4 +1,4 @@
-"""Checks of the two kinds of uncertainty, 'residual' and 'within_segment', and of their consistency: notes and warnings for the
+"""Checks of the two kinds of uncertainty, 'residual' and 'within_segment', and of their consistency, as notes and warnings for the
 report."""
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from planrunner.uncertainty.influences import Aspect
 
 @dataclass(frozen=True, slots=True)
 class BasisComparison:
-    """Comparison of the residuals of one output with its noise. ratio: F, the residual variance divided by the within-segment variance.
-    probability: probability that noise alone gives an F at least this large."""
+    """Compares the residuals of one output with its noise. ratio: the statistic F, which is the residual variance divided by the
+    within-segment variance. probability: probability that noise alone gives an F at least this large."""
 
     output: str
     ratio: float
@@ -49,8 +49,9 @@ def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
 
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
-    """Raises `EstimationError` if the plan requests the residual basis and there are too few segments, and `UnfitDataError` if it
-    requests the noise within the segments and the samples do not show this noise."""
+    """Checks that the fit can give uncertainties of the kind that the plan requests. Raises `EstimationError` if the plan requests
+    uncertainties from residuals and there are too few segments, and `UnfitDataError` if it requests uncertainties from the noise
+    within segments and the samples do not show this noise."""
     if fit.available(basis):
         return
     if basis == "residual":
@@ -62,9 +63,9 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
 
 
 def planned_basis(request: DesignRequest[object], blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
-    """The check of `require_basis` for planned segments. Returns an error as a remark if there are only as many segments as
-    coefficients, or if no segment has two samples. Fewer segments than coefficients are reported elsewhere, as an error of the
-    rank."""
+    """Checks the same as `require_basis`, but for planned segments. Returns a remark that is an error if there are only as many
+    segments as coefficients, or if no segment has two samples. If there are fewer segments than coefficients, another check reports
+    that the rank is deficient."""
     for block in blocks:
         n, p = block.matrix.shape
         if basis == "residual" and n == p:
@@ -81,7 +82,7 @@ MORE_SEGMENTS = "add segments or write `uncertainty: within_segment`"
 
 
 def no_residual(count: int) -> str:
-    """The message that there are only as many segments as coefficients."""
+    """A message which says that there are only as many segments as coefficients."""
     return f"{count} segments for {count} coefficients leave no residuals from which an uncertainty could be estimated"
 
 
@@ -102,12 +103,12 @@ def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
 
 
 def planned_samples(request: DesignRequest[object], segment: Segment) -> int:
-    """Planned number of samples of a segment; 0 if its length is not known."""
+    """The planned number of samples of a segment; 0 if the length of the segment is not known."""
     return max(1, round((segment.sample_rate or request.sensor.sample_rate) * segment.dwell)) if segment.dwell else 0
 
 
 def unlike_outputs(fit: OutputsFit) -> Said | None:
-    """A warning if the outputs' variance factors differ too much to be pooled."""
+    """A warning if the variance factors of the outputs differ too much for a pooled estimate."""
     from scipy.special import fdtrc
 
     factors = np.array([one.variance_factor for one in fit.fits])
@@ -129,7 +130,7 @@ def unlike_outputs(fit: OutputsFit) -> Said | None:
 
 @dataclass(frozen=True, slots=True)
 class FitNote:
-    """A note on a fit. output: the output that the note names; empty if the note is about all outputs of the fit."""
+    """A note about a fit. output: the output that the note names; empty if the note is about all outputs of the fit."""
 
     text: Said
     output: str = ""
@@ -137,20 +138,20 @@ class FitNote:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Notes and warnings about the chosen basis of the uncertainties, for a report."""
+    """Notes and warnings for a report about the chosen kind of uncertainty."""
 
     notes: tuple[FitNote, ...]
     warnings: tuple[Said, ...]
 
     @property
     def texts(self) -> tuple[Said, ...]:
-        """The notes without their outputs."""
+        """The texts of the notes, without the names of the outputs."""
         return tuple(note.text for note in self.notes)
 
 
 def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgement:
-    """Notes and warnings about the chosen basis of the uncertainties, for the report. channels: the channels whose flicker affects
-    the outputs; by default these are the outputs themselves."""
+    """Notes and warnings for the report about the chosen kind of uncertainty. channels: the channels whose flicker affects the
+    outputs; by default these are the outputs themselves."""
     notes: list[FitNote] = []
     warnings: list[Said] = []
     if basis == "residual":
@@ -232,15 +233,15 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
 
 @dataclass(frozen=True, slots=True)
 class DriftWords:
-    """Notes and warnings about a drift, for a report."""
+    """Notes and warnings for a report about a drift during the test."""
 
     notes: tuple[Said, ...] = ()
     warnings: tuple[Said, ...] = ()
 
 
 def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
-    """A note about a drift that the plan asks for, warnings about a drift that the segments show or do not exclude, and a note if the
-    segments could not show a drift."""
+    """Notes about a drift that the plan asks for or that the segments could not show, and warnings about a drift that the segments
+    show or do not exclude."""
     drift = fit.drift
     if not drift.courses:
         suspected = tuple(_suspected(fit, one, basis) for one in drift.suspected)
@@ -297,7 +298,7 @@ def _named(courses: Sequence[DriftCourse]) -> tuple[str, ...]:
 
 
 def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
-    """For each output, the share of the scatter that a drift or a nonlinearity explains, in words."""
+    """For each output, a text with the percentage of the scatter that a drift or a nonlinearity explains."""
     return tuple(
         said("{share:.3g} % ({output})", share=100 * float(share), output=output)
         for output, share in zip(fit.outputs, shares, strict=True)
@@ -305,7 +306,7 @@ def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
 
 
 def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
-    """A note about a drift that is part of the uncertainties, although it is not fitted."""
+    """A note about a drift that is included in the uncertainties, although it is not fitted."""
     return said(
         "{outputs}: the segments neither show nor exclude a drift ({drift}; probability by chance: {chance:.2g}). It is not fitted, and "
         "the uncertainties include the change of the coefficients that it would cause. Write `drift: none` if there is no drift.",
@@ -316,7 +317,8 @@ def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
 
 
 def _included(fit: OutputsFit, found: DoubtedDrift) -> Said:
-    """A note about a drift that is part of the uncertainties, because a nonlinearity may explain the residuals instead."""
+    """A note about a drift that is included in the uncertainties because it was not fitted: a nonlinearity may explain the
+    residuals instead."""
     return said(
         "{outputs}: the uncertainties include the change of the coefficients that the drift ({drift}) would cause.",
         outputs=fit.outputs,
@@ -325,7 +327,7 @@ def _included(fit: OutputsFit, found: DoubtedDrift) -> Said:
 
 
 def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArray[np.float64]) -> Said:
-    """A warning about residuals that may be a drift or a nonlinearity."""
+    """A warning about residuals that come either from a drift or from a nonlinearity."""
     return said(
         "The residuals look like a drift during the test ({drifts}), but a nonlinearity of the outputs explains "
         "them as well: the square of the output explains {shares} of the scatter about the model. Neither of "
@@ -340,7 +342,7 @@ def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArra
 
 
 def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
-    """A warning about a drift that is not fitted, although the data do not exclude a drift that matters."""
+    """A warning about a drift that is not fitted, although the data do not exclude a drift large enough to matter."""
     output, name = fit.outputs[found.output], found.course.name
     if found.course.changed:
         return said(
@@ -373,14 +375,14 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
 
 
 def _consequence(fit: OutputsFit, found: SuspectedDrift) -> Said:
-    """States whether the uncertainties include a drift that is not fitted."""
+    """A clause that states whether the uncertainties include a drift that is not fitted."""
     if any(one.course.name == found.course.name for one in fit.drift.doubted):
         return said("but the uncertainties include the change that it would cause")
     return said("so no uncertainty includes it")
 
 
 def _size(found: SuspectedDrift) -> Said:
-    """States how a fitted drift would change the uncertainty of the coefficient."""
+    """A clause that states how the uncertainty of the coefficient would change if the drift were fitted."""
     if not np.isfinite(found.growth):
         return said("these segments cannot separate the two at all")
     return said(
@@ -390,14 +392,14 @@ def _size(found: SuspectedDrift) -> Said:
 
 
 def _written(courses: Sequence[DriftCourse]) -> str:
-    """The value of the plan's key `drift` that asks for these courses."""
+    """The value of the plan's key `drift` that asks for these drift functions."""
     highest = max((course for course in courses if course.order), key=lambda one: one.order, default=None)
     words = [course.name for course in courses if course is highest or not course.order]
     return words[0] if len(words) == 1 else f"[{', '.join(words)}]"
 
 
 def _exceeding(found: BasisComparison, basis: str) -> Said:
-    """A warning that the residuals are larger than the noise explains."""
+    """A warning that the residuals are larger than the noise can explain."""
     values: dict[str, str | float] = {"output": found.output, "ratio": found.ratio, "chance": found.probability}
     if basis == "within_segment":
         return said(
@@ -434,7 +436,7 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> Said:
 
 
 def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
-    """Notes about the effects that the weights include in addition to the noise, and about outputs without declared flicker."""
+    """Notes about effects that the weights of the fit include in addition to the noise, and about outputs without declared flicker."""
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)

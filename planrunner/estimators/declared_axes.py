@@ -1,8 +1,8 @@
 """Checks whether outputs respond as declared: detects reversed and exchanged axes, left-handed triads, and wrong units.
 
-An output is calibrated in its own unit against the true rate or specific force. This gives a row of ratios: close to one along its
-own axis, and close to zero across it. The fit does not notice a row that differs from this, so each row is compared with the
-declaration.
+An output is calibrated in its own unit against the true rate or specific force. The result is a row of ratios, which should be
+close to one along the output's own axis, and close to zero along the other axes. The fit accepts any row, so each row is compared
+with the declaration here.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, slots=True)
 class AxisResponse:
-    """How one output responds. axis: the declared axis (0, 1, 2). unit: the unit in which the output is recorded. ratios: for each axis
-    along which the output was excited, the response in `unit` divided by the true value."""
+    """The response of one output to each axis. axis: the declared axis (0, 1, 2). unit: the unit in which the output is recorded.
+    ratios: for each axis along which the output was excited, the response in `unit` divided by the true value."""
 
     channel: str
     axis: int
@@ -43,7 +43,7 @@ class AxisResponse:
 
     @property
     def largest(self) -> int:
-        """The axis along which the output responds most."""
+        """The axis along which the magnitude of the response is largest."""
         return max(self.ratios, key=lambda axis: abs(self.ratios[axis]))
 
 
@@ -63,8 +63,8 @@ def contradictions(rows: Sequence[AxisResponse]) -> list[Said]:
 
 
 def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[Said]:
-    """Warnings about scale factors whose sign or size is not the nominal one. Each factor is given as its name, the value found,
-    and the nominal value in the bench file, which must not be zero."""
+    """Warnings about scale factors whose sign or size differs from the nominal value. Each factor is given as a tuple of its name,
+    the value found, and the nominal value in the bench file, which must not be zero."""
     found = []
     for name, value, nominal in factors:
         ratio = value / nominal
@@ -136,7 +136,7 @@ def _left_handed(rows: Sequence[AxisResponse]) -> bool:
 
 
 def _size(row: AxisResponse) -> Said | None:
-    """A warning if the scale factor is far from one."""
+    """A warning if a scale factor is far from one."""
     size = math.hypot(*row.ratios.values())
     if abs(size - 1) <= LARGEST_DEVIATION:
         return None

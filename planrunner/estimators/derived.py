@@ -1,7 +1,7 @@
-"""Results of an estimate as one formula of the fitted coefficients. Values, covariance, degrees of freedom, influences and draws
-follow from this formula.
+"""Computes the results of an estimate from one formula of the fitted coefficients. Values, covariance, degrees of freedom,
+influences and draws follow from this formula.
 
-An estimator gives only the formula and the names of its quantities. Derivatives are computed from the formula
+An estimator gives only the formula and the names of its quantities. The derivatives of the formula are computed automatically
 (`uncertainty.derivatives`), and Monte Carlo draws pass through the same formula.
 """
 
@@ -27,7 +27,8 @@ from planrunner.uncertainty.monte_carlo import Draws, about, influence_draws, t_
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """Name and unit of one derived quantity. unit: unit of the value; period: period of a circular quantity, in this unit."""
+    """The name and the unit of one derived quantity. unit: unit of the value; period: period of a circular quantity such as an
+    angle, in this unit."""
 
     name: str
     unit: str
@@ -40,8 +41,7 @@ class Derived:
     """q quantities computed from the r coefficients of several fits. The coefficients of all fits form one sequence.
 
     values: (q,), in the quantities' units; gradient: (q, r), derivatives with respect to the fitted coefficients. between: for each
-    basis of the uncertainties, (r, r), the covariance between the coefficients of different fits; by default the fits are
-    independent.
+    kind of uncertainty, (r, r), the covariance between the coefficients of different fits; by default, the fits are independent.
     """
 
     quantities: tuple[Reported, ...]
@@ -52,15 +52,15 @@ class Derived:
     between: Mapping[str, Array] = field(default_factory=dict)
 
     def covariance(self, basis: str) -> Array:
-        """The covariance (q, q) that comes from the data."""
+        """The covariance (q, q) of the quantities that comes from the data."""
         data = independent([fit.covariance(basis) for fit in self.fits])
         if basis in self.between:
             data = data + self.between[basis]
         return np.asarray(self.gradient @ data @ self.gradient.T)
 
     def spread(self, basis: str) -> tuple[Array, Array]:
-        """Standard uncertainties and effective degrees of freedom (Welch–Satterthwaite over the fits) that come from the data, both
-        (q,)."""
+        """The standard uncertainties (q,) that come from the data, and their effective degrees of freedom (q,) (Welch–Satterthwaite
+        over the fits)."""
         variance, squares = np.zeros(len(self.values)), np.zeros(len(self.values))
         least = np.full(len(self.values), math.inf)
         for fit, own in zip(self.fits, self._by_fit(), strict=True):
@@ -82,22 +82,22 @@ class Derived:
         )
 
     def influences(self, acting: Sequence[Sequence[Influence]]) -> tuple[Influence, ...]:
-        """Influences on the quantities, computed from the influences on the coefficients of each fit; an input that acts on several
-        fits counts as one input."""
+        """The influences on the quantities, computed from the influences on the coefficients of each fit. An input that acts on
+        several fits counts as one input."""
         by_fit = zip(acting, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for influences, gradient in by_fit for one in influences)
 
     @property
     def unstated(self) -> tuple[UnstatedFlicker, ...]:
-        """The flicker that the bench file neither states nor excludes, as it acts on the quantities."""
+        """The effect of flicker on the quantities, for flicker that the bench file neither states nor excludes."""
         by_fit = zip(self.fits, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for fit, gradient in by_fit for one in fit.unstated_flicker())
 
     def draws(self, basis: str, acting: Sequence[Sequence[Influence]]) -> Draws:
         """Monte Carlo draws of the quantities, computed with the formula. Only the influences are approximated to first order.
 
-        The contribution of each fit is drawn from Student's t with the degrees of freedom of its variance. Outputs that are pooled
-        share one variance.
+        The contribution of each fit is drawn from Student's t distribution, with the degrees of freedom of the variance of this
+        fit. Outputs that are pooled share one variance.
         """
         parts = [_draws(fit, basis, influences) for fit, influences in zip(self.fits, acting, strict=True)]
         return partial(_through, self.formula, parts)
@@ -116,9 +116,10 @@ def derived(
     at: Array | None = None,
     between: Mapping[str, Array] | None = None,
 ) -> Derived:
-    """Evaluates a formula of fitted coefficients, with its derivatives. formula: function (r, n) → (q, n); its argument has the
-    coefficients of all outputs in sequence. at: (r,), values of the coefficients, if the fits give only changes from a nearby
-    point. between: as in `Derived`. Raises the errors of the formula."""
+    """Evaluates a formula of fitted coefficients, with its derivatives. formula: a function that converts (r, n) to (q, n); its
+    argument contains the coefficients of all outputs in sequence. at: (r,), values of the coefficients for which the formula is
+    evaluated, if the fits give only small changes of these values. between: for each kind of uncertainty, (r, r), the covariance
+    between the coefficients of different fits. Passes on the exceptions that the formula raises."""
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits, between or {})
 
@@ -138,7 +139,8 @@ def _through(formula: Formula, parts: Sequence[Draws], rng: np.random.Generator,
 
 
 def independent(blocks: Sequence[Array]) -> Array:
-    """Covariance (Σn, Σn) of quantities in independent groups. blocks: the covariance (n, n) of each group."""
+    """The covariance matrix (Σn, Σn) of quantities in groups that are independent of each other. blocks: the covariance matrix (n,
+    n) of each group."""
     if len(blocks) == 1:
         return blocks[0]
     size = sum(len(block) for block in blocks)

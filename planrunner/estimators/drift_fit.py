@@ -1,26 +1,26 @@
-"""Drift among the terms of a fit: which courses of a drift the data show, and which courses are fitted. A course is a drift in
-proportion to a power of the time or to a recorded temperature.
+"""Decides which drift functions the data show, and which drift functions are fitted together with the terms. A drift function is a
+power of the time or a recorded temperature, to which the drift of an output is proportional.
 
-A course is adopted if its amplitude in one output, or its amplitudes in all outputs together, are larger than chance explains. The
-test has the level `SIGNIFICANCE` over all courses that are tried. Chance is measured by the noise within the segments and the
-declared effects, if these explain the residuals without the drift. Otherwise it is measured by the residuals themselves. In the
-end, the noise and the effects must explain the residuals. If they do not, the model is incomplete, and a part of the residual
-pattern of an incomplete model always looks like a drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or
-any scatter would look like a drift. A drift is rarely exactly linear: once a course in time is adopted, the next order is fitted
-too if the segments allow it.
+A drift function is adopted if its amplitude in one output, or its amplitudes in all outputs together, are larger than chance
+explains. `SIGNIFICANCE` is the level of this test for all tried drift functions together. The size of chance amplitudes is computed
+from the noise within the segments and the declared effects, if these explain the residuals without the drift. Otherwise it is
+computed from the residuals themselves. After the drift is fitted, the noise and the effects must explain the residuals. If they do
+not, the model is incomplete, and the drift is not adopted: a part of the residuals of an incomplete model always looks like a
+drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is
+rarely exactly linear: once a power of the time is adopted, the next power is fitted too if the segments allow it.
 
-A drift is not adopted if a nonlinearity of the outputs explains the data better. This is so if the square of the outputs' fitted
-values leaves no more than noise, and if the fit with this square has a lower information criterion (BIC) (regression specification
-error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969).
+A drift is not adopted if a nonlinearity of the outputs explains the data better. A nonlinearity explains the data better if two
+conditions hold: the square of the outputs' fitted values leaves residuals no larger than noise, and the fit with this square has a
+lower information criterion (BIC) (regression specification error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969).
 
-A course that is not adopted is suspected in two cases, which the report names. In the first case, the evidence is a little weaker
-than required, and the course would move a coefficient by more than its standard uncertainty. In the second case, the course follows
-a recorded temperature that changed, and the segments couple the course to a coefficient. An amplitude that the data cannot exclude
-would then move the coefficient by several standard uncertainties.
+A drift function that is not adopted is suspected in two cases, which the report names. In the first case, the evidence is a little
+weaker than required, and the drift function would change a coefficient by more than its standard uncertainty. In the second case,
+the drift function is a recorded temperature that changed, and the segments do not separate it well from a coefficient. An amplitude
+that the data cannot exclude would then change the coefficient by several standard uncertainties.
 
-With few degrees of freedom, even a drift that changes coefficients by several standard uncertainties remains unnoticed in some tests.
-The change that a course with weak evidence would cause is then added to the uncertainties as an error that is not corrected (JCGM
-100:2008, F.2.4.5).
+With few degrees of freedom, some tests do not notice even a drift that changes coefficients by several standard uncertainties. If a
+drift function has weak evidence, the change that it would cause is therefore added to the uncertainties, as an error that is not
+corrected (JCGM 100:2008, F.2.4.5).
 """
 
 from __future__ import annotations
@@ -54,11 +54,12 @@ _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SuspectedDrift:
-    """A course that is not fitted, although the data do not exclude a drift that matters. The fields describe the coefficient that
-    the course affects most. output, term: index of its output, and index of its term. growth: factor by which the standard
-    uncertainty of the coefficient grows if the course is fitted; infinite if the segments cannot separate the course from the
-    coefficient. change: change of the coefficient if the course is fitted, in the unit of the fit; 0 if the course cannot be
-    separated. probability: chance of an amplitude of the course at least as large as the fitted one; 1 if it was not tested."""
+    """A drift function that is not fitted, although the data do not exclude a drift large enough to matter. The fields describe the
+    coefficient that the drift function affects most. output, term: indices of the output and of the term of this coefficient.
+    growth: factor by which the standard uncertainty of the coefficient grows if the drift function is fitted; infinite if the
+    segments cannot separate the drift function from the coefficient. change: change of the coefficient if the drift function is
+    fitted, in the unit of the fit; 0 if the drift function cannot be separated. probability: probability that chance alone gives an
+    amplitude at least as large as the fitted one; 1 if it was not tested."""
 
     course: DriftCourse
     output: int
@@ -71,9 +72,9 @@ class SuspectedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DoubtedDrift:
-    """A course that is not fitted, although its evidence is not negligible. amplitudes: (m, r), for each output and each column of
-    the course: the root of the sum of the squares of the fitted amplitude and of its standard uncertainty. probability: probability
-    that chance alone gives amplitudes at least as large as the fitted ones."""
+    """A drift function that is not fitted, although there is some evidence for it. amplitudes: (m, r), for each output and each
+    column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u. probability: probability that
+    chance alone gives amplitudes at least as large as the fitted ones."""
 
     course: DriftCourse
     amplitudes: Array
@@ -82,12 +83,12 @@ class DoubtedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDrift:
-    """The courses in a fit. by_evidence: True if the courses were chosen because the data show them; False if the plan asks for
-    them. judged: True if a drift could have been found in the data. without: (m, p), the coefficients of a fit without drift;
-    explained: (m,), the share of the sum of squared residuals that the drift explains. `without` and `explained` are None if no
-    course was adopted. suspected: the suspected courses, only if no course was adopted. rivals: courses that the data show but that
-    are not adopted, because a nonlinearity explains the residuals as well; nonlinear: (m,), share of the sum of squared residuals
-    that the nonlinearity explains."""
+    """The result of the search for a drift in a fit. courses: the fitted drift functions; by_evidence: True if they were chosen
+    because the data show them, False if the plan asks for them. judged: True if a drift could have been found in the data. without:
+    (m, p), the coefficients of a fit without drift; explained: (m,), the fraction of the sum of squared residuals that the drift
+    explains; both are None if no drift function was adopted. suspected: the suspected drift functions, if none was adopted. rivals:
+    drift functions that the data show but that are not adopted, because a nonlinearity explains the residuals as well; nonlinear:
+    (m,), the fraction of the sum of squared residuals that the nonlinearity explains."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = False
@@ -105,7 +106,7 @@ class FittedDrift:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The units by which the amplitudes are divided, (q,)."""
+        """For each of the q fitted amplitudes, the unit by which it is divided, such as h for a drift per hour."""
         return tuple(course.per for course in self.courses for _ in course.parts)
 
 
@@ -115,12 +116,13 @@ Fits = Callable[[Array], Sequence[LinearFit]]
 
 
 def joined(matrix: Array, courses: Sequence[DriftCourse]) -> Array:
-    """The design matrix with the columns of the terms (n, p), followed by the columns of the courses."""
+    """The design matrix with the columns of the terms (n, p), followed by the columns of the drift functions."""
     return np.hstack([matrix, *(course.columns for course in courses)]) if courses else matrix
 
 
 def sizes(magnitudes: Array, columns: Array) -> Array:
-    """The declared magnitudes of the columns of `joined`. For the courses, the magnitudes are root mean squares."""
+    """The magnitudes of the columns that `joined` returns: the declared magnitudes of the terms, and the root mean squares of the
+    drift functions."""
     further = columns[:, len(magnitudes) :]
     return np.concatenate([magnitudes, np.sqrt(np.mean(further**2, axis=0))]) if further.size else magnitudes
 
@@ -135,9 +137,10 @@ def fitted_drift(
     fits: Fits,
     basis: str,
 ) -> FittedDrift:
-    """Chooses the courses of a drift to fit, and returns them with the results of their tests. names: (p,), names of the terms.
-    correlation: (m, m), correlation between the noise of the outputs. fits: a function that fits all outputs by the columns of a
-    matrix (as returned by `joined`), with weights from the noise and the declared effects. basis: basis of the uncertainties."""
+    """Chooses the drift functions to fit, and returns them with the results of their tests. names: (p,), names of the terms.
+    correlation: (m, m), correlation between the noise of the outputs. fits: a function that fits all outputs with the columns of a
+    given matrix (as `joined` returns it), with weights from the noise and the declared effects. basis: kind of uncertainty,
+    residual or within_segment."""
     if not drift.courses:
         return NOTHING_FITTED
     if not drift.by_evidence:
@@ -191,9 +194,9 @@ def _doubted(
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """The course as a `DoubtedDrift`, if the degrees of freedom are few and the probability by chance is small enough; otherwise
-    nothing. On the residual basis, the standard uncertainties of the amplitudes follow from the residuals of the fit with the
-    course."""
+    """A `DoubtedDrift` for the drift function, if there are few degrees of freedom and the probability by chance is small enough;
+    otherwise an empty tuple. If the uncertainties are based on residuals, the standard uncertainties of the amplitudes follow from
+    the residuals of the fit with the drift function."""
     r, found = course.columns.shape[1], fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
@@ -205,21 +208,21 @@ def _doubted(
 
 
 def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
-    """Share (m,) of the sum of squared residuals that additional columns explain."""
+    """The fraction (m,) of the sum of squared residuals that additional columns explain."""
     left, all_ = (np.array([one.chi_squared for one in each]) for each in (after, before))
     return 1 - left / np.where(all_ > 0, all_, 1.0)
 
 
 def _criterion(found: Sequence[LinearFit], n: int) -> float:
-    """The Bayesian information criterion of fits with n observations each: χ² plus ln N for each coefficient of all outputs, where
-    N is the number of observations of all fits."""
+    """The Bayesian information criterion of fits with n observations each: χ² of all fits plus ln N for each fitted coefficient,
+    where N is the number of observations of all fits."""
     terms = sum(n - one.degrees_of_freedom for one in found)
     return sum(one.chi_squared for one in found) + terms * float(np.log(n * len(found)))
 
 
 def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[LinearFit, ...]:
-    """The fits (m,) with the square of each output's fitted values as an additional column; empty if the terms can reproduce the square
-    of an output."""
+    """The fits of m outputs with an additional column, the square of the output's fitted values. The result is empty if the terms
+    can reproduce this square for one of the outputs."""
     found = []
     for k, one in enumerate(plain):
         fitted = matrix @ one.coefficients
@@ -235,8 +238,8 @@ def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[L
 def _next(
     matrix: Array, magnitudes: Array, drift: DriftCourses, chosen: Sequence[DriftCourse], outputs: int
 ) -> tuple[DriftCourse, ...]:
-    """The courses that may be added: the lowest missing power of the time, and the other missing courses. A course is left out if
-    the terms and the chosen courses reproduce it, or if too few degrees of freedom would remain."""
+    """The drift functions that may be added: the lowest missing power of the time, and the missing temperatures. A drift function
+    is left out if the terms and the chosen drift functions can reproduce it, or if too few degrees of freedom would remain."""
     base, names = joined(matrix, chosen), {course.name for course in chosen}
     allowed = [one for one in drift.courses if not drift.shown or one.name in drift.shown]
     missing = [course for course in allowed if course.name not in names]
@@ -252,7 +255,7 @@ def _next(
 
 
 def _separable(scaled: Array, course: DriftCourse) -> bool:
-    """Whether the course is independent of given columns (n, P), which are divided by their magnitudes."""
+    """Whether the drift function is independent of given columns (n, P), which are already divided by their magnitudes."""
     basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
     own = course.columns - basis @ (basis.T @ course.columns)
     return bool(np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0)))
@@ -266,7 +269,8 @@ def _suspected(
     hinted: tuple[DriftCourse, float] | None,
     fits: Fits,
 ) -> tuple[SuspectedDrift, ...]:
-    """The suspected courses, if none is adopted. hinted: the most likely of the tested courses, and its probability by chance."""
+    """The suspected drift functions, if none is adopted. hinted: the most likely of the tested drift functions, and its probability
+    by chance."""
     found = []
     for course in drift.courses:
         probability = hinted[1] if hinted is not None and hinted[0] is course else 1.0
@@ -281,7 +285,7 @@ def _suspected(
 def _affected(
     matrix: Array, magnitudes: Array, names: Sequence[str], course: DriftCourse, fits: Fits
 ) -> tuple[SuspectedDrift, float]:
-    """The coefficient that a course affects most, and the largest change of any coefficient, in units of the coefficient's standard
+    """The coefficient that a drift function affects most, and the largest change of any coefficient in units of its standard
     uncertainty."""
     n, p = matrix.shape
     before = fits(matrix)
@@ -306,8 +310,9 @@ def _chance(
     noises: Sequence[WithinSegmentNoise],
     correlation: Array,
 ) -> float:
-    """Probability that chance alone reduces χ² as much as the course does, in one output or in all outputs together (F-tests,
-    Bonferroni's bound). Outputs whose noise is correlated count as a smaller number of outputs, by Satterthwaite's formula."""
+    """The probability that chance alone reduces χ² as much as the drift function does, in one output or in all outputs together
+    (F-tests, Bonferroni's bound). Outputs whose noise is correlated count as a smaller number of outputs, by Satterthwaite's
+    formula."""
     from scipy.special import fdtrc
 
     r, left = course.columns.shape[1], after[0].degrees_of_freedom
@@ -330,7 +335,7 @@ def _chance(
 
 
 def explained_by_noise(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> bool:
-    """Whether the noise within the segments explains the residuals of all outputs together (F-test). False if the noise is unknown."""
+    """Whether the noise within the segments explains the residuals of all outputs together (F-test); False if the noise is unknown."""
     from scipy.special import fdtrc
 
     if not all(noise.known for noise in noises):
@@ -341,7 +346,7 @@ def explained_by_noise(after: Sequence[LinearFit], noises: Sequence[WithinSegmen
 
 
 def _is_rounding(matrix: Array, course: DriftCourse, after: Sequence[LinearFit]) -> bool:
-    """Whether the course changes all observations by no more than rounding errors."""
+    """Whether the fitted drift function changes the observations by no more than rounding errors."""
     p, r = matrix.shape[1], course.columns.shape[1]
     for one in after:
         moved = np.max(np.abs(course.columns @ one.coefficients[-r:]))

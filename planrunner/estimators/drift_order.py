@@ -1,10 +1,10 @@
-"""The order of planned segments and its coupling to a drift: how much uncertainties grow if the drift is fitted, and which order
-decouples it.
+"""Checks whether the order of planned segments couples a drift to the coefficients: how much the uncertainties grow if the drift is
+fitted, and which order avoids this.
 
-Let A be the design of the terms and T the columns of the drift, both weighted. If the drift is fitted, the covariance of the
-coefficients grows from C = (AᵀA)⁻¹ to C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix
-Computations, 5.3). A test whose segments are repeated in the opposite order is decoupled from a linear drift, because the average
-time is the same for all positions.
+Let A be the weighted design matrix of the terms, and T the weighted columns of the drift. If the drift is fitted, the covariance of
+the coefficients grows from C = (AᵀA)⁻¹ to C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix
+Computations, 5.3). If the segments of a test are repeated in the opposite order, a linear drift does not affect the coefficients,
+because the average time is the same for all positions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _INSEPARABLE = 1e-3  # of a course, the part that the terms cannot imitate
 
 
 class FittedWithDrift(Protocol):
-    """The keys of an estimator that fits a drift together with its coefficients."""
+    """The plan keys of an estimator that can fit a drift together with its coefficients."""
 
     @property
     def uncertainty(self) -> str: ...
@@ -47,11 +47,11 @@ class FittedWithDrift(Protocol):
 
 def planned_drift(request: DesignRequest[FittedWithDrift], blocks: Sequence[DesignBlock]) -> tuple[Remark, ...]:
     """Remarks about the drift that the plan asks for, or about a drift that the segments could show. Raises `EstimationError` for
-    options that exclude each other, and for a temperature that is not recorded.
+    options that exclude each other, and for a temperature that the plan needs but that is not recorded.
 
-    The remark is a note if the fit would contain the linear drift only when the segments show it. It is a warning if the plan asks
-    for a drift that the order of the segments couples to a coefficient. It is an error if the courses cannot be separated from the
-    terms at all.
+    If a linear drift is fitted only when the segments show it, the remark is a note. If the plan asks for a drift that the order of
+    the segments couples to a coefficient, the remark is a warning. If the requested drift cannot be separated from the terms at
+    all, the remark is an error.
     """
     parameters = request.parameters
     names, by_evidence = asked(parameters.drift), BY_EVIDENCE in parameters.drift
@@ -95,9 +95,9 @@ _CLOSING = "repeat the first segment at the end, or add segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
-    """The design of an output over the planned segments. matrix: (n, p), weighted and scaled; weights: (n,). start, seconds: (N,),
-    s, beginning and duration of all segments of the estimate; rows: (n,), indices of the segments that this output uses, in the
-    order of `block`. orders: polynomial orders of the drift."""
+    """The design of one output for the planned segments. matrix: (n, p), the columns divided by their magnitudes, and the rows
+    multiplied by their weights; weights: (n,). start, seconds: (N,), start and duration of all segments of the estimate, s; rows:
+    (n,), indices of the segments that this output uses, in the order of `block`. orders: number of powers of the time in the drift."""
 
     block: DesignBlock
     segments: tuple[Segment, ...]
@@ -110,8 +110,8 @@ class _Design:
 
     @classmethod
     def of(cls, block: DesignBlock, planned: Sequence[Segment], orders: int) -> _Design | None:
-        """The design of a block. None if the times of the segments are not planned, or if the terms cannot be separated even without a
-        drift."""
+        """The design for a block, or None if the times of the segments are not planned, or if the terms cannot be separated even
+        without a drift."""
         if any(segment.dwell is None for segment in planned) or len(block.labels) < 2:
             return None
         place = {segment.label: row for row, segment in enumerate(planned)}
@@ -130,18 +130,21 @@ class _Design:
         return int(self.matrix.shape[1])
 
     def growth(self) -> Array:
-        """Factor by which standard uncertainties grow in the planned order, (p,); infinite if the drift cannot be separated."""
+        """The factors (p,) by which the standard uncertainties grow in the planned order if the drift is fitted; infinite if the
+        drift cannot be separated."""
         return _growth(self.matrix, self._courses(self.start, self.seconds)[self.rows], self.weights)
 
     def reordered(self, orders: NDArray[np.int64]) -> Array:
-        """The factors of `growth` if the segments are recorded in k other orders, (k, p). orders: (k, n), for each order, the
-        indices of the rows in the sequence in which they are recorded; all rows have the same dwell."""
+        """The factors (k, p) by which the standard uncertainties grow if the segments are recorded in each of k other orders and
+        the drift is fitted. orders: (k, n), for each order, the indices of the rows in the sequence in which they are recorded. All
+        rows must have the same dwell."""
         # The middle of the test and the average of a course stay, so that the courses are those of the places.
         places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
         return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
 
     def closed(self) -> Array:
-        """The factors of `growth`, (p,), if the first segment is repeated at the end of the test."""
+        """The factors (p,) by which the standard uncertainties grow if the first segment is repeated at the end of the test and the
+        drift is fitted."""
         order = np.argsort(self.start)
         ends = (self.start + self.seconds)[order]
         pauses = np.sort(
@@ -156,7 +159,7 @@ class _Design:
 
     @property
     def first(self) -> int:
-        """Index of the row that is recorded first."""
+        """The index of the row that is recorded first."""
         return int(self.start[self.rows].argmin())
 
     def _courses(self, start: Array, seconds: Array) -> Array:
@@ -165,8 +168,9 @@ class _Design:
 
 
 def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
-    """Factors (…, p) by which standard uncertainties grow if the drift with the columns `courses` (…, n, r) is fitted, for any
-    number of orders of the segments. matrix: (n, p), weighted; weights: (n,), by which the columns of the drift are multiplied."""
+    """The factors (…, p) by which the standard uncertainties grow if a drift with the columns `courses` (…, n, r) is fitted. The
+    leading dimensions are different orders of the segments. matrix: (n, p), weighted design matrix; weights: (n,), factors by which
+    the columns of the drift are multiplied."""
     weighted = courses * weights[:, None]
     scaled = weighted / np.sqrt((weighted**2).sum(axis=-2, keepdims=True) / len(matrix))
     gains, own, beside = _projections(matrix)
@@ -178,13 +182,13 @@ def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
 
 @kept(64)
 def _projections(matrix: Array) -> tuple[Array, Array, Array]:
-    """For a weighted design A: G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and M = 1 − A·G (n, n)."""
+    """For a weighted design matrix A: the matrix G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and the matrix M = 1 − A·G (n, n)."""
     gains = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
     return gains, np.einsum("ij,ij->i", gains, gains), np.eye(len(matrix)) - matrix @ gains
 
 
 def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
-    """One block for each distinct design, because the outputs of a triad often have the same design."""
+    """The blocks without repetitions of the same design, because the outputs of a triad often have the same design."""
     found: dict[tuple[object, ...], DesignBlock] = {}
     for block in blocks:
         found.setdefault((block.labels, block.matrix.tobytes(), block.sigma.tobytes()), block)
@@ -192,7 +196,8 @@ def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
 
 
 def _proposal(designs: Sequence[_Design]) -> str:
-    """A proposal that decouples the drift: a closing segment, another order, or the same segments once more in the opposite order."""
+    """Proposes how to decouple the drift from the coefficients: by a closing segment, by another order, or by recording the
+    segments a second time in the opposite order."""
     first = designs[0].block.labels[designs[0].first]
     closed = max(float(one.closed().max()) for one in designs)
     if closed < COUPLED:
@@ -205,8 +210,8 @@ def _proposal(designs: Sequence[_Design]) -> str:
 
 
 def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | None:
-    """A better order of the segments, and the largest growth in this order. Each step exchanges the two segments whose exchange
-    decouples the drift best. None if the segments cannot be exchanged freely."""
+    """A better order of the segments, and the largest growth factor in this order; None if the segments cannot be exchanged freely.
+    Each step of the search exchanges the two segments whose exchange reduces the largest growth factor most."""
     one = designs[0]
     same = all(other.block.labels == one.block.labels for other in designs)
     alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1
@@ -228,5 +233,5 @@ def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | 
 
 
 def _largest(designs: Sequence[_Design], orders: NDArray[np.int64]) -> Array:
-    """The largest growth over all designs, for each of k orders, (k,)."""
+    """The largest growth factor (k,) over all designs, for each of k orders."""
     return np.asarray(np.max([design.reordered(orders).max(axis=1) for design in designs], axis=0))

@@ -1,7 +1,7 @@
-"""Reads tables of results in format 1, whose columns have only titles. The module derives the roles of the columns from titles and
-cells.
+"""Reads tables of results in format 1, whose columns have titles but no roles. The module derives the roles of the columns from
+titles and cells.
 
-No other module interprets a title, because tables in the present format name the roles.
+No other module interprets titles, because tables in the present format state the roles.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NUMBER = re.compile(
 def earlier_table(
     title: str, titles: Sequence[str], rows: tuple[tuple[Cell, ...], ...], settings: Mapping[str, Json]
 ) -> Table:
-    """A table of format 1 with the roles derived from its titles. settings: the settings of the estimate that made the table."""
+    """A table of format 1, with roles derived from its titles. settings: the settings of the estimate from which the table comes."""
     columns = tuple(TableColumn(name, _role(name, [row[k] for row in rows])) for k, name in enumerate(titles))
     return Table(title, columns, rows, title in settings.get(TERMINAL_TABLES, ()))
 

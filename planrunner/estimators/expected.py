@@ -1,8 +1,8 @@
-"""The recording expected from a schedule: segments with the means of a nominal sensor and the declared noise.
+"""Makes the recording that is expected from a schedule: segments with the means of a nominal sensor and with the declared noise.
 
-If the formula of an estimator is applied to this recording, it gives every coefficient of a run at its nominal value
-(`planrunner.estimators.method`). Values that neither plan nor bench state are assumed in two different ways. A coefficient that is
-equal in both cases does not depend on the assumed values.
+An estimator applied to this recording gives the nominal value of every coefficient of a run (`planrunner.estimators.method`).
+Quantities that neither plan nor bench state are assumed with two different sets of values. A coefficient that is equal for both
+sets does not depend on the assumptions.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ _ALONG_UP = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What an estimator knows about outputs, by name of the output. responses: the model and its coefficients, as declared for the
-    sensor; directions: (3,), input axes of the outputs in the sensor's frame, if the estimator's keys assign these axes."""
+    """What an estimator knows about the outputs; the keys are names of outputs. responses: the error model and its coefficients, as
+    declared for the sensor; directions: (3,), input axis of each output in the sensor's frame, if the keys of the estimator define
+    it."""
 
     responses: Responses = field(default_factory=dict)
     directions: Mapping[str, Array] = field(default_factory=dict)
@@ -42,8 +43,8 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """Assumed values for quantities that are not stated. noise: standard error of a mean, in the output's unit; gain: output per SI
-    unit of the sensed quantity; kelvin: temperature in K; attitude: (3, 3)."""
+    """A set of assumed values for quantities that neither plan nor bench state. noise: standard error of a mean, in the output's
+    unit; gain: output per SI unit of the sensed quantity; kelvin: temperature in K; attitude: (3, 3)."""
 
     noise: float
     gain: float
@@ -59,8 +60,8 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Result of `expected_recording`. segments: the expected recording. assumed: the assumptions about the used outputs, in words;
-    empty if plan and bench state everything."""
+    """An expected recording and the assumptions that it needs. segments: the expected recording. assumed: sentences about the
+    assumptions for the used outputs; empty if plan and bench state everything."""
 
     segments: tuple[RecordedSegment, ...]
     assumed: tuple[str, ...]
@@ -70,7 +71,7 @@ def expected_recording(
     request: DesignRequest[object], known: Known, used: Sequence[str], assumption: Assumption
 ) -> Expected:
     """Builds the recording that the schedule is expected to give. known: what the estimator knows about the outputs; everything
-    else follows from the names and units of the outputs. used: names of the outputs whose assumptions are listed."""
+    else is derived from the names and units of the outputs. used: names of the outputs for which assumptions are reported."""
     outputs = request.sensor.outputs
     poses, assumed = _poses(request, assumption)
     felt = poses.felt(request.site)
@@ -110,7 +111,8 @@ def expected_recording(
 
 
 def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Poses, list[str]]:
-    """The poses of the segments and the assumptions about them. For rocking and cycles, the pose is the initial one."""
+    """The poses of the segments, and sentences about the assumptions that they need. Rocking segments and cycles have the pose in
+    which they begin."""
     assumed: list[str] = []
     segments: list[Segment] = []
     for segment in request.segments:
@@ -127,7 +129,7 @@ def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Pose
 
 
 def _along(about: Sequence[float]) -> Array:
-    """An attitude whose z axis points along a direction."""
+    """An attitude in which a given direction is the z axis."""
     z = np.asarray(about, dtype=float) / np.linalg.norm(about)
     x = np.eye(3)[int(np.abs(z).argmin())]
     x = x - (x @ z) * z
@@ -142,7 +144,7 @@ def _means(
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
-    """The means (n,) of an output, derived from its name and unit, and True if declared values determine these means."""
+    """The means (n,) of an output, derived from its name and unit; and True if they depend on declared values only."""
     try:
         own = unit(output.unit)
     except UnknownUnitError:

@@ -1,5 +1,5 @@
-"""The fit that estimators from positions use. The weights come from the noise within positions, declared flicker and declared
-errors of the table."""
+"""Fits outputs to the means of positions, for all estimators that use positions. The weights of the fit come from the noise within
+positions, the declared flicker and the declared errors of the table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from planrunner.uncertainty.influences import Influence
 
 
 class FittedFromPositions(Protocol):
-    """The keys of an estimator that fits means of positions."""
+    """The plan keys of an estimator that fits the means of positions."""
 
     @property
     def uncertainty(self) -> str: ...
@@ -50,7 +50,8 @@ class PositionsDesign:
     magnitudes: Array
 
     def blocks(self, request: DesignRequest[FittedFromPositions], outputs: Sequence[str]) -> tuple[DesignBlock, ...]:
-        """Design blocks for `check`, one per output. Raises `EstimationError` for an output that the sensor does not have."""
+        """The design blocks for the command `check`, one per output. Raises `EstimationError` for an output that the sensor does
+        not have."""
         return planned_blocks(request, outputs, self.model.names, self.matrix, self.magnitudes)
 
 
@@ -61,10 +62,10 @@ def fit_positions(
     recorded: Sequence[RecordedSegment],
     pooled: bool = False,
 ) -> OutputsFit:
-    """Fits outputs by a linear model. recorded: the recorded segments from which the observations come.
+    """Fits outputs with a linear model. recorded: the recorded segments from which the observations come.
 
-    The effect of the table's errors on an output depends on the coefficients of this output. A first fit without these errors
-    therefore gives approximate coefficients. Raises `EstimationError`.
+    The effect of the table's errors on an output depends on the coefficients of this output, so a first fit without these errors
+    gives approximate coefficients. Raises `EstimationError`.
     """
     parameters = request.parameters
     model, matrix, magnitudes = design.model, design.matrix, design.magnitudes
@@ -92,7 +93,7 @@ def fit_positions(
 def site_influences(
     request: EstimateRequest[FittedFromPositions], design: PositionsDesign, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """Influences of latitude and gravity on the coefficients, output after output, in the outputs' units per SI column."""
+    """The influences of latitude and gravity on the coefficients, listed output after output, in the outputs' units per SI column."""
     errors = site_errors(design.model, design.segments, request.site, request.setup.inputs, fit.coefficients)
     functionals = functionals_of(fit.gains)
     return tuple(error.through(functionals) for error in errors)

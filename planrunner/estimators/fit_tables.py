@@ -1,5 +1,5 @@
-"""Tables and the plot for a fit of several outputs: means and residuals of the segments, and uncertainties on the residual and the
-within-segment basis."""
+"""Makes the tables and the plot of a fit of several outputs: means and residuals of the segments, and uncertainties from residuals
+and from noise within segments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planrunner.uncertainty.decision import expanded_uncertainty
 
 
 def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) -> list[FilledColumn]:
-    """Two columns of a table for an output: the means and the residuals of its segments."""
+    """Two table columns for an output: the means of its segments and the residuals of the means."""
     name, unit = observations.channels[output], observations.units[output]
     return [
         (TableColumn(f"{name} mean", Role.VALUE, unit), observations.mean[:, output]),
@@ -66,12 +66,12 @@ def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
 
 
 def bases_shown(chosen: str, fits: Sequence[OutputsFit]) -> list[str]:
-    """The bases of the uncertainties that a table shows: the chosen basis first, then the other basis if all fits have it."""
+    """The kinds of uncertainty that a table shows: the chosen kind first, then the other kind if all fits have it."""
     return [chosen, *(other for other in BASES if other != chosen and all(fit.available(other) for fit in fits))]
 
 
 def spread_columns(basis: str) -> tuple[TableColumn, ...]:
-    """Columns for the uncertainties on one basis: standard uncertainty, degrees of freedom and expanded uncertainty."""
+    """The columns for one kind of uncertainty: standard uncertainty, degrees of freedom and expanded uncertainty."""
     shown = basis.replace("_", " ")
     return (
         TableColumn(f"u ({shown})", Role.STANDARD_UNCERTAINTY),
@@ -81,7 +81,8 @@ def spread_columns(basis: str) -> tuple[TableColumn, ...]:
 
 
 def bases_table(found: Derived, chosen: str, count: int | None = None) -> Table:
-    """Type A uncertainties of the first `count` quantities on the chosen basis, and also on the other basis if all fits have it."""
+    """A table of the Type A uncertainties of the first `count` quantities, of the chosen kind, and also of the other kind if all
+    fits have it."""
     bases = bases_shown(chosen, found.fits)
     spreads = [found.spread(basis) for basis in bases]
     columns = [TableColumn("coefficient"), TableColumn("unit"), TableColumn("value", Role.VALUE)]
@@ -103,8 +104,8 @@ def residual_plot(
     x_title: str = "position",
     x: tuple[float | str, ...] = (),
 ) -> Plot:
-    """A plot of residuals with one series per output, in the unit of the first output, over the labels of the segments unless `x`
-    is given."""
+    """A plot of residuals with one series per output, in the unit of the first output. The abscissa is `x`, or the labels of the
+    segments if `x` is not given."""
     n = len(observations.labels)
     series = {
         name: tuple(map(float, one.residuals[:n])) for name, one in zip(observations.channels, fit.fits, strict=True)

@@ -1,6 +1,6 @@
-"""Bias, scale factor and misalignment of an accelerometer triad from many positions.
+"""Determines bias, scale factor and misalignment of an accelerometer triad from many positions.
 
-When to use which reference:
+Two references are available:
 
     orientation         the attitudes are known (a table, a dividing head): a straight line in gravity's components for each axis
     gravity_magnitude   the attitudes are unknown (tumbled by hand): nine parameters from |f| = g alone
@@ -23,7 +23,7 @@ from planrunner.plan.selection import Detection
 
 
 class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, AxesQuantities | MagnitudeQuantities]):
-    """The estimator `accelerometer_multi_position`."""
+    """The estimator with the name `accelerometer_multi_position`."""
 
     name = "accelerometer_multi_position"
     summary = "Bias, scale factor and misalignment of an accelerometer triad from many positions"
@@ -31,8 +31,8 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
     finds_spans = True
 
     def design(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design | None:
-        """Checks the design of each axis at the planned attitudes. If the attitudes are not planned, it only returns remarks.
-        Raises `EstimationError`."""
+        """Returns the design of each axis at the planned attitudes, with remarks. If the attitudes are not planned, it returns only
+        remarks. Raises `EstimationError` if the keys of the estimate do not fit each other or the bench."""
         parameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":
@@ -48,7 +48,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
         return Design(blocks, remarks=remarks)
 
     def known(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Known:
-        """The axes of the channels. They are x, y and z in the order in which the plan names the channels."""
+        """The input axes of the outputs, which are x, y and z in the order in which the plan names the outputs."""
         return Known(directions=dict(zip(request.parameters.outputs, np.eye(3), strict=True)))
 
     def foresee(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Foresight:
@@ -73,7 +73,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
         request: EstimateRequest[AccelerometerMultiPositionParameters],
         found: AxesQuantities | MagnitudeQuantities,
     ) -> Words:
-        """Makes the tables and plots of the residuals, by position or by pose."""
+        """Makes the tables and plots of the residuals, one row or point per position or pose."""
         if isinstance(found, MagnitudeQuantities):
             return by_magnitude.words(request, found)
         return by_orientation.words(request, found)

@@ -1,10 +1,10 @@
-"""Calibration of an accelerometer triad with the magnitude of gravity: nine parameters from still spans or segments in unknown
+"""Calibrates an accelerometer triad with the magnitude of gravity: nine parameters from still spans or whole segments in unknown
 attitudes.
 
-Gauss–Newton with equal weights comes first. The last step is the linear fit of |f| − g, made by the code that all estimators from
-positions share. The weights of this fit come from the noise within the poses and from the declared flicker of each channel. The
-flicker affects |f| in proportion to the channel's component of gravity. The attitude of a table does not matter, because |f| is g
-in any attitude.
+A Gauss–Newton fit with equal weights gives first values. The last step is a weighted linear fit of |f| − g, with the code that all
+position estimators share. The weights of the last fit come from the noise within the poses and from the declared flicker of each
+channel. The flicker affects |f| in proportion to the channel's component of gravity. The attitude of a table does not matter,
+because |f| equals g in any attitude.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _SCALE = np.array([1 / unit(text).factor for text in _UNITS])
 
 def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design:
     """Checks that the planned poses can determine the nine parameters, if attitudes or the number of poses are planned. Raises
-    `EstimationError`."""
+    `EstimationError` if the poses are at unsuitable attitudes or the channels do not fit."""
     outputs, detection = request.parameters.outputs, request.detection
     if detection is not None:
         units = {output.name: output.unit for output in request.sensor.outputs}
@@ -86,8 +86,8 @@ def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Desi
 def foresee(
     request: DesignRequest[AccelerometerMultiPositionParameters], general: Callable[[], Foresight]
 ) -> Foresight:
-    """Predicts the coefficients if all poses are planned. Otherwise it gives only their names, because the poses are found only in the
-    recording."""
+    """Predicts the coefficients if all poses are planned. Otherwise it gives only the names of the coefficients, because the poses
+    are found only in the recording."""
     if all(segment.attitude is not None for segment in request.segments):
         seen = general()
         if seen.known:
@@ -99,7 +99,7 @@ def foresee(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MagnitudeQuantities(Quantities):
-    """Result of the fit. residuals: (n,), m/s², of |f| − g."""
+    """The nine fitted parameters. residuals: (n,), residuals of |f| − g, m/s²."""
 
     poses: Observations
     sphere: GravityFit
@@ -171,7 +171,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
 
 
 def _size(fit: OutputsFit, residuals: Array) -> float:
-    """Root mean square of the residuals, corrected for degrees of freedom."""
+    """Root mean square of the residuals, corrected for the number of degrees of freedom."""
     return float(np.sqrt(np.sum(residuals**2) / fit.freedom)) if fit.freedom else 0.0
 
 
@@ -181,8 +181,8 @@ def _weighted(
     recorded: Sequence[RecordedSegment],
     found: GravityFit,
 ) -> OutputsFit:
-    """The last step: a weighted fit of |f| − g as one output, m/s². recorded: the recorded segments that are the poses; empty if
-    the poses are only parts of segments. Raises `EstimationError`."""
+    """The last step of the calibration: a weighted fit of |f| − g [m/s²] as a single output. recorded: the recorded segments that
+    are the poses; empty if the poses are only parts of segments. Raises `EstimationError`."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
     variance = np.einsum("ni,nj,ij->n", felt, felt, poses.correlation)
@@ -213,21 +213,21 @@ def _weighted(
 
 
 def _along_poses(drift: DriftCourses, poses: Observations, directions: Array) -> DriftCourses:
-    """How a drift of the three channels appears in |f| − g: the drift adds to the readings, so its effect on |f| − g is subtracted.
+    """Converts a drift of the three channels to a drift of |f| − g. The sign changes because the drift adds to the readings.
     directions: (n, 3), derivatives of |f| with respect to the readings."""
     courses = (replace(one, columns=-directions * one.columns, parts=poses.channels) for one in drift.courses)
     return replace(drift, courses=tuple(courses))
 
 
 def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
-    """How an effect on the channels appears in |f|."""
+    """Converts an error of the three channels to an error of |f|."""
     change = sum(directions[:, channel, None] * one for channel, one in effect.changes.items())
     within = sum(directions[:, channel] ** 2 * one for channel, one in effect.within.items())
     return replace(effect, changes={0: np.asarray(change)}, within={0: np.asarray(within)})
 
 
 def _gravity(request: EstimateRequest[AccelerometerMultiPositionParameters], fit: OutputsFit) -> tuple[Influence, ...]:
-    """The influence of the magnitude of gravity with which |f| is compared."""
+    """The influence of an uncertain magnitude of gravity, with which |f| is compared."""
     gravity = request.setup.inputs.get("gravity")
     return (Influence(gravity, fit.gains[0].sum(axis=1)[:, None]),) if gravity else ()
 
@@ -238,8 +238,8 @@ def _fitted(
     recorded: Sequence[RecordedSegment],
     basis: str,
 ) -> tuple[GravityFit, OutputsFit]:
-    """The fit of the nine parameters. Raises `EstimationError` if the segments are too few or too similar, and `UnfitDataError` if
-    the still spans found in the recording are too few or too similar."""
+    """Fits the nine parameters. Raises `EstimationError` if the segments are too few or too similar, and `UnfitDataError` if the
+    still spans found in the recording are too few or too similar."""
     factors = _factors(poses)
     try:
         if len(poses.labels) < len(NAMES):
@@ -256,7 +256,7 @@ def _fitted(
 
 
 def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Observations:
-    """The means over the still spans found in all chosen segments."""
+    """Observations of the still spans that are found in all chosen segments: one mean per span and channel."""
     outputs = request.parameters.outputs
     assert request.detection is not None
     channels = request.detection.channels
@@ -288,7 +288,7 @@ def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Ob
 
 
 def _whole(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> list[RecordedSegment]:
-    """The segments that are poses; for a schedule, the segments in which a pose will be found."""
+    """The segments that count as poses; in a schedule, the segments in which a pose will be found."""
     return [
         recorded
         for recorded in request.segments
@@ -302,8 +302,8 @@ def _factors(poses: Observations) -> Array:
 
 
 def _factors_of(units: Mapping[str, str]) -> Array:
-    """Factors that convert the channels to SI. units: channel → unit. Raises `EstimationError` for a channel that is not an
-    acceleration."""
+    """Factors that convert the channels to SI units. units: maps each channel to its unit. Raises `EstimationError` for a channel
+    that is not an acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
             raise EstimationError(f"channel '{name}' is recorded in {text}, which is not a unit of acceleration")

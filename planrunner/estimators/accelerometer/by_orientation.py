@@ -1,8 +1,9 @@
-"""Calibration of an accelerometer triad with gravity in known attitudes: a linear fit for each axis.
+"""Calibrates an accelerometer triad with gravity in known attitudes, by a linear fit for each axis.
 
-From F_i = b_i + Σ_j S_ij·f_j come three results: the bias; the scale factor, which is the length of the row S_i (the sensitivity
-along the axis's own input direction, which a constant attitude error does not change); and the misalignments S_ij/|S_i|, to first
-order the angles between the input axis and its planned direction.
+The fit of F_i = b_i + Σ_j S_ij·f_j gives three results for each axis i. The first is the bias b_i. The second is the scale factor,
+which is the length of the row S_i: the sensitivity along the axis's own input direction, which a constant attitude error does not
+change. The third are the misalignments S_ij/|S_i|, which to first order are the angles between the input axis and its planned
+direction.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _AXES = ("x", "y", "z")
 
 
 def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each axis at positions at rest. Raises `EstimationError`."""
+    """The design of each axis for segments at rest. Raises `EstimationError`."""
     model, needed = error_model(terms), "an accelerometer can be compared with gravity only at rest"
     matrix = matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
     return PositionsDesign(model, tuple(segments), matrix, model.magnitudes)
@@ -46,7 +47,7 @@ def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxesQuantities(Quantities):
-    """The fitted responses of the three axes."""
+    """The fitted response of each of the three axes to gravity."""
 
     observations: Observations
     units: tuple[Unit, ...]
@@ -125,7 +126,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
 
 
 def _excited(model: ErrorModel) -> dict[int, int]:
-    """Maps each axis that the positions excite to the index of its term."""
+    """Maps the index of each axis along which gravity acts in some position to the index of its term."""
     return {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
 
 
@@ -136,7 +137,7 @@ def _row(axis: int, found: AxesQuantities) -> AxisResponse:
 
 
 def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported, RowFormula]]:
-    """Reported quantities of one axis, each with its formula in the axis's coefficients, SI."""
+    """The reported quantities of one axis, each with a formula that computes it from the axis's coefficients in SI."""
     letter = _AXES[axis]
     seen = _excited(model)
     if axis in seen and not fit.coefficients[axis, list(seen.values())].any():

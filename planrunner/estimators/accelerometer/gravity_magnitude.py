@@ -1,7 +1,7 @@
-"""Calibration of an accelerometer triad from the magnitude of gravity alone: nine parameters from still poses in unknown attitudes.
+"""Calibrates an accelerometer triad from the magnitude of gravity alone: nine parameters from still poses in unknown attitudes.
 
-Readings a = b + A·f with |f| = g. Only A·Aᵀ can be determined, so the model has three input axes with scale factors s_i, biases b_i and the
-non-orthogonalities γ_ij by which the angle between axes i and j falls short of 90°:
+The model of the readings is a = b + A·f with |f| = g. Only A·Aᵀ can be determined, so the model has three input axes with scale
+factors s_i, biases b_i and the non-orthogonalities γ_ij by which the angle between axes i and j falls short of 90°:
 
     (a − b)ᵀ·G⁻¹·(a − b) = g²,    G_ij = s_i·s_j·sin γ_ij (i ≠ j),   G_ii = s_i²
 
@@ -29,9 +29,9 @@ _WORST_CONDITION = 1e4
 @dataclass(frozen=True, slots=True)
 class GravityFit:
     """A fit of the magnitude of gravity. values: (9,), in the order of `NAMES`; m/s² for biases, ratios for scale factors, rad for
-    angles. residuals: (n,), m/s², of |f| − g. jacobian: (n, 9), derivatives of the residuals with respect to the parameters.
-    directions: (n, 3), derivatives of the residuals with respect to the readings. condition: condition number of the Jacobian with
-    the biases divided by g."""
+    angles. residuals: (n,), m/s², residuals of |f| − g. jacobian: (n, 9), derivatives of the residuals with respect to the
+    parameters. directions: (n, 3), derivatives of the residuals with respect to the readings. condition: condition number of the
+    Jacobian after the columns of the biases are divided by g."""
 
     values: Array
     residuals: Array
@@ -41,8 +41,8 @@ class GravityFit:
 
 
 def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
-    """Fits the nine parameters with equal weights. readings: (n, 3), m/s², mean readings of n ≥ 9 still poses; gravity: m/s². Raises
-    `EstimationError`."""
+    """Fits the nine parameters with equal weights. readings: (n, 3), m/s², mean readings of n ≥ 9 still poses; gravity: local
+    gravity, m/s². Raises `EstimationError` if the poses do not determine the parameters."""
     if len(readings) < len(NAMES):
         raise EstimationError(too_few(len(readings)))
     values = np.array([0.0, 0, 0, 1, 1, 1, 0, 0, 0])
@@ -66,7 +66,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
 
 
 def too_few(count: int) -> str:
-    """The message that there are fewer poses than parameters."""
+    """A message which says that there are fewer poses than parameters."""
     return f"{count_of(count, 'pose')} cannot determine {len(NAMES)} parameters"
 
 
@@ -89,7 +89,7 @@ def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, A
 
 
 def _magnitude(readings: Array, values: Array) -> Array:
-    """|f| (n, k) from readings (n, 3, k) and parameters (9, k); either k may be one."""
+    """The magnitudes |f| (n, k) that follow from readings (n, 3, k) and parameters (9, k); either k may be 1."""
     bias, scale, gamma = values[:3], values[3:6], values[6:]
     cosines = np.broadcast_to(np.eye(3)[..., None], (3, 3, values.shape[1])).astype(values.dtype)
     for (i, j), angle in zip(_PAIRS, gamma, strict=True):

@@ -1,4 +1,4 @@
-"""Keys of a plan for accelerometers in many positions."""
+"""The keys in a plan for the calibration of accelerometers in many positions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TERMS = ("bias", "accel_x", "accel_y", "accel_z")
 
 
 class AccelerometerMultiPositionParameters(Record):
-    """Keys of the estimator accelerometer_multi_position."""
+    """The keys of the estimator `accelerometer_multi_position`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3),

@@ -1,4 +1,4 @@
-"""Allan deviations of outputs at rest, and the noise coefficients Q, N, B, K of IEEE Std 952 fitted to the Allan variance.
+"""Computes Allan deviations of outputs at rest, and fits the noise coefficients Q, N, B, K of IEEE Std 952 to the Allan variance.
 
 The module `phase` reads samples and treats gaps; `kernel` computes sums; `confidence` computes degrees of freedom and intervals;
 `fit` computes the coefficients.
@@ -63,7 +63,7 @@ _SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
 
 
 class AllanDeviationParameters(Record):
-    """Keys of the estimator allan_deviation."""
+    """The keys of the estimator `allan_deviation`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
@@ -106,7 +106,7 @@ class AllanDeviationParameters(Record):
 
 
 class AllanDeviation:
-    """The estimator `allan_deviation`."""
+    """The estimator with the name `allan_deviation`."""
 
     summary = "Allan deviations with confidence intervals, and noise coefficients N, B, K, Q with uncertainties"
     Parameters = AllanDeviationParameters
@@ -132,7 +132,7 @@ class AllanDeviation:
         return Design((), notes=tuple(notes), remarks=remarks)
 
     def foresee(self, request: DesignRequest[AllanDeviationParameters]) -> Foresight:
-        """Predicts the coefficients from the declared noise and the planned record; samples are not simulated. Raises
+        """Predicts the coefficients from the declared noise and the planned record, without simulating samples. Raises
         `EstimationError` for scale factors that do not fit their outputs."""
         parameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
@@ -184,7 +184,7 @@ class AllanDeviation:
 
 
 class _Result:
-    """Result of one output."""
+    """The results for one output."""
 
     def __init__(self, name: str, unit: str):
         self.name, self.unit = name, unit
@@ -242,8 +242,8 @@ def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[s
 
 
 def _influences(results: Sequence[_Result]) -> list[Influence]:
-    """Contribution of the scale factors' uncertainty: every coefficient is proportional to the scale factor of its output, or to its
-    inverse."""
+    """The contribution of the scale factors' uncertainty. Every coefficient is proportional to the scale factor of its output, or
+    to the reciprocal of the scale factor."""
     values = np.array([item.value for result in results for item in result.coefficients])
     found, place = [], 0
     for result in results:
@@ -315,15 +315,15 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
 
 
 def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviationParameters) -> list[Deviation]:
-    """The Hadamard deviations that have enough degrees of freedom, at averaging times of the fit."""
+    """The Hadamard deviations at the averaging times of the fit, if they have enough degrees of freedom."""
     factors = np.array([row.factor for row in chosen], dtype=np.int64)
     rows = deviations(phase, "hadamard", factors, parameters.confidence)
     return [row for row in rows if row.value > 0 and takes_part(row.tau, row.freedom, parameters.fit_up_to)]
 
 
 def _judge(result: _Result, found: DescribedRange) -> float:
-    """Adds notes and warnings about the range of the fit. Returns the factor that widens the uncertainties if the model does not
-    describe any range of averaging times."""
+    """Adds notes and warnings about the fitted range of averaging times. Returns the factor that widens the uncertainties if the
+    model does not describe any range of averaging times."""
     name, drift = result.name, found.drift
     if drift is not None:
         result.notes.append(
@@ -400,7 +400,7 @@ def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probabili
 
 
 def _plot(result: _Result, found: DescribedRange) -> Plot:
-    """Plot of the deviations and of the model over all averaging times."""
+    """A plot of the deviations and of the model over all averaging times."""
     rows = [row for row in result.rows if row.value > 0]
     factors = np.array([row.factor for row in found.fitted], dtype=np.int64)
     variances = model_matrix(factors) @ found.fit.squares
@@ -468,8 +468,8 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
 def _foreseen(
     request: DesignRequest[AllanDeviationParameters], name: str
 ) -> tuple[list[Coefficient], list[Unpredicted]]:
-    """The predicted coefficients. N and B are those that the bench file declares, with the uncertainty expected from the planned
-    record. Q and K are not predicted, nor is an N or B that the bench file does not declare."""
+    """The predicted coefficients. N and B are the values that the bench file declares, with the uncertainty expected from the
+    planned record. Q and K are not predicted; neither are N and B if the bench file does not declare them."""
     parameters = request.parameters
     output = request.sensor.output(name)
     assert output is not None  # design refuses others

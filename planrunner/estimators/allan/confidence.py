@@ -1,7 +1,9 @@
-"""Confidence of deviations: the power-law noise at each averaging time and the resulting equivalent degrees of freedom (EDF).
+"""Determines the confidence of deviations: the power-law noise at each averaging time, and the equivalent degrees of freedom (EDF)
+that follow from it.
 
-Noise types are exponents α of the frequency spectrum S_y ∝ f^α: 2 white phase (in this field: quantisation), 1 flicker phase, 0 white
-frequency (random walk of the angle), −1 flicker frequency (bias instability), −2 random walk of the frequency (rate random walk).
+The type of noise is given by the exponent α of the frequency spectrum S_y ∝ f^α: 2 white phase (in this field: quantisation), 1
+flicker phase, 0 white frequency (random walk of the angle), −1 flicker frequency (bias instability), −2 random walk of the
+frequency (rate random walk).
 
 Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST SP
 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003 (SP 1065,
@@ -34,11 +36,12 @@ _GRID = 600  # terms of a sum over lags
 
 
 def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
-    """The noise exponent α of averages over `factor` samples, from the phase runs; None if there are fewer than `LEAST_POINTS` averages.
+    """The noise exponent α of averages over `factor` samples, from runs of the phase; None if there are fewer than `LEAST_POINTS`
+    averages.
 
-    before: α at the next shorter averaging time. This value is returned unless the α of the averages differs from it by more than
-    half a step and by more than two standard deviations of the α of the averages: from thirty averages alone, white noise is
-    mistaken for a neighbouring type one time in four.
+    before: the exponent found at the next shorter averaging time. The function returns `before`, unless the exponent of the
+    averages differs from it by more than half a step plus two standard deviations. Thirty averages alone would mistake white noise
+    for a neighbouring type one time in four.
     """
     averages, count = [], 0
     for run in runs:
@@ -63,7 +66,7 @@ def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None
 
 
 def _delta(parts: Sequence[Array]) -> float:
-    """Computes r/(1 + r) from the lag-1 autocorrelation r, pooled over the parts."""
+    """Computes r/(1 + r), where r is the lag-1 autocorrelation of all parts together."""
     products, squares = 0.0, 0.0
     for part in parts:
         centred = part - part.mean()
@@ -74,8 +77,8 @@ def _delta(parts: Sequence[Array]) -> float:
 
 
 def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
-    """Equivalent degrees of freedom (EDF) of a fully overlapped variance; 0 if the run is too short for one term. order: 2 for Allan, 3
-    for Hadamard; factor: averaging factor; points: number of phase points of the run.
+    """Equivalent degrees of freedom (EDF) of a variance with maximum overlap; 0 if the run is too short for one term. order: 2 for
+    Allan, 3 for Hadamard; factor: averaging factor; points: number of phase points of the run.
 
     The variance converges only for α > 1 − 2·order, so a smaller alpha counts as 2 − 2·order.
     """
@@ -107,15 +110,16 @@ def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modifie
 
 
 def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modified: bool = False) -> float:
-    """EDF of a variance over runs of `lengths` phase points. Runs are independent of each other, so their degrees of freedom are
-    added."""
+    """Equivalent degrees of freedom (EDF) of a variance over several runs, whose numbers of phase points are `lengths`. Runs are
+    independent of each other, so their degrees of freedom are added."""
     sizes, counts = np.unique(lengths, return_counts=True)
     pairs = zip(sizes.tolist(), counts.tolist(), strict=True)
     return float(sum(count * degrees_of_freedom(alpha, order, factor, size, modified) for size, count in pairs))
 
 
 def _white_phase(order: int, factor: int, terms: int) -> float:
-    """The degrees of freedom for white noise of the phase, whose differences are correlated only at whole averaging times."""
+    """The degrees of freedom for white phase noise. Its differences are correlated only if they are a whole number of averaging
+    times apart."""
     binomials = [math.comb(2 * order, order + k) for k in range(order + 1)]
     total = binomials[0] ** 2 + 2 * sum(
         max(0.0, 1 - k * factor / terms) * binomials[k] ** 2 for k in range(1, order + 1)
@@ -124,7 +128,8 @@ def _white_phase(order: int, factor: int, terms: int) -> float:
 
 
 def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
-    """Computes s_z(t, F, α, d), the covariance of order-d differences at a lag of t averaging times, up to a constant factor."""
+    """Computes s_z(t, F, α, d) of Greenhall and Riley (2003): the covariance, up to a constant factor, of order-d differences that
+    are t averaging times apart."""
     signs = [(-1) ** k * math.comb(2 * order, order + k) for k in range(order + 1)]
     total: Array = signs[0] * _averaged(t, filtering, alpha)
     for k in range(1, order + 1):
@@ -133,7 +138,7 @@ def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
 
 
 def _averaged(t: Array, filtering: float, alpha: int) -> Array:
-    """Computes s_x(t, F, α) (Greenhall and Riley, 2003)."""
+    """Computes the function s_x(t, F, α) of Greenhall and Riley (2003)."""
     if math.isinf(filtering):
         return _integrated(t, alpha + 2)
     width = 1.0 / filtering
@@ -142,7 +147,7 @@ def _averaged(t: Array, filtering: float, alpha: int) -> Array:
 
 
 def _integrated(t: Array, alpha: int) -> Array:
-    """Computes s_w(t, α) for α from −4 to 4 (Greenhall and Riley, 2003)."""
+    """Computes the function s_w(t, α) of Greenhall and Riley (2003) for α from −4 to 4."""
     size = np.abs(t)
     if alpha % 2 == 0:
         sign = -1.0 if alpha in (2, -2) else 1.0
@@ -154,7 +159,7 @@ def _integrated(t: Array, alpha: int) -> Array:
 
 
 def interval(deviation: float, freedom: float, probability: float) -> tuple[float, float]:
-    """Two-sided confidence interval of a deviation whose variance follows χ² with `freedom` degrees of freedom."""
+    """Two-sided confidence interval of a deviation whose variance follows a χ² distribution with `freedom` degrees of freedom."""
     from scipy.special import chdtri
 
     low = deviation * math.sqrt(freedom / float(chdtri(freedom, (1 - probability) / 2)))

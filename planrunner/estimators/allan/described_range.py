@@ -1,10 +1,10 @@
-"""The range of averaging times that the four kinds of noise describe, and whether the record also contains a steady drift.
+"""Finds the range of averaging times that the four kinds of noise describe, and whether the record also contains a steady drift.
 
 A record may contain more than noise. A filter or a periodic disturbance changes the deviations at short averaging times; a warm-up
-changes those at long averaging times; a steady drift looks like a random walk. The fit begins with all averaging times. If some of
-them contradict the model, as few as possible are omitted at either end. If the deviations show a random walk or a drift, which
-Allan variances cannot distinguish, Hadamard variances are fitted instead: the coefficients of this fit are right in both cases, and
-only a little less certain.
+changes the deviations at long averaging times; a steady drift looks like a random walk. The first fit uses all averaging times. If
+some averaging times contradict the model, as few as possible are omitted at either end of the range. Allan variances cannot
+distinguish a random walk from a drift. If they show either of these, Hadamard variances are fitted instead: their coefficients are
+right in both cases, and only a little less certain.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
 @dataclass(frozen=True)
 class DescribedRange:
     """The averaging times that the noise model describes. fitted: the deviations that take part in `fit`; these are Hadamard
-    deviations if `drift` is given. shorter, longer: number of averaging times omitted at either end. fits: True if the model
-    describes the remaining averaging times. probability: chance of a χ² at least this large if the model is right."""
+    deviations if `drift` is given. shorter, longer: number of averaging times omitted at the short and at the long end. fits: True
+    if the model describes the remaining averaging times. probability: chance of a χ² at least this large if the model is right."""
 
     fit: NoiseFit
     fitted: Sequence[Deviation]
@@ -51,7 +51,8 @@ class DescribedRange:
 
     @property
     def fits(self) -> bool:
-        """Whether χ² does not contradict the model and no squared coefficient is significantly negative."""
+        """Whether the model describes the averaging times: χ² is not too large, and no squared coefficient is significantly
+        negative."""
         spreads = np.sqrt(np.diag(self.fit.covariance))
         return self.probability >= _DOUBT and bool(np.all(self.fit.squares >= -_NEGATIVE * spreads))
 
@@ -59,10 +60,10 @@ class DescribedRange:
 def described_range(
     phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], hadamard: Callable[[], Sequence[Deviation]]
 ) -> DescribedRange:
-    """The averaging times that the noise model describes.
+    """Finds the averaging times that the noise model describes.
 
-    rows: overlapping Allan deviations that have enough degrees of freedom. hadamard: computes the Hadamard deviations; called only
-    if they are needed, because this takes time.
+    rows: overlapping Allan deviations that have enough degrees of freedom. hadamard: a function that computes the Hadamard
+    deviations; it is called only if they are needed, because this takes time.
     """
     allan = _Ranges(phase, rows, terms, ALLAN)
     walks, white = _walks(allan.whole.fit), _white(allan.whole.fit)
@@ -78,7 +79,7 @@ def described_range(
 
 
 class _Ranges:
-    """Fits of the noise model to ranges of the same deviations."""
+    """Fits the noise model to different ranges of the same deviations."""
 
     def __init__(self, phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], order: int):
         self.rows, self.terms, self.order, self.lengths = rows, terms, order, phase.lengths
@@ -87,8 +88,8 @@ class _Ranges:
         self.whole = self.without(0, 0)
 
     def widest(self) -> DescribedRange:
-        """The largest range that the model fits; of several ranges of equal size, the one with the longer averaging times. If the
-        model fits no range, all averaging times."""
+        """The largest range that the model describes well; of several ranges of equal size, the range with the longer averaging
+        times. If the model does not describe any range, all averaging times are returned."""
         if self.whole.fits:
             return self.whole
         most = len(self.rows) - len(self.terms) - _SPARE
@@ -108,12 +109,12 @@ class _Ranges:
 
 
 def _walks(fit: NoiseFit) -> bool:
-    """Whether the fit found a rate random walk. A steady drift looks the same."""
+    """Whether the fit found a rate random walk, which may also be a steady drift."""
     return bool(fit.squares[_WALK] > 2 * math.sqrt(fit.covariance[_WALK, _WALK]))
 
 
 def _white(fit: NoiseFit) -> NoiseFit:
-    """The white noise of a fit without its other terms, because a drift distorts these terms."""
+    """A copy of the fit with the white noise alone, because a drift distorts the other terms."""
     return replace(
         fit,
         squares=np.where(np.arange(len(TERMS)) == _WHITE, np.maximum(fit.squares, 0.0), 0.0),

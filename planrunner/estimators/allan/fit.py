@@ -1,20 +1,22 @@
-"""The four coefficients of inertial noise from Allan variances, by generalised least squares with the variances' full covariance.
+"""Fits the four coefficients of inertial noise to Allan variances, by generalised least squares with the full covariance of the
+variances.
 
-The model (IEEE Std 952, annex C; τ in s, the output in its unit):
+The model is as follows (IEEE Std 952, annex C; τ in s, σ in the unit of the output):
 
     σ²(τ) = 3·Q²/τ² + N²/τ + (2·ln2/π)·B² + K²·τ/3
 
-Q quantisation, N random walk of the integrated output (angle random walk), B bias instability (the flat part lies at 0.664·B), K rate
-random walk. The Hadamard variance, of third instead of second differences, does not respond to a steady drift of the output (NIST SP
-1065, 5.2.8); its model has the same four terms with other factors:
+Q is the quantisation, N the random walk of the integrated output (angle random walk), B the bias instability (the flat part lies at
+0.664·B), and K the rate random walk. The Hadamard variance uses third instead of second differences, and so does not respond to a
+steady drift of the output (NIST SP 1065, 5.2.8). Its model has the same four terms with other factors:
 
     Hσ²(τ) = (10/3)·Q²/τ² + N²/τ + ((8·ln2 − 3·ln3)/(2π))·B² + K²·τ/6
 
-The overlapping variances at two averaging times share their data. Their covariance is the covariance of sums of squares of Gaussian
-differences, 2·Σ_p Σ_q C(q − p)²/(M_i·M_j). Here M_i and M_j are the numbers of differences at the two averaging times, and C(q − p) is
-the covariance of difference p at one averaging time with difference q at the other. C follows from the generalised autocovariance of the
-phase, which is a sum over the four kinds of noise (Greenhall and Riley, 2003). The covariance depends on the coefficients, so fit and
-covariance are iterated until they agree.
+Overlapping variances at two averaging times are computed from the same data and are therefore correlated. Their covariance is the
+covariance of sums of squares of Gaussian differences, 2·Σ_p Σ_q C(q − p)²/(M_i·M_j). Here M_i and M_j are the numbers of
+differences at the two averaging times, and C(q − p) is the covariance of difference p at one averaging time with difference q at
+the other. C follows from the generalised autocovariance of the phase, which is the sum of the autocovariances of the four kinds of
+noise (Greenhall and Riley, 2003). The covariance depends on the coefficients. Therefore the fit and the covariance are computed in
+turn until they no longer change.
 """
 
 from __future__ import annotations
@@ -43,10 +45,11 @@ _MOST_LENGTHS = 40
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Result of a fit of noise coefficients. squares: (4,), Q²/τ0², N²/τ0, B² and K²·τ0 in unit², where τ0 is the time between
-    phase points; 0 for omitted terms. A square can be negative if the noise type is absent, because a fit restricted to positive
-    values would bias the other terms. covariance: (4, 4), covariance of the squares. fitted: (k,), the variances that the model
-    gives. chi_square: χ² with `freedom` degrees of freedom. terms: the fitted terms."""
+    """The result of a fit of noise coefficients. squares: (4,), Q²/τ0², N²/τ0, B² and K²·τ0 in the squared unit of the output,
+    where τ0 is the time between phase points; 0 for omitted terms. A square may come out negative if the output lacks this type of
+    noise; a fit restricted to positive values would bias the other terms. covariance: (4, 4), covariance of the squares. fitted:
+    (k,), the variances according to the fitted model. chi_square: χ² of the fit, with `freedom` degrees of freedom. terms: names of
+    the fitted terms."""
 
     squares: Array
     covariance: Array
@@ -57,17 +60,17 @@ class NoiseFit:
 
 
 def model_matrix(factors: Integers, order: int = ALLAN) -> Array:
-    """The design matrix (k, 4): the Allan (or Hadamard) variance at each averaging factor for a squared coefficient of 1. Each column
-    is one coefficient, in the order of `TERMS`."""
+    """The design matrix (k, 4): the Allan (or Hadamard) variances at k averaging factors if one squared coefficient is 1 and the
+    others are 0. Each column belongs to one coefficient, in the order of `TERMS`."""
     m = factors.astype(float)
     quantisation, flat, walk = _FACTORS[order]
     return np.column_stack([quantisation / m**2, 1 / m, np.full(m.size, flat), walk * m])
 
 
 class VarianceCovariance:
-    """Covariance (k, k) of overlapping Allan (or Hadamard) variances for any mixture of the four kinds of noise.
+    """Computes the covariance (k, k) of overlapping Allan (or Hadamard) variances for any mixture of the four kinds of noise.
 
-    factors: (k,) ascending; lengths: number of phase points of each run.
+    factors: (k,), averaging factors, ascending; lengths: number of phase points of each run.
     """
 
     def __init__(self, factors: Integers, lengths: Integers, order: int = ALLAN):
@@ -83,7 +86,7 @@ class VarianceCovariance:
                 self.parts[i, j] = self.parts[j, i] = part
 
     def among(self, first: int, last: int) -> VarianceCovariance:
-        """The covariance for the averaging factors with the indices first to last − 1."""
+        """The `VarianceCovariance` for the averaging factors with the indices `first` to `last` − 1."""
         fewer = copy(self)
         fewer.parts = self.parts[first:last, first:last]
         return fewer
@@ -94,7 +97,7 @@ class VarianceCovariance:
 
 @lru_cache(maxsize=4)
 def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...], order: int) -> VarianceCovariance:
-    """A cached `VarianceCovariance`, because the next output usually has the same runs."""
+    """A `VarianceCovariance` that is kept in a cache, because the next output usually has runs of the same lengths."""
     return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64), order)
 
 
@@ -116,7 +119,8 @@ def _grouped(lengths: Integers) -> tuple[Integers, Array]:
 
 
 def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs, (4, 4), for every pair of kinds of noise a and b; averaging factors near ≤ far."""
+    """For every pair of kinds of noise a and b, the sum Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs, (4, 4), where p counts
+    differences with the averaging factor `near` and q counts differences with the averaging factor `far` ≥ `near`."""
     points = range(order + 1)
     shifts = np.array([[a * near - b * far for b in points] for a in points], dtype=float).ravel()
     signs = np.outer(_SIGNS[order], _SIGNS[order]).ravel()
@@ -134,14 +138,15 @@ def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array, order
 
 
 def _smooth(t: Array) -> Array:
-    """Generalised autocovariance of the phase for N, B and K at lags t [samples], shape (3, *t.shape)."""
+    """The generalised autocovariance of the phase for N, B and K at lags t [samples], shape (3, *t.shape)."""
     size = np.abs(t)
     logarithm = np.log(np.where(size > 0, size, 1.0))
     return np.stack([-size / 2, size**2 * logarithm / (2 * math.pi), size**3 / 12])
 
 
 def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """Number of pairs, over all runs, of a difference at `near` and a difference at `far` that are `lag` samples apart."""
+    """The number of pairs, over all runs, that consist of a difference with the averaging factor `near` and a difference with the
+    averaging factor `far`, `lag` samples apart."""
     total = np.zeros(lag.shape)
     for length, count in zip(lengths, counts, strict=True):
         first, second = length - order * near, length - order * far
@@ -151,8 +156,8 @@ def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, or
 
 
 def _nodes(near: int, far: int, lengths: Integers, order: int) -> tuple[Array, Array]:
-    """Lags and weights for the numerical sum of a function with corners at a·near − b·far. The function changes over a width of about
-    `near` around these corners."""
+    """Lags and weights for the numerical summation of a function with corners at the lags a·near − b·far. The function changes over
+    a width of about `near` around these corners."""
     longest = int(lengths.max())
     lowest, highest = -min(longest - order * near, 8 * far), min(longest - order * far, 8 * far)
     edges = {lowest, highest + 1}
@@ -187,9 +192,9 @@ def fit_noise(
     order: int = ALLAN,
     covariance: VarianceCovariance | None = None,
 ) -> NoiseFit:
-    """Fits `terms` to Allan (or Hadamard) variances (k,) at `factors`; at least one variance must be above zero. freedom: (k,), degrees
-    of freedom, for the initial weights. covariance: covariance of the variances; by default it is computed for runs of `lengths` phase
-    points.
+    """Fits `terms` to Allan (or Hadamard) variances (k,) at `factors`; at least one variance must be above zero. freedom: (k,),
+    degrees of freedom of the variances, for the initial weights. covariance: covariance of the variances; by default, it is
+    computed for runs of `lengths` phase points.
 
     Raises `ValueError` if there are fewer averaging times than terms.
     """
@@ -233,9 +238,9 @@ def fit_noise(
 def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
-    """The covariance (4, 4) of the squares. Where a coefficient cannot be distinguished from zero, the covariance is computed for
-    its upper bound, two standard uncertainties above the estimate. Without this, a coefficient that is too small by chance would
-    also have too small an uncertainty."""
+    """The covariance (4, 4) of the squared coefficients, enlarged where a coefficient cannot be distinguished from zero. For such a
+    coefficient, it is computed from an upper bound, two standard uncertainties above the estimate. Without this, a coefficient that
+    is too small by chance would also have too small an uncertainty."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])
@@ -247,8 +252,8 @@ def _not_too_sure(
 
 
 def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:
-    """The expected covariance (4, 4) of the squares that `fit_noise` would find for the given noise. It is used before anything is
-    recorded."""
+    """Predicts, before anything is recorded, the covariance (4, 4) of the squared coefficients that `fit_noise` would find for the
+    given noise."""
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
     covariance = _sound(covariance_for(factors, lengths)(squares))
     white = np.linalg.solve(np.linalg.cholesky(covariance), model_matrix(factors)[:, chosen])
@@ -259,8 +264,8 @@ def expected_covariance(factors: Integers, squares: Array, lengths: Integers, te
 
 
 def _sound(covariance: Array) -> Array:
-    """The covariance with small negative eigenvalues set to zero, so that it has a square root. Numerical integration can cause such
-    eigenvalues."""
+    """The covariance with small and negative eigenvalues raised to a small positive value, so that it has a square root. Numerical
+    integration can cause such eigenvalues."""
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     lifted = (vectors * np.maximum(values, 1e-6)) @ vectors.T

@@ -1,9 +1,10 @@
-"""Sums of squared differences of a phase record, compiled by numba: the inner loops of the Allan family.
+"""Computes sums of squared differences of a phase record: the inner loops of Allan and Hadamard variances, compiled by numba.
 
 The module is imported only where such sums are needed (see `planrunner.base.compiled`).
 
-The overlapping sums read the record in short pieces and update all averaging times for each piece. With octave averaging times, a piece
-that one averaging time has read is the middle part for the next one. Memory is therefore read once per octave instead of three times.
+For the overlapping sums, the record is read in short pieces, and each piece is used for all averaging times before the next piece
+is read. With octave averaging times, a piece that was read for one averaging time is also the middle part for the next averaging
+time, so memory is read once per octave instead of three times.
 """
 
 from __future__ import annotations
@@ -117,22 +118,24 @@ def integrate(values: Array, offset: float, carry: float, out: Array) -> float:
 
 
 def second_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_i (x_{i+2m} − 2x_{i+m} + x_i)² over all i, for each averaging factor m. x: (n,); factors: (k,); returns (k,)."""
+    """The sum Σ_i (x_{i+2m} − 2x_{i+m} + x_i)² over all i, for each averaging factor m. x: (n,), phase; factors: (k,); returns
+    (k,)."""
     partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
     (_second_parallel if x.size >= SHARED else _second_serial)(x, factors, partial)
     return np.asarray(partial.sum(axis=0))
 
 
 def third_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m. x: (n,); factors and result: (k,)."""
+    """The sum Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m. x: (n,), phase; factors: (k,);
+    returns (k,)."""
     partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
     (_third_parallel if x.size >= SHARED else _third_serial)(x, factors, partial)
     return np.asarray(partial.sum(axis=0))
 
 
 def averaged_second_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m. x: (n,); factors and result:
-    (k,)."""
+    """The sum Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m. x: (n,), phase; factors:
+    (k,); returns (k,)."""
     sums = np.zeros(factors.size)
     (_modified_parallel if x.size >= SHARED else _modified_serial)(x, factors, sums)
     return sums

@@ -1,9 +1,9 @@
-"""Phase of one output: its running integral over each stretch of regular samples, read block by block.
+"""Computes the phase of one output: its running integral over each stretch of regular samples, read block by block.
 
-A gap (missing or not-finite samples) ends a stretch, and the next sample begins a new stretch; no difference is ever taken across a
-gap. Gaps up to `bridge` seconds may instead be filled by linear interpolation. If a record has more than `LONGEST` samples, only
-every D-th phase point is kept: this does not change deviations at averaging times of D samples or more, and shorter averaging times
-are not available.
+A gap (missing or not-finite samples) ends a stretch, and the next sample begins a new stretch. No difference is taken across a gap.
+A gap of at most `bridge` seconds is filled by linear interpolation instead. If a record has more than `LONGEST` samples, only every
+D-th phase point is kept. Deviations at averaging times of D samples or more do not change, and shorter averaging times are not
+available.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ _PAUSE = 1.5  # sample intervals between two samples that make a gap
 
 @dataclass(frozen=True)
 class Phase:
-    """The phase record of one output. runs: phase points [unit · sample intervals]; each run begins with 0. interval: time between
-    phase points, s. decimation: number of samples from one phase point to the next. samples: number of samples used; lost: number
-    of samples in runs that are too short for one difference, or after the last whole phase point of a run; missing: number of
-    samples in the gaps; gaps: number of gaps that ended a run; bridged: number of samples filled in."""
+    """The phase record of one output. runs: the phase points of each run, in the output's unit times the sample interval; each run
+    begins with 0. interval: time between phase points, s. decimation: number of samples from one phase point to the next. samples:
+    number of samples used; lost: number of samples that are not used because they are in too short a run or after the last whole
+    phase point of a run; missing: number of samples in the gaps; gaps: number of gaps that ended a run; bridged: number of samples
+    filled in."""
 
     runs: tuple[Array, ...]
     interval: float
@@ -47,7 +48,7 @@ class Phase:
 
 
 class _Integrator:
-    """Collects the runs in one array, so that no more memory is needed than for the phase itself."""
+    """Integrates samples to phase, and collects all runs in one array, so that no memory is needed beyond the phase itself."""
 
     def __init__(self, capacity: int, decimation: int):
         self.flat = np.empty(capacity)
@@ -93,7 +94,7 @@ class _Integrator:
 
 
 class _Stretches:
-    """Cuts a stream of samples at its gaps and hands the stretches to the integrator."""
+    """Cuts a stream of samples at its gaps, and passes each stretch to the integrator."""
 
     def __init__(self, integrator: _Integrator, bridge: float):
         self.integrator, self.bridge = integrator, bridge
@@ -103,7 +104,7 @@ class _Stretches:
         self.missing, self.gaps, self.bridged, self.samples = 0, 0, 0, 0
 
     def segment(self, recorded: RecordedSegment, output: str) -> None:
-        """Adds all samples of one segment, which are never joined to the preceding segment."""
+        """Adds all samples of one segment. They are never joined to the samples of the preceding segment."""
         statistics = recorded.statistics
         offset = float(statistics.mean[statistics.of(output)]) if output in statistics.channels else 0.0
         offset = offset if math.isfinite(offset) else 0.0
@@ -163,8 +164,8 @@ class _Stretches:
 
 
 def read_phase(segments: Sequence[RecordedSegment], output: str, bridge: float = 0.0) -> Phase:
-    """The phase of one output over all segments; each sample is read once. bridge: length of the longest gap that is filled, s.
-    Raises `EstimationError`."""
+    """Reads the phase of one output over all segments; each sample is read once. bridge: length of the longest gap that is filled,
+    s. Raises `EstimationError` if the samples cannot be integrated."""
     for recorded in segments:
         if output not in recorded.units:
             raise EstimationError(

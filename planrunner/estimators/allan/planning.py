@@ -1,7 +1,6 @@
-"""The averaging times of a recorded or planned record: the number of averages at each averaging time, and whether these are enough
-for a fit.
+"""Chooses the averaging times of a recorded or planned record, and determines whether there are enough averages for a fit.
 
-The same rules check a planned record and refuse a recorded one.
+The same rules apply to planned and to recorded data.
 """
 
 from __future__ import annotations
@@ -24,16 +23,16 @@ _EXPONENTS = (-2, -1, 0, 1, 2)  # of the kinds of noise that an Allan variance d
 
 @dataclass(frozen=True, slots=True)
 class PlannedRecord:
-    """A planned record. interval: time between samples, s; lengths: (r,), number of phase points of each segment, one more than the
-    number of its samples."""
+    """The size of a planned record. interval: time between samples, s; lengths: (r,), number of phase points of each segment, one
+    more than the number of its samples."""
 
     interval: float
     lengths: Integers
 
 
 def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
-    """The record that the segments will give, or None if the length of a dwell is not known. Raises `EstimationError` for several
-    sample rates."""
+    """The record that the planned segments will give; None if the length of a dwell is not known. Raises `EstimationError` if the
+    segments have different sample rates."""
     hertz = {segment.sample_rate or request.sensor.sample_rate for segment in request.segments}
     if not request.segments or any(segment.dwell is None for segment in request.segments):
         return None
@@ -46,8 +45,8 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
-    """The averaging factors to use: those of the `taus` that fit twice into the longest run, or octaves if there are no `taus`.
-    Raises `EstimationError` if there are none."""
+    """The averaging factors to use: those of the times `taus` that fit at least twice into the longest run, or octaves if `taus` is
+    empty. Raises `EstimationError` if there is no such factor."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)
@@ -61,12 +60,12 @@ def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: flo
 
 
 def takes_part(tau: float, freedom: float, fit_up_to: Quantity | None) -> bool:
-    """Whether an Allan variance at `tau` [s], known with `freedom` degrees of freedom, takes part in the fit."""
+    """Whether an Allan variance at `tau` [s] with `freedom` degrees of freedom takes part in the fit."""
     return freedom >= LEAST_FREEDOM and (fit_up_to is None or tau <= fit_up_to.value * (1 + 1e-9))
 
 
 def require_averaging_times(name: str, count: int) -> None:
-    """Raises `EstimationError` if fewer than two averaging times can be fitted."""
+    """Raises `EstimationError` if the variances can be fitted at fewer than two averaging times."""
     if count < 2:
         raise EstimationError(
             f"'{name}': the deviations are known well enough to be fitted at {count} averaging times only: "
@@ -125,7 +124,7 @@ def planned_averaging(
 
 
 def _least_freedom(factor: int, lengths: Integers) -> float:
-    """Degrees of freedom of an Allan variance if the type of noise is unknown: the smallest value over the possible types."""
+    """The degrees of freedom of an Allan variance if the type of noise is unknown: the smallest value over all possible types."""
     return min(freedom_of_runs(alpha, 2, factor, lengths) for alpha in _EXPONENTS)
 
 

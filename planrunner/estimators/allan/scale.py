@@ -1,7 +1,7 @@
-"""Noise coefficients of the sensed quantity, for an output in pulses or volts with a scale factor.
+"""Converts noise coefficients to the sensed quantity, for an output in pulses or volts with a scale factor.
 
-The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate in `uses`, such as
-`drift.SF_Y`. The unit of the scale factor decides whether the scale factor is sensed quantity per output or output per sensed
+The scale factor is stated in the plan as a quantity, such as `0.2012 (deg/h)/(pulse/s)`, or as a coefficient of an estimate in
+`uses`, such as `drift.SF_Y`. The unit of the scale factor shows whether it is sensed quantity per output or output per sensed
 quantity.
 
 The results are in the units that are usual in the field: deg/√h and deg/h for rates, m/s/√h and µg for accelerations.
@@ -26,7 +26,7 @@ _COEFFICIENT = r"[A-Za-z][A-Za-z0-9_-]{0,39}\.[A-Za-z][^ \x00-\x1f]{0,59}"
 
 
 class ScaleFactorKind:
-    """Kind of a plan's value: a quantity, or `estimate.coefficient`."""
+    """The kind of plan value for a scale factor: a quantity, or a name of the form `estimate.coefficient`."""
 
     what = "a quantity or a coefficient"
 
@@ -44,11 +44,11 @@ class ScaleFactorKind:
 
 @dataclass(frozen=True, slots=True)
 class SensedBy:
-    """Conversion of an output's noise coefficients to those of the sensed quantity.
+    """The conversion of an output's noise coefficients to noise coefficients of the sensed quantity.
 
     units: for each of Q, N, B and K, the unit of the result, and the factor by which a coefficient of the output is multiplied. The
-    coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). power: 1 if this factor is proportional to
-    the scale factor, −1 if it is proportional to its reciprocal. quantity: the scale factor, in its own unit.
+    coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). power: 1 if these factors are proportional
+    to the scale factor, −1 if they are proportional to its reciprocal. quantity: the scale factor, in its own unit.
     """
 
     units: Mapping[str, tuple[str, float]]
@@ -59,7 +59,8 @@ class SensedBy:
 def sensed_by(
     stated: Quantity | str, name: str, output: str, uses: Mapping[str, Estimate] | Mapping[str, Design]
 ) -> SensedBy:
-    """Interprets the scale factor `stated` for the output `name`, which is recorded in the unit `output`. Raises `EstimationError`."""
+    """Interprets the scale factor `stated` for the output `name`, which is recorded in the unit `output`. Raises `EstimationError`
+    if `stated` is not a usable scale factor for this output."""
     if isinstance(stated, Quantity):
         own = stated.unit
         value, u = stated.value / own.factor, stated.standard_uncertainty / own.factor
@@ -102,7 +103,8 @@ def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design
 
 
 def _foreseen(used: Design) -> tuple[Coefficient, ...]:
-    """The scale factor for the prediction of a run. For a coefficient that cannot be predicted, the value is 1 in the correct unit."""
+    """The coefficients from which a scale factor is taken when a run is predicted. A coefficient that cannot be predicted has the
+    value 1 in its own unit."""
     return (*used.predicted, *(Coefficient(one.name, 1.0, one.unit, math.nan) for one in used.unpredicted))
 
 
@@ -129,13 +131,15 @@ _PULSES = {"Q": "pulse", "N": "pulse/sqrt(s)", "B": "pulse/s", "K": "pulse/s/sqr
 
 
 def named_units(dimension: Dimension) -> Mapping[str, str] | None:
-    """Maps Q, N, B and K to the field's units for a rate or an acceleration; None for any other quantity."""
+    """The usual unit of each of Q, N, B and K, for a quantity that is an angular rate or an acceleration; None for any other
+    quantity."""
     return _NAMED.get(dimension)
 
 
 def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
-    """For each of Q, N, B and K, the unit in which the coefficient is reported, and the factor that converts it to this unit from the
-    output's unit times s (Q), √s (N), 1 (B) or 1/√s (K). Raises `EstimationError`."""
+    """For each of Q, N, B and K, the unit in which the coefficient is reported, and the factor that converts the coefficient to
+    this unit. The factor applies to a coefficient in the output's unit times s (Q), √s (N), 1 (B) or 1/√s (K). Raises
+    `EstimationError` for an unknown unit."""
     try:
         own = unit(output)
     except UnknownUnitError as error:
@@ -149,6 +153,7 @@ def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
 
 
 def squares_to_coefficients(interval: float) -> dict[str, float]:
-    """For each of Q, N, B and K, the factor from the square root of Q²/τ0², N²/τ0, B² or K²·τ0 to the coefficient. interval: τ0 [s]."""
+    """For each of Q, N, B and K, the factor that converts the square root of Q²/τ0², N²/τ0, B² or K²·τ0 to the coefficient.
+    interval: τ0, the time between phase points, s."""
     root = math.sqrt(interval)
     return {"Q": interval, "N": root, "B": 1.0, "K": 1 / root}

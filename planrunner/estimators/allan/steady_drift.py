@@ -1,9 +1,9 @@
-"""Steady drift of an output: whether the record drifts more than its noise explains, and how large the drift is.
+"""Determines whether a record drifts steadily more than its noise explains, and how large the drift is.
 
-The halves of a run differ by the drift over half the run and by the noise, whose variance is twice the Allan variance at half the
-run. The Allan variance is computed from a fit of Hadamard variances, which a steady drift does not change. This Allan variance is
-uncertain, mainly because the random walk is poorly known. The test therefore uses an upper bound of the variance, two standard
-uncertainties above the estimate.
+The means of the two halves of a run differ by the drift over half the run and by noise. The variance of this noise is twice the
+Allan variance at an averaging time of half the run. The Allan variance is computed from a fit of Hadamard variances, which a steady
+drift does not change. This computed variance is uncertain, mainly because the random walk is poorly known. The test therefore uses
+an upper bound of the variance, two standard uncertainties above the estimate.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _CHANCE = 1e-3  # probability of differences at least this large by noise alone
 
 @dataclass(frozen=True, slots=True)
 class SteadyDrift:
-    """A steady drift. slope: weighted mean over the runs, in the output's unit per second, with its standard uncertainty. For this
-    uncertainty, the noise is taken one standard uncertainty above its estimate. probability: chance that noise alone causes
-    differences this large between the halves of runs."""
+    """The steady drift of a record. slope: the drift in the output's unit per second (weighted mean over the runs), with its
+    standard uncertainty. This uncertainty is computed for noise one standard uncertainty above its estimate. probability: chance
+    that noise alone causes differences this large between the halves of runs."""
 
     slope: float
     standard_uncertainty: float
@@ -35,7 +35,7 @@ class SteadyDrift:
 
 
 def steady_drift(phase: Phase, fit: NoiseFit) -> SteadyDrift:
-    """Estimates the steady drift of a record. fit: the fit of the Hadamard variances of the same record."""
+    """Estimates the steady drift of a record. fit: a fit of the noise model to the Hadamard variances of the same record."""
     from scipy.special import chdtrc
 
     halves = np.array([(run.size - 1) // 2 for run in phase.runs], dtype=np.int64)

@@ -1,4 +1,5 @@
-"""Deviations of one phase record at chosen averaging times, each with its noise type, degrees of freedom and confidence interval."""
+"""Computes the deviations of one phase record at chosen averaging times, each with its noise type, degrees of freedom and
+confidence interval."""
 
 from __future__ import annotations
 
@@ -17,9 +18,9 @@ KINDS = ("overlapping", "modified", "hadamard")
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """One deviation. kind: one of `KINDS`; factor: averaging factor m; tau: averaging time, s; terms: number of terms in the sum;
-    alpha: noise exponent for which the degrees of freedom were computed; carried: True if alpha was adopted from a shorter
-    averaging time; low, high: confidence interval."""
+    """The deviation at one averaging time. kind: one of `KINDS`; factor: averaging factor m; tau: averaging time, s; terms: number
+    of terms in the sum; alpha: noise exponent for which the degrees of freedom were computed; carried: True if alpha was adopted
+    from a shorter averaging time; low, high: limits of the confidence interval."""
 
     kind: str
     factor: int
@@ -34,15 +35,15 @@ class Deviation:
 
 
 def octave_factors(lengths: Integers) -> Integers:
-    """The averaging factors 1, 2, 4 … up to the largest one at which the longest run holds four averages. If there is no such
-    factor, the factors at which a run has at least one difference."""
+    """The averaging factors 1, 2, 4 … up to the largest one for which the longest run still gives four averages; only the factor 1
+    if there is none."""
     longest = int(lengths.max()) - 1
     last = max(1, longest // 4)
     return 2 ** np.arange(int(math.log2(last)) + 1, dtype=np.int64)
 
 
 def deviations(phase: Phase, kind: str, factors: Integers, probability: float) -> list[Deviation]:
-    """The deviations of one kind, in the output's unit; factors for which the record is too short are left out."""
+    """The deviations of one kind, in the output's unit. Averaging factors for which the record is too short are left out."""
     order = 3 if kind == "hadamard" else 2
     span = 3 if kind in ("hadamard", "modified") else 2
     lengths = phase.lengths

@@ -1,1 +1,1 @@
-"""Amplitudes of effects of the catalogue, fitted to the means of segments."""
+"""The estimator of amplitudes of catalogue effects, and its parts."""

@@ -1,9 +1,9 @@
-"""Amplitudes that several outputs have in common, such as the tilt of the table: one value is estimated from all these outputs.
+"""Combines amplitudes that several outputs have in common, such as the tilt of the table, to one value.
 
-Each output is fitted separately. The values z of all amplitudes have the joint covariance C. Least squares then adjusts them so
-that the values of a common amplitude agree: z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, where R·z = 0 states the agreement (H. Theil, Principles of
-Econometrics, 1971, 6.8). This is equivalent to a joint fit of all outputs. The adjustment also changes the amplitudes that are not
-common, as far as they are correlated with a common one.
+The outputs are first fitted separately. The values z of all amplitudes have the joint covariance C. Least squares then adjusts the
+values so that the values of a common amplitude agree: z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, where R·z = 0 states the agreement (H. Theil,
+Principles of Econometrics, 1971, 6.8). This is equivalent to a joint fit of all outputs. The adjustment also changes amplitudes
+that only one output has, if they are correlated with a common amplitude.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from planrunner.estimators.outputs_fit import OutputsFit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonAmplitudes:
-    """The amplitudes of all outputs, and which amplitudes are common to several outputs. amplitudes: the q reported amplitudes.
-    They are computed from the p separately fitted amplitudes of all outputs, output after output. members: for each reported
-    amplitude, the indices of the fitted amplitudes that it combines; a single index if only one output has it. outputs: (p,), name
-    of the output of each fitted amplitude."""
+    """The amplitudes of all outputs, with a statement of which amplitudes are common to several outputs. amplitudes: the q reported
+    amplitudes. The reported amplitudes are computed from the p amplitudes that are fitted separately, output after output. members:
+    for each reported amplitude, the indices of the fitted amplitudes that it combines; a single index if only one output has this
+    amplitude. outputs: (p,), name of the output of each fitted amplitude."""
 
     amplitudes: tuple[ReportedAmplitude, ...]
     members: tuple[tuple[int, ...], ...]
@@ -31,7 +31,7 @@ class CommonAmplitudes:
 
     @property
     def contrasts(self) -> Array:
-        """The matrix R (r, p): the difference of each member of a common amplitude from the first member."""
+        """The matrix R (r, p), which computes, for each common amplitude, the differences of its members from the first member."""
         rows = []
         for places in self.members:
             for place in places[1:]:
@@ -41,8 +41,8 @@ class CommonAmplitudes:
         return np.array(rows).reshape(-1, len(self.outputs))
 
     def joining(self, covariance: Array) -> Array:
-        """The matrix (q, p) that computes the reported amplitudes from the separately fitted ones. covariance: C (p, p), of the
-        separately fitted amplitudes."""
+        """The matrix (q, p) that computes the reported amplitudes from the separately fitted amplitudes. covariance: (p, p),
+        covariance C of the separately fitted amplitudes."""
         picked = np.eye(len(self.outputs))[[places[0] for places in self.members]]
         R = self.contrasts
         if not len(R):
@@ -54,8 +54,8 @@ class CommonAmplitudes:
         return np.asarray(picked @ moved)
 
     def disagreement(self, values: Array, covariance: Array) -> tuple[float, int]:
-        """χ² of the differences between the members of common amplitudes, and its degrees of freedom. values: (p,); covariance: (p,
-        p), which includes all stated inputs."""
+        """The χ² of the differences between the members of common amplitudes, and the degrees of freedom of this χ². values: (p,),
+        fitted amplitudes; covariance: (p, p), their covariance, including all stated inputs."""
         R = self.contrasts
         if not len(R):
             return 0.0, 0
@@ -66,7 +66,8 @@ class CommonAmplitudes:
 
 
 def common_amplitudes(outputs: Sequence[ModelledOutput]) -> CommonAmplitudes:
-    """Groups the amplitudes of all outputs: an amplitude that several outputs have in common is one reported amplitude."""
+    """Groups the amplitudes of all outputs, so that an amplitude which several outputs have in common becomes one reported
+    amplitude."""
     each = [(one, output.name) for output in outputs for one in output.coefficients]
     places: dict[str | int, list[int]] = {}
     for place, (one, _) in enumerate(each):
@@ -76,8 +77,8 @@ def common_amplitudes(outputs: Sequence[ModelledOutput]) -> CommonAmplitudes:
 
 
 def between_outputs(fits: Sequence[OutputsFit], rows: Sequence[Sequence[int]], correlation: Array, basis: str) -> Array:
-    """Covariance (p, p) between the fitted amplitudes of different outputs, from the correlation of their samples; zero within an
-    output. Only means are taken as correlated, not the contrasts within segments.
+    """The covariance (p, p) between the fitted amplitudes of different outputs, which follows from the correlation of the outputs'
+    samples; zero within an output. Only the means of segments are taken as correlated, not the contrasts within segments.
 
     rows: for each fit, the indices of its segments among the segments of the estimate. correlation: (m, m), correlation between the
     samples of the outputs.

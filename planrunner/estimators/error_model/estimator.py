@@ -1,10 +1,11 @@
-"""Amplitudes of the effects that a plan names for each output, by generalised least squares from the means of segments.
+"""Estimates the amplitudes of the effects that a plan names for each output, by generalised least squares from the means of
+segments.
 
     output = input along its own axis + Σ amplitude · column
 
-The columns come from `planrunner.error_model.effects`, as in a simulation and in a diagnosis. Here the columns are means over the
+The columns come from `planrunner.error_model.effects`, which simulations and diagnoses also use. Here they are averaged over the
 segments. The parameters of the effects have the names and units of the catalogue, so that a result can be stated in a bench file.
-If an output is recorded in another unit than that of a rate or an acceleration (pulse/s), output = K · (input + Σ …), where K is
+If an output is not recorded as a rate or an acceleration but, for example, in pulse/s, then output = K · (input + Σ …), where K is
 its fitted scale factor.
 """
 
@@ -74,8 +75,8 @@ WITHIN = "within segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedOutput:
-    """One fitted output. observations: the observations of this output; site: the influences of the uncertain latitude and gravity
-    on these observations."""
+    """The fit of one output. observations: the observations of this output; site: the influences of the uncertain latitude and
+    gravity on these observations."""
 
     model: ModelledOutput
     observations: Observations
@@ -85,8 +86,8 @@ class FittedOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelQuantities(Quantities):
-    """The fitted amplitudes. outputs: the fitted outputs in the order of the plan. separate: the amplitudes of all outputs in
-    sequence, before common amplitudes are combined."""
+    """The fitted amplitudes of an estimate. outputs: the fitted outputs in the order of the plan. separate: the amplitudes of all
+    outputs in sequence, before common amplitudes are combined."""
 
     outputs: tuple[FittedOutput, ...]
     found: Derived
@@ -95,7 +96,7 @@ class ModelQuantities(Quantities):
 
 
 class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
-    """The estimator `error_model`."""
+    """The estimator with the name `error_model`."""
 
     name = "error_model"
     summary = (
@@ -138,8 +139,8 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Design(blocks, notes=notes, remarks=tuple(dict.fromkeys(remarks)))
 
     def foresee(self, request: DesignRequest[ErrorModelParameters]) -> Foresight:
-        """Predicts the coefficients from the expected recording. If a shape is to be fitted, the prediction has no uncertainties,
-        because only a recording determines a shape."""
+        """Predicts the coefficients by applying the estimator to the expected recording. If a shape is to be fitted, the prediction
+        has no uncertainties, because only a recording determines a shape."""
         outputs = [one for group in _planned(request) for one in group.outputs]
         parts = [(one, part) for one in outputs if (part := shaped_part(one)) is not None]
         unstated = dict.fromkeys(name for one in outputs for name in _unstated(one, request.parameters))
@@ -160,7 +161,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Foresight(unpredicted=tuple(found))
 
     def known(self, request: DesignRequest[ErrorModelParameters]) -> Known:
-        """The input axes of the outputs."""
+        """The input axes of the outputs in sensor axes."""
         named = [one for group in _planned(request) for one in group.outputs]
         return Known(directions={one.name: np.eye(3)[one.errors.axis] for one in named})
 
@@ -258,7 +259,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
 
 
 def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str]:
-    """Effects with a shape that are fitted to samples and for which the plan states no expected values."""
+    """The effects whose shape is fitted to samples although the plan states no expected value for it."""
     if one.within is None:
         return []
     shaped = [amplitude.effect.id for amplitude in one.columns.amplitudes if amplitude.shape]
@@ -276,7 +277,8 @@ def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ..
 
 
 def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParameters]) -> list[str]:
-    """The quantities on which an output's effects depend and that no segment states, because a channel of the recording gives them."""
+    """The quantities on which an output's effects depend and that no segment states, because they are known only from a channel of
+    the recording."""
     channels = {
         Follows.SUPPLY: request.parameters.supply_channel,
         Follows.PRESSURE: request.parameters.pressure_channel,
@@ -310,7 +312,8 @@ def _recorded_states(
 
 
 def _known_monitors(parameters: ErrorModelParameters, units: Mapping[str, str]) -> None:
-    """Raises `EstimationError` for a monitor channel that does not exist or has another dimension than needed."""
+    """Raises `EstimationError` for a channel of temperature, voltage or pressure that does not exist or is in a unit of another
+    dimension."""
     for key, name, dimension, hint in (
         ("temperature_channel", parameters.temperature_channel, "temperature", "name the sensor's own thermometer"),
         ("supply_channel", parameters.supply_channel, "voltage", "name the channel of the supply voltage"),
@@ -325,7 +328,7 @@ def _known_monitors(parameters: ErrorModelParameters, units: Mapping[str, str]) 
 
 
 def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remark]:
-    """An error for amplitudes that the planned segments do not determine or separate. The error names a remedy."""
+    """An error, with a remedy, for amplitudes that the planned segments do not determine or separate."""
     amplitudes = one.columns.amplitudes
     seen = rank.look(_matrix(one) / one.columns.magnitudes)
     if not len(seen.null):
@@ -348,10 +351,9 @@ def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
 def _fitted(
     request: EstimateRequest[ErrorModelParameters], group: Together, shown: Collection[str] = ()
 ) -> list[FittedOutput]:
-    """Fits the outputs of a group. shown: names of the courses of a drift that at least one output shows.
+    """Fits all outputs of a group. shown: names of the drift functions that at least one output shows.
 
-    A first fit gives the amplitudes of each output, because these determine how strongly errors of table and site affect the
-    output.
+    A first fit gives approximate amplitudes of each output. They determine how strongly errors of table and site affect the output.
     """
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]
@@ -397,13 +399,13 @@ def _fitted(
 
 
 def _matrix(one: ModelledOutput) -> Array:
-    """Design matrix (n + r, p): one row for each mean, then one row for each contrast within a segment."""
+    """The design matrix (n + r, p), with one row for each mean, followed by one row for each contrast within a segment."""
     matrix = one.columns.matrix
     return matrix if one.within is None else np.vstack([matrix, one.within.contrasts.matrix])
 
 
 def _with_contrasts(means: Observations, one: ModelledOutput) -> Observations:
-    """Observations of an output: first the means, then the contrasts within segments."""
+    """Observations of one output: the means of the segments, followed by the contrasts within segments."""
     if one.within is None or not len(one.within.contrasts.sigma):
         return means
     contrasts = one.within.contrasts
@@ -432,15 +434,15 @@ def _block_with_contrasts(block: DesignBlock, one: ModelledOutput) -> DesignBloc
 
 
 def _padded(rows: Array, contrasts: Contrasts | None) -> Array:
-    """Rows (n, …) of the means, followed by rows of zeros for the contrasts."""
+    """Appends rows of zeros for the contrasts to the rows (n, …) of the means."""
     if contrasts is None:
         return rows
     return np.concatenate([rows, np.zeros((len(contrasts.sigma), *rows.shape[1:]))])
 
 
 def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = False) -> CorrelatedError:
-    """Extends an error of the means to the contrasts within segments, where it is zero. own: True for flicker, which affects the
-    contrasts too."""
+    """Extends an error of the means to the contrasts within segments, which it does not change. own: True for flicker, which also
+    changes the contrasts."""
     if contrasts is None or not len(contrasts.sigma):
         return error
     changes = {}
@@ -453,8 +455,8 @@ def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = F
 
 
 def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) -> bool:
-    """Whether the plan contains the temperature dependence of an output's bias as an effect. If so, no drift with temperature is
-    sought in this output."""
+    """Whether the plan contains the temperature dependence of an output's bias as an effect. In this case, no drift with
+    temperature is sought in this output."""
     return (
         drift.by_evidence
         and bool(course.changed)
@@ -466,7 +468,7 @@ def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) 
 
 
 def _of_channel(together: Observations, k: int) -> Observations:
-    """The observations of one channel alone."""
+    """The observations of the k-th channel alone."""
     return replace(
         together,
         channels=together.channels[k : k + 1],
@@ -478,7 +480,7 @@ def _of_channel(together: Observations, k: int) -> Observations:
 
 
 def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> list[Said]:
-    """Warnings about outputs that do not respond as declared."""
+    """Warnings about outputs that respond otherwise than declared."""
     found = []
     for kind in KINDS:
         rows = [
@@ -499,7 +501,7 @@ def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Seq
 
 
 def _stacked(rows: Sequence[Array]) -> Array:
-    """The coefficients of all outputs as a matrix (m, P) with one row per output; each row is zero at the coefficients of other
+    """The coefficients of all outputs as a matrix (m, P) with one row per output. A row is zero at the coefficients of other
     outputs."""
     ends = np.cumsum([len(row) for row in rows])
     made = np.zeros((len(rows), int(ends[-1])))
@@ -509,7 +511,7 @@ def _stacked(rows: Sequence[Array]) -> Array:
 
 
 def _of_output(errors: Sequence[CorrelatedError], output: int) -> tuple[CorrelatedError, ...]:
-    """Converts errors to errors of this output alone."""
+    """Restricts errors to their effect on one output."""
     return tuple(
         replace(
             one,
@@ -522,7 +524,7 @@ def _of_output(errors: Sequence[CorrelatedError], output: int) -> tuple[Correlat
 
 
 def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -> tuple[Influence, ...]:
-    """Influences of stated inputs on the fitted amplitudes of one output."""
+    """The influences of stated inputs on the fitted amplitudes of one output."""
     functionals = functionals_of(one.fit.gains)
     recorded = replace(request, segments=tuple(request.segments[row] for row in one.model.rows))
     return (
@@ -533,8 +535,8 @@ def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -
 
 
 def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> dict[str, Array]:
-    """For each basis of the uncertainties, the covariance between the amplitudes of different outputs. The correlation of the
-    outputs' noise comes from the segments that all these outputs use."""
+    """For each kind of uncertainty, the covariance between the amplitudes of different outputs. The correlation of the outputs'
+    noise comes from the segments that all these outputs use."""
     rows = [one.model.rows for one in outputs]
     shared = sorted(set.intersection(*map(set, rows)))
     if len(outputs) < 2 or not shared:
@@ -550,7 +552,7 @@ def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[F
 
 
 def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> list[Said]:
-    """A warning if the outputs give different values of a common amplitude."""
+    """A warning for each common amplitude for which the outputs give different values."""
     from scipy.special import chdtrc
 
     separate = made.separate
@@ -582,7 +584,7 @@ def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQua
 
 
 def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
-    """Table of the value that each output alone gives for each common amplitude."""
+    """A table with the value that each output alone gives for each common amplitude."""
     common, separate = made.common, made.separate
     members = zip(common.amplitudes, common.members, strict=True)
     rows = [(amplitude, place) for amplitude, places in members if len(places) > 1 for place in places]
@@ -601,8 +603,8 @@ def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
 
 
 def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: Derived) -> dict[str, dict[str, str]]:
-    """The values as a bench file states them for `driver: added_effects`: effect → parameter → value with its unit. Scale factors of
-    outputs in other units are omitted, because they are not effects."""
+    """The values in the form in which a bench file states them for `driver: added_effects`: maps each effect to its parameters, and
+    each parameter to its value with unit. Scale factors of outputs in other units are omitted, because they are not effects."""
     held = {
         place: value for places, value in zip(common.members, found.values.tolist(), strict=True) for place in places
     }
@@ -636,7 +638,7 @@ def _names(one: ModelledOutput, effect: str) -> bool:
 
 
 def _of_samples(one: FittedOutput) -> list[Said]:
-    """Warnings about the fit of an output's samples."""
+    """Warnings about the fit to an output's samples."""
     within, found = one.model.within, []
     if within is None:
         return []

@@ -1,4 +1,4 @@
-"""The models of an estimate: the effects that act on each output in each segment, or the reason why there is no model."""
+"""Builds the models of an estimate: the effects that act on each output in each segment, or the reason why there is no model."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ _SENSED = {"angular rate": "gyro", "acceleration": "accel"}
 
 @dataclass(frozen=True, slots=True)
 class ReportedAmplitude:
-    """How one amplitude is reported. si: SI value of one `unit`. common: True if all outputs that name the amplitude share one
-    value. origin: the value, in `unit`, that corresponds to a fitted value of zero."""
+    """Describes how one amplitude is reported. si: SI value of one `unit`. common: True if all outputs whose model contains the
+    amplitude share one value. origin: the reported value, in `unit`, if the fitted value is zero."""
 
     name: str
     unit: str
@@ -64,14 +64,14 @@ class ReportedAmplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledOutput:
-    """The linear model of one output. If the output is recorded in the unit of the measured quantity (`direct`), means =
-    own/unit.factor + matrix · amplitudes, with `own` and `matrix` of `columns`. Otherwise the amplitude with the index `gain` is
-    the whole scale factor, and the other columns are multiplied by this factor.
+    """The linear model of one output. If the output is recorded in the unit of the measured quantity (`direct`), the model is means
+    = own/unit.factor + matrix · amplitudes, where `own` and `matrix` are fields of `columns`. Otherwise the amplitude with the
+    index `gain` is the complete scale factor, and the other columns are multiplied by this factor.
 
     rows: indices of the output's segments among the segments of the estimate. gain: index of the scale factor among the amplitudes;
-    None if the scale factor is not fitted. within: the fit of the output's samples, at whose result the model is linearised; None
-    for an output that needs only the means. followed: only with `within`: (effect, name) of each amplitude in the model that
-    describes how errors of the table and the site affect the output.
+    None if the scale factor is not fitted. within: the fit to the output's samples, around whose result the model is linearised;
+    None if the output needs only the means. followed: used only if `within` is given: (effect, name) of each amplitude that
+    determines how errors of the table and the site affect the output.
     """
 
     errors: OutputErrors
@@ -120,8 +120,8 @@ class ModelledOutput:
         return np.asarray(values / si + origins)
 
     def ratios(self, fitted: Array) -> dict[int, float]:
-        """Maps each axis to the response of the output along this axis (a ratio, SI), from fitted amplitudes (p,). The response along the
-        output's own axis is 1 if no scale factor is fitted."""
+        """Maps each axis to the response of the output along this axis (a ratio, SI), for fitted amplitudes (p,). The response
+        along the output's own axis is 1 if no scale factor is fitted."""
         own = {} if self.gain is not None else {self.errors.axis: 1.0}
         along = [one.along for one in self.columns.amplitudes]
         return own | {
@@ -129,7 +129,7 @@ class ModelledOutput:
         }
 
     def response(self, fitted: Array) -> Array:
-        """Response of the output to its own input and to each column, (1 + p,), from fitted coefficients (p,)."""
+        """The response (1 + p,) of the output to its own input and to each column, for fitted coefficients (p,)."""
         if self.within is not None:
             own = {(one.effect.id, one.name): n for n, one in enumerate(self.columns.amplitudes)}
             fitted = np.array([fitted[own[key]] if key in own else 0.0 for key in self.followed])
@@ -155,8 +155,8 @@ def models(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> tuple[Together, ...]:
-    """Builds the models of all outputs. units: output → unit, as declared or recorded; states: states of all segments; samples:
-    samples of all segments. Raises `EstimationError`."""
+    """Builds the models of all outputs. units: maps each output to its unit, as declared or recorded; states: states of all
+    segments; samples: samples of all segments. Raises `EstimationError`."""
     for name in parameters.axes:
         if name not in parameters.outputs:
             raise EstimationError(f"`axes` names '{name}'", closest(name, parameters.outputs), f"axes.{name}")
@@ -179,7 +179,7 @@ def changes_within(one: OutputErrors) -> bool:
 
 
 def with_shape(group: Together, k: int, part: EffectPart) -> Together:
-    """A copy of the group in which an effect in the k-th output has another shape."""
+    """A copy of the group in which one effect in the model of the k-th output has another value of its shape."""
     old = group.outputs[k]
     errors = replace(old.errors, chosen=tuple(part if one.effect is part.effect else one for one in old.errors.chosen))
     (columns,) = replace(group.model, outputs=(errors,)).of_outputs()
@@ -244,9 +244,9 @@ def _kind(name: str, text: str, sensor: SensorModel) -> str:
 
 
 def _usable(one: OutputErrors, segments: Sequence[Segment]) -> tuple[int, ...]:
-    """The indices of the segments that an output can use. A gyro uses all segments whose rate is known. An accelerometer uses
-    segments at rest, segments in which other accelerometers show the specific force, and also turns if an effect describes its
-    input there."""
+    """The indices of the segments that an output can use. A gyro uses all segments whose rate is known. An accelerometer uses three
+    kinds of segments: segments at rest, segments in which other accelerometers show the specific force, and turns if an effect
+    describes what the accelerometer measures while turning."""
     turns = any(isinstance(item.effect, ExplainsTurning) for item in one.chosen)
 
     def shown(motion: Motion) -> bool:
@@ -297,7 +297,7 @@ def _sampled(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> Together:
-    """The outputs of a group that are fitted to samples."""
+    """The models of the outputs of a group that is fitted to samples."""
     held = tuple(_as_if_held(segments[row]) for row in rows)
     try:
         felt = mean_stimulus(held, site)
@@ -324,7 +324,7 @@ def _sampled(
 
 
 def _as_if_held(segment: Segment) -> Segment:
-    """The segment as seen by errors of the table and the site: a rocking table counts as a table at rest, and in an unknown
+    """The segment as it counts for errors of the table and the site: a rocking table counts as a table at rest, and in an unknown
     attitude these errors have no influence."""
     if not isinstance(segment.motion, Rock | RecordedMotion):
         return segment
@@ -333,8 +333,8 @@ def _as_if_held(segment: Segment) -> Segment:
 
 
 def _must_change(output: SampledOutput) -> None:
-    """Raises `EstimationError` for effects within segments that cannot occur in this plan, or that do not affect an output of this
-    unit."""
+    """Raises `EstimationError` for an effect within segments that cannot act in this plan, or that cannot be computed for an output
+    in this unit."""
     errors = output.errors
     key, model = f"outputs.{errors.output}", ErrorsAtSamples.of(output.observed, errors)
     for part in errors.chosen:
@@ -365,7 +365,7 @@ def _modelled(errors: OutputErrors, own: Unit, columns: OutputColumns, rows: tup
 
 
 def _must_act(errors: OutputErrors, columns: OutputColumns) -> None:
-    """Raises `EstimationError` for effects that cannot occur in this plan, and for parameters that an effect does not have."""
+    """Raises `EstimationError` for an effect that cannot act in this plan, and for a parameter that an effect does not have."""
     key = f"outputs.{errors.output}"
     for item in errors.chosen:
         here = [one.name for one in columns.amplitudes if one.effect is item.effect]

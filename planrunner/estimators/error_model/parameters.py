@@ -1,4 +1,4 @@
-"""Keys of a plan for the effects of the catalogue."""
+"""The plan keys of the estimator of catalogue effects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COLUMN = r"[A-Za-z][A-Za-z0-9_]{0,39}"
 
 @dataclass(frozen=True, slots=True)
 class EffectKind:
-    """The name of an installed effect, or one of its parameters after a dot."""
+    """The kind of plan value that names an installed effect, or one parameter of an effect after a dot."""
 
     what: str = "an effect, or one of its parameters such as `gyro_misalignment.towards_z`"
 
@@ -41,7 +41,7 @@ class EffectKind:
 
 
 class ErrorModelParameters(Record):
-    """Keys of the estimator error_model."""
+    """The keys of the estimator `error_model`."""
 
     outputs: dict[str, tuple[str, ...]] = key(
         MapOf(ListOf(EffectKind(), minimum=1), of_channels=True),

@@ -1,4 +1,4 @@
-"""The samples of a recording, or the planned samples of a schedule, for outputs that are fitted to samples."""
+"""Reads the samples of a recording, or makes the planned samples of a schedule, for outputs that are fitted to samples."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ _LEAST = 1e-9  # of the largest value of an output: the least noise of a sample 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutputs:
-    """Access to the samples of an estimate's segments. recording: all segments of the estimate, recorded or expected."""
+    """Gives access to the samples of an estimate's segments. recording: all segments of the estimate, recorded or expected from the
+    schedule."""
 
     recording: Sequence[RecordedSegment]
     site: Site
@@ -97,7 +98,7 @@ class SampledOutputs:
         return Channel(errors.output, errors.kind, errors.axis, text, factor, *numbers)
 
     def _expected(self) -> Mapping[str, Mapping[str, float]]:
-        """The expected parameters of effects as the plan states them, in their units."""
+        """The expected values of effects' parameters that the plan states, in their units."""
         parameters = self.parameters
         if not parameters.expected:
             return {}

@@ -1,9 +1,9 @@
 """Fits the shape of an effect, such as a time constant, to the means of segments by variable projection.
 
-For each value of the shape the amplitudes are linear, and χ² of their fit is a function of the shape alone (G. Golub and V.
-Pereyra, SIAM J. Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At the shape that
-is found, the derivative with respect to the shape becomes one more column of the fit, so that all uncertainties include the
-uncertainty of the shape.
+For a given value of the shape, the amplitudes are fitted linearly, so that the χ² of this fit is a function of the shape alone (G.
+Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At
+the shape that is found, the derivative with respect to the shape is a further column of the final fit, so that all uncertainties
+include the uncertainty of the shape.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the mea
 
 
 def shaped_part(output: ModelledOutput) -> EffectPart | None:
-    """The part of an output's model whose shape must be fitted to the means of segments."""
+    """The effect in an output's model whose shape must be fitted to the means of segments; None if there is none."""
     if output.within is not None:
         return None
     return next((one for one in output.errors.chosen if isinstance(one.effect, ShapedOverSegments)), None)
 
 
 def with_shapes(group: Together, together: Observations) -> Together:
-    """The group with the shapes of its effects at their best values. Each shape adds the column of the derivative with respect to
-    this shape.
+    """The group of outputs with the shapes of its effects at their best values. For each shape, the model gets a further column:
+    the derivative with respect to this shape.
 
     together: observations of the group's outputs. Raises `UnfitDataError` if the observations do not determine a shape.
     """

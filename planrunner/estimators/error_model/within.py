@@ -1,13 +1,15 @@
-"""Effects that change an output within segments, fitted to samples: shapes by variable projection, then one linear fit with the means.
+"""Fits effects that change an output within segments to samples: first the shapes by variable projection, then all amplitudes
+together with the means in one linear fit.
 
 The samples of a segment are split into their mean and the differences from this mean. For given shapes, such as a time constant,
-the amplitudes are linear, and χ² of their fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J. Numer. Anal. 10,
-1973). The fit searches for the smallest χ² within the bounds of the catalogue. At this minimum, the model is linearised in
-amplitudes and shapes: J = ∂y/∂(amplitudes, shapes). For white noise of standard deviation σ, as many contrasts as J has columns
-contain everything that the N samples within the segments contribute to the fit. With JᵀJ = V·S·Vᵀ of the centred columns, the
-contrasts S^(−1/2)·Vᵀ·Jᵀ·y have uncorrelated noise σ and the design √S·Vᵀ. The contrasts join the means of the segments as
-additional observations of the generalised least-squares fit (`outputs_fit`). Drift, errors of the table and scatter between
-segments therefore act on the means as in every other fit.
+the amplitudes are fitted linearly, so that the χ² of this fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J.
+Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At this minimum, the model y is
+linearised in amplitudes and shapes: J = ∂y/∂(amplitudes, shapes). A contrast is a weighted sum of the differences of the samples
+from the means of their segments. For white noise of standard deviation σ, as many contrasts as J has columns contain everything
+that the N samples within the segments contribute to the fit. With JᵀJ = V·S·Vᵀ for the columns of J minus their means, the
+contrasts S^(−1/2)·Vᵀ·Jᵀ·y have uncorrelated noise of standard deviation σ and the design matrix √S·Vᵀ. The contrasts are added to
+the means of the segments as further observations of the generalised least-squares fit (`outputs_fit`). Drift, errors of the table
+and scatter between segments therefore act on the means as in every other fit.
 """
 
 from __future__ import annotations
@@ -46,7 +48,8 @@ _IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """The shape of an effect and its values in the catalogue, ascending. discrete: True if the effect allows only these values."""
+    """The shape of an effect, with the values that the catalogue gives for it, ascending. discrete: True if the effect allows only
+    these values."""
 
     part: EffectPart
     values: Array
@@ -57,8 +60,8 @@ class Shape:
         return self.part.effect.id
 
     def at(self, place: float) -> float:
-        """The value of the shape at a position in the list of the catalogue's values, counted from 0 and interpolated between these
-        values."""
+        """The value of the shape at a position in the list of catalogue values. Positions count from 0; between two values, the
+        value is interpolated."""
         from scipy.interpolate import PchipInterpolator
 
         if self.discrete or len(self.values) < 3:
@@ -68,7 +71,7 @@ class Shape:
         )
 
     def step(self, value: float) -> float:
-        """Step of the shape for a numerical derivative."""
+        """The step of the shape for a numerical derivative."""
         near = int(np.clip(np.searchsorted(self.values, value), 1, len(self.values) - 1))
         return _SLOPE * float(self.values[near] - self.values[near - 1])
 
@@ -80,9 +83,9 @@ class Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
-    """What the samples within segments contribute to a fit: r contrasts, in the output's unit. matrix: (r, p), the linear model of
-    the contrasts; values: (r,), the contrasts; sigma: (r,), their standard deviations; flicker: (r, r), root of their covariance
-    due to flicker with B = 1."""
+    """The contribution of the samples within segments to a fit, as r contrasts (weighted sums of samples), in the output's unit.
+    matrix: (r, p), linear model of the contrasts; values: (r,), the contrasts; sigma: (r,), their standard deviations; flicker: (r,
+    r), a matrix F with F·Fᵀ equal to the covariance of the contrasts due to flicker with the bias instability B = 1."""
 
     matrix: Array
     values: Array
@@ -92,15 +95,17 @@ class Contrasts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithinFit:
-    """An output fitted to samples.
+    """The result of a fit of an output to its samples.
 
-    amplitudes: the p amplitudes of the fit: first those of the model, then the continuous shapes. matrix: (n, p), the linear model
-    of the means, as in `OutputColumns`; mean: (n,), the observed means; offset: (n,), the part of the means that is not fitted. The
-    unit of `mean` and `offset` is that of the output. own, available: as in `OutputColumns`. shapes: effect → value. at_bound:
-    effects whose shape is at a bound. coloured: ratio of the variance of slow noise to the variance that white noise explains; 1 if
-    the noise is white. uneven: ratio of the variance of the segments' contributions to an effect to the expected variance, the
-    largest over all effects; 1 if the contributions agree. moved_error: (n,), standard errors of the means of segments whose motion
-    the recording shows, from the residuals of the fit; NaN for other segments.
+    amplitudes: the p amplitudes of the fit: first the amplitudes of the model, then the shapes that are not discrete. matrix: (n,
+    p), linear model of the means, in SI per SI amplitude; mean: (n,), the observed means; offset: (n,), the part of the means that
+    is not fitted. The unit of `mean` and `offset` is that of the output. own: (n,), SI, the mean output of an ideal sensor;
+    available: maps each effect to the names of all amplitudes that it has for this output. shapes: maps each effect to the fitted
+    value of its shape. at_bound: names of effects whose shape is at a bound of the catalogue's values. coloured: ratio of the
+    variance of batch means to the variance that white noise explains; 1 if the noise is white. uneven: for the contributions of
+    segments to a contrast, the ratio of their variance to the expected variance; the largest ratio over all contrasts; 1 if the
+    contributions agree. moved_error: (n,), standard error of the mean of each segment whose motion comes from the recording,
+    computed from the residuals of the fit; NaN for other segments.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -119,7 +124,7 @@ class WithinFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutput:
-    """The samples of one output. observed: stimulus at the samples, in the order of the segments. values: (N,), in the output's
+    """The samples of one output. observed: the stimulus at the samples, in the order of the segments. values: (N,), in the output's
     unit; None for a schedule. variance: (n,), variance of one sample in each segment; error: (n,), standard error of the mean of
     each segment. gain: True if the scale factor is among the amplitudes. flicker: declared bias instability, in the output's unit."""
 
@@ -136,7 +141,7 @@ class SampledOutput:
 
 
 def shapes_of(model: ErrorsAtSamples) -> tuple[Shape, ...]:
-    """The shapes of a model, without the shapes of effects that cannot occur in this plan."""
+    """The shapes in a model, except those of effects that cannot act in this plan."""
     found = []
     for part in model.errors.chosen:
         if shaped(part):
@@ -153,8 +158,8 @@ def fit_within(output: SampledOutput) -> WithinFit:
 
 
 class _Problem:
-    """Least squares over the samples of one output. The means of segments and the differences from these means have separate
-    weights."""
+    """Least squares over the samples of one output. The means of segments have other weights than the differences of samples from
+    these means."""
 
     def __init__(self, output: SampledOutput, model: ErrorsAtSamples, shapes: tuple[Shape, ...]):
         self.output, self.model, self.shapes = output, model, shapes
@@ -170,8 +175,8 @@ class _Problem:
     # -- the model -----------------------------------------------------------------------------------------------------
 
     def columns(self, values: Sequence[float], amplitudes: Array | None = None) -> SampleColumns:
-        """Columns of the model, evaluated at the stimulus that the given amplitudes produce; at the nominal stimulus if no
-        amplitudes are given."""
+        """The columns of the model at the stimulus that the given amplitudes produce, or at the nominal stimulus if no amplitudes
+        are given."""
         stimulus = {} if amplitudes is None else self._stimulus(amplitudes)
         key = (tuple(values), tuple(stimulus.values()))
         if key not in self._kept:
@@ -186,12 +191,11 @@ class _Problem:
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
-        """Indices of the amplitudes that change the stimulus."""
+        """The indices of the amplitudes that change the stimulus."""
         return tuple(n for n, one in enumerate(self.amplitudes) if of_stimulus(one.effect))
 
     def _stimulus(self, amplitudes: Array) -> dict[tuple[str, str], float]:
-        """The amplitudes that change the stimulus, converted to SI. Fitted amplitudes of any kind are in the output's unit per SI
-        unit."""
+        """The amplitudes that change the stimulus, in SI units."""
         if not self.moving:
             return {}
         response = self._response(amplitudes)
@@ -199,7 +203,7 @@ class _Problem:
         return {(effect, name): float(amplitudes[n]) / response for effect, name, n in named}
 
     def _response(self, amplitudes: Array) -> float:
-        """The output per SI unit of the measured quantity."""
+        """The output per SI unit of the measured quantity, for given amplitudes."""
         along = [n for n, one in enumerate(self.amplitudes) if one.along == self.output.errors.axis]
         direct = self.output.nominal * self.factor == 1.0 or not along
         return 1 / self.factor if direct else float(amplitudes[along[0]])
@@ -208,18 +212,18 @@ class _Problem:
         return {shape.id: value for shape, value in zip(self.shapes, values, strict=True)}
 
     def linear(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The output (N,) in its unit, before the action of an effect on the output."""
+        """The output (N,) in its unit, before effects on the output (such as a limit) act on it."""
         columns = self.columns(values, amplitudes)
         ideal = 0.0 if self.output.gain else columns.own / self.factor
         return np.asarray(ideal + amplitudes @ columns.rows)
 
     def values(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The modelled output (N,)."""
+        """The output (N,) according to the model, in its unit."""
         linear = self.linear(values, amplitudes)
         return self.model.output(linear * self.factor, self._named(values)) / self.factor
 
     def tangents(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """Derivatives with respect to the amplitudes, (p, N)."""
+        """The derivatives (p, N) of the output with respect to the amplitudes."""
         rows = self.columns(values, amplitudes).rows
         if self.moving:
             rows = rows.copy()
@@ -234,7 +238,7 @@ class _Problem:
         return np.asarray(rows)
 
     def _natural(self, n: int) -> float:
-        """Step for a numerical derivative with respect to an amplitude of the stimulus."""
+        """The step for a numerical derivative with respect to an amplitude that changes the stimulus."""
         return 10 * self.amplitudes[n].factor * self.output.nominal
 
     # -- weights -------------------------------------------------------------------------------------------------------
@@ -246,15 +250,15 @@ class _Problem:
         return np.asarray(rows - self.means(rows)[..., self.owner])
 
     def weighted(self, rows: Array) -> Array:
-        """Divides values by their noise, so that the variance is one: (…, N) → (…, N + n), first the differences from the means,
-        then the means."""
+        """Divides values by their noise, so that they have the variance 1. From (…, N), it returns (…, N + n): first the
+        differences from the means of segments, then the means."""
         means = self.means(rows)
         return np.concatenate([(rows - means[..., self.owner]) / self.sigma[self.owner], means / self.error], axis=-1)
 
     # -- amplitudes and shapes -----------------------------------------------------------------------------------------
 
     def nominal(self) -> Array:
-        """The amplitudes of an ideal sensor, plus the values that the plan expects."""
+        """The amplitudes of an ideal sensor, with the values of effects that the plan expects."""
         found = np.zeros(len(self.amplitudes))
         for place, one in enumerate(self.amplitudes):
             stated = self.output.expected.get(one.effect.id, {})
@@ -299,7 +303,7 @@ class _Problem:
         return best, left
 
     def search(self, observed: Array, start: list[float] | None) -> list[float]:
-        """Searches for the shapes that make χ² smallest, and returns them as positions in the catalogue's values."""
+        """Searches for the shapes with the smallest χ², and returns their positions in the list of catalogue values."""
         from scipy.optimize import least_squares, minimize_scalar
 
         def chi_squared(places: Sequence[float]) -> float:
@@ -365,8 +369,8 @@ class _Problem:
         return self._linearised(values, amplitudes, observed, coloured)
 
     def _reweighted(self, values: Sequence[float], observed: Array) -> float:
-        """Computes the noise of samples and means again from the residuals of a fit. Returns the factor by which the ratio of these
-        two noises changes."""
+        """Computes the noise of samples and the noise of means anew from the residuals of a fit. Returns the factor by which the
+        ratio of the two changes."""
         before = self.sigma / self.error
         amplitudes, _ = self.projected(values, observed)
         left = observed - self.values(values, amplitudes)
@@ -388,10 +392,10 @@ class _Problem:
         return float(max(ratio.max(), 1 / ratio.min()))
 
     def _of_moved(self, left: Array) -> None:
-        """Computes the errors of the means of segments whose motion the recording shows, from the residuals (N,). The residuals
-        contain the noise of the reference, but not the motion. If there are more segments than amplitudes, the error is that of
-        white noise, because the scatter between segments covers any other error; otherwise the error also covers the scatter of
-        batches."""
+        """For segments whose motion comes from the recording, computes the errors of their means from the residuals (N,). The
+        residuals contain the noise of the channels that recorded the motion, but not the motion itself. If there are more segments
+        than amplitudes, each error is computed for white noise, because the scatter between segments covers any other error.
+        Otherwise the error also covers the scatter of batches."""
         alone = len(self.counts) <= len(self.amplitudes)
         for s in np.flatnonzero(self.output.observed.moved):
             own = left[self.output.observed.segments()[s]]
@@ -448,14 +452,14 @@ class _Problem:
         )
 
     def _rescaled(self, amplitudes: Array, values: Sequence[float]) -> Array:
-        """Adapts amplitudes to a changed shape, so that their values in the display unit stay the same. The SI values of amplitudes
-        may depend on the shape."""
+        """Converts amplitudes for a changed shape, so that their values in the display unit stay the same. The conversion is needed
+        because the display unit of an amplitude may depend on the shape."""
         factors = [one.factor for one in self.columns(values).amplitudes]
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
     def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
-        """The contrasts that the docstring of the module describes, and the largest ratio of `uneven_ratios`. left: (N,),
-        residuals; coloured: as in `WithinFit`."""
+        """The contrasts that the docstring of the module describes, and the largest of the ratios that `uneven_ratios` gives. left:
+        (N,), residuals; coloured: ratio of the variance of batch means to the variance that white noise explains."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -488,8 +492,8 @@ class _Problem:
         return contrasts, float(uneven.max(initial=1.0))
 
     def _colour(self, left: Array) -> float:
-        """Ratio of the variance of batch means to the variance that white noise explains; 1 if the ratio is not significantly
-        larger. left: (N,), residuals minus their mean in each segment."""
+        """The ratio of the variance of batch means to the variance that white noise explains; 1 if it is not significantly larger.
+        left: (N,), residuals minus the mean of the residuals in each segment."""
         from scipy.special import chdtrc
 
         total, freedom = 0.0, 0
@@ -505,15 +509,16 @@ class _Problem:
 
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
-    """The variance of each of S contrasts, divided by its variance from white noise, (S,). The ratio is estimated from the scatter
-    of the segments' contributions, and set to 1 if the contrasts together are not significantly uneven. functionals: (S, N),
-    orthonormal; left: (N,), residuals divided by their noise; first: (n,), index of the first sample of each segment; coloured: as
-    in `WithinFit`.
+    """For each of S contrasts, the ratio (S,) of its variance to the variance that white noise would give. The ratios are estimated
+    from the scatter of the segments' contributions. They are all 1 if this scatter is not significantly larger than white noise
+    explains, for all contrasts together. functionals: (S, N), orthonormal weights of the samples in each contrast; left: (N,),
+    residuals divided by their noise; first: (n,), index of the first sample of each segment; coloured: ratio of the variance of
+    batch means to the variance that white noise explains.
 
-    The errors of a reference differ from motion to motion, and a longer segment does not reduce them. The ratio is R = Σ c²/(1 − Σ
-    e²), where c is the contribution of a segment to a contrast, and e is the segment's share of the squared length of the contrast.
-    R is unbiased for contributions with the variance R·e if the fit makes Σ c = 0. This is the sandwich estimator for clustered
-    data (K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986).
+    The reason for such scatter is that errors of the recorded motion differ from segment to segment, and that a longer segment does
+    not reduce them. The ratio is R = Σ c²/(1 − Σ e²), where c is the contribution of a segment to a contrast, and e is the part of
+    the squared length of the contrast that belongs to the segment. R is unbiased if the contributions have the variance R·e and the
+    fit makes Σ c = 0. This is the sandwich estimator for clustered data (K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986).
     """
     from scipy.special import chdtrc
 
@@ -533,8 +538,8 @@ def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], col
 
 
 def _solved(rows: Array, values: Array) -> Array:
-    """The least-squares coefficients (p,) of rows (p, N). If some coefficients cannot be separated, the solution of smallest norm
-    is returned."""
+    """The least-squares coefficients (p,) of `values` (N,) for the rows (p, N). If some coefficients cannot be separated, the
+    solution of smallest norm is returned."""
     size = np.sqrt(np.einsum("pn,pn->p", rows, rows))
     size = np.where(size > 0, size, 1.0)
     scaled = rows / size[:, None]

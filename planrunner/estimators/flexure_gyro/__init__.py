@@ -1,1 +1,1 @@
-"""Static coefficients of a flexure gyro, and the residuals after compensation."""
+"""Estimators of the static coefficients of a flexure gyro, and of the residuals after compensation."""

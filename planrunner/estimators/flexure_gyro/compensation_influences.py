@@ -1,8 +1,9 @@
-"""Influences of the declared inputs of the bench on residuals after compensation and on their sums of squares.
+"""Computes the influences of declared inputs on residuals after compensation, and on the sums of squares of these residuals.
 
-Let c be the coefficients of a set, X the design of the verification positions and i the outputs. The residual is r = M⁻¹·(i − X·c),
-where the matrix M is computed from c. A wrong input affects r in two ways: through X, and through c, because the calibration used the
-same latitude, gravity, azimuth and table. Both contributions have the name of the same input, so they are added with their signs.
+Let c be a set of coefficients, X the design matrix of the verification positions, and i the outputs there. The residual is r =
+M⁻¹·(i − X·c), where the matrix M is computed from c. A wrong input affects r in two ways: through X, and through c, because the
+calibration that gave c used the same latitude, gravity, azimuth and table. Both contributions belong to the same input, so they are
+added with their signs.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def residual_influences(
     request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, observed: Array, rate: float
 ) -> tuple[Influence, ...]:
-    """Influences on the residuals at v verification positions, (sets·2·v,), set after set. Within a set, the residuals of the first
-    rate (ω_Y) at all positions come first, then the residuals of the second rate (ω_X).
+    """The influences on the residuals at v verification positions, in a sequence of length sets·2·v, set after set. Within a set,
+    the residuals of the first rate (ω_Y) at all positions come first, then the residuals of the second rate (ω_X).
 
-    units: units of the outputs. matrix: (v, p), design of the verification positions, SI. observed: (v, 2), the measured outputs.
-    rate: size of the unit of the residuals, rad/s.
+    units: units of the outputs. matrix: (v, p), design matrix of the verification positions, SI. observed: (v, 2), the measured
+    outputs. rate: SI value of the unit of the residuals, rad/s.
     """
     found: list[Influence] = []
 
     def recovered(flat: Array) -> Array:
-        """Residuals (2·v, k) for k sets of coefficients (2·p, k)."""
+        """The rates (2·v, k) that k sets of coefficients (2·p, k) give, in the unit of the residuals."""
         rates = flexure_gyro.compensated_rates(flat.reshape(2, -1, flat.shape[1]), observed, matrix[:, 3:6])
         return np.asarray(np.swapaxes(rates, 0, 1).reshape(-1, flat.shape[1]) / rate)
 
@@ -47,20 +48,21 @@ def residual_influences(
 
 
 def recovery(coefficients: Array, positions: int, rate: float) -> Array:
-    """The matrix (2·v, 2·v) that converts the outputs minus their values predicted by the coefficients (2, p) to rates in units of
-    `rate` rad/s. Rows are ordered by rate, then by position; columns are ordered by output, then by position."""
+    """The matrix (2·v, 2·v) that converts differences between measured and predicted outputs to rates in units of `rate` rad/s.
+    coefficients: (2, p), from which the outputs are predicted. Rows are ordered by rate, then by position; columns are ordered by
+    output, then by position."""
     return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
 
 
 def sums_and_ratios(residuals: Array, sets: int) -> Array:
-    """Sums of squares and their ratios, (2·sets − 1, n), from the residuals of all sets (sets·2·v, n). The residual sums of squares
-    come first, then the ratios of the sums of the other sets to the sum of the first set."""
+    """The sums of squares and their ratios, (2·sets − 1, n), for n draws of the residuals of all sets (sets·2·v, n). First come the
+    residual sums of squares of all sets, then the sums of the other sets divided by the sum of the first set."""
     sums = np.sum(residuals.reshape(sets, -1, residuals.shape[1]) ** 2, axis=1)
     return np.concatenate([sums, sums[1:] / sums[0]])
 
 
 def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) -> list[Influence]:
-    """Influences on i − X·c that act through the verification positions."""
+    """The influences on i − X·c that act through the stimulus at the verification positions."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
     site = site_errors(model, segments, request.site, request.setup.inputs, coefficients)
@@ -69,9 +71,9 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
-    """Influences on the coefficients [U; V] of a set, in SI, that act through the calibration of the set. Flicker is left out,
-    because the simulated scatter includes it. The errors of the table remain, because the simulated scatter does not include their
-    contribution to the calibration."""
+    """The influences on the coefficients [U; V] of one set, in SI, that act through the calibration which gave the set. Flicker is
+    left out, because the simulation of the residuals includes it. The errors of the table remain, because this simulation does not
+    include their contribution to the calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())
     own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}

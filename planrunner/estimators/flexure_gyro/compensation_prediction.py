@@ -1,9 +1,9 @@
-"""Expected residuals after compensation, from the positions, their noise and the uncertainties declared in the bench.
+"""Predicts the residuals after compensation from the positions, their noise, and the uncertainties declared in the bench file.
 
 To first order, the residual of a set at a verification position is M⁻¹·(e − x·δ), where e is the noise at this position, x is the
-row of the design for this position, and δ is the error of the coefficients. All sets share the verification noise, so the ratio of
-two sums scatters less than a ratio of independent sums. Flicker correlates calibration and verification: a slow drift appears in
-both and cancels. Errors of the table also cancel if a verification position is also a calibration position.
+row of the design matrix for this position, and δ is the error of the coefficients. All sets are verified with the same noise, so
+the ratio of two sums scatters less than a ratio of independent sums. Flicker correlates calibration and verification: a slow drift
+that is equal in both cancels. Errors of the table also cancel if a verification position is also a calibration position.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from planrunner.base.kept import kept
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Predicted residuals. expected: set → residual sum of squares. ratios: set → (5 %, median, 95 %) of the ratio of its sum to
-    the sum of the first set. `expected` and `ratios` include noise and declared uncertainties. relative_spread: set → half of the
-    central 68.27 % interval of the sum, divided by the expected sum. ratio_spread: set → half of the central 68.27 % interval of
-    the ratio. `relative_spread` and `ratio_spread` come from noise alone."""
+    """Predicted residuals of several sets of coefficients; the keys are the names of the sets. expected: the residual sum of
+    squares. ratios: the quantiles (5 %, median, 95 %) of the ratio of the sum to the sum of the first set. `expected` and `ratios`
+    include noise and declared uncertainties. relative_spread: half of the central 68.27 % interval of the sum, divided by the
+    expected sum. ratio_spread: half of the central 68.27 % interval of the ratio of the sum to the sum of the first set.
+    `relative_spread` and `ratio_spread` come from noise alone."""
 
     expected: dict[str, float]
     ratios: dict[str, tuple[float, float, float]]
@@ -31,13 +32,14 @@ class Prediction:
 
 
 def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
-    """A linear map (2·v, z) for each set. The map converts z independent inputs with standard deviation 1 to the outputs at the v
-    verification positions, minus the outputs that the set's coefficients predict there. Rows are ordered output after output.
+    """For each set, the matrix (2·v, z) of a linear map. The map converts z independent inputs with standard deviation 1 to the
+    outputs at the v verification positions, minus the outputs that the set's coefficients predict there. Rows are ordered output
+    after output.
 
-    verification: (v, p), design of the verification positions. sets: name of the set → (2, p, n), the matrices that compute the
-    coefficients of each output from the n observations of the calibration. roots: for each output, L (N, r), where L·Lᵀ is the
-    covariance of the observations of this output: first those at the verification positions, then those of each set, in the order
-    of the sets.
+    verification: (v, p), design matrix of the verification positions. sets: maps the name of a set to matrices (2, p, n), which
+    compute the coefficients of each output from the n observations of the calibration. roots: for each output, a matrix L (N, r)
+    for which L·Lᵀ is the covariance of all N observations of this output: first the observations at the verification positions,
+    then those of each set, in the order of the sets.
     """
     found = {}
     for name, maps in _carried(verification, sets).items():
@@ -49,15 +51,16 @@ def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[A
 
 
 def expected_sum(maps: Array) -> float:
-    """The expected sum of squares of the r results that `maps` (r, z) gives for independent inputs of standard deviation one."""
+    """The expected sum of squares of the r results that the matrix `maps` (r, z) gives for independent inputs of standard deviation
+    1."""
     return float(np.sum(maps**2))
 
 
 @kept(64)
 def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) -> tuple[float, ...]:
-    """Expected sum of squared residuals of each set, from noise alone. verification: (v, p), design of the verification positions, where
-    the noise has the standard deviation 1. sets: for each set, the design of its positions (n, p) and the standard deviations of the
-    noise of both outputs there (2, n)."""
+    """The expected sum of squared residuals of each set, due to noise alone. verification: (v, p), design matrix of the
+    verification positions, where the noise has the standard deviation 1. sets: for each set, the design matrix of its calibration
+    positions (n, p), and the standard deviations (2, n) of the noise of both outputs there."""
     noise = np.concatenate([np.ones((2, len(verification))), *(sigma for _, sigma in sets)], axis=1)
     inverses = {str(k): weighted_inverse(matrix, sigma) for k, (matrix, sigma) in enumerate(sets)}
     maps = noise_maps(verification, inverses, [np.diag(sigma) for sigma in noise])
@@ -65,9 +68,9 @@ def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) ->
 
 
 def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], trials: int, seed: int) -> Prediction:
-    """Predicts the residuals from simulated experiments with a given random seed. noise, stated: set → map (r, z) or (r, s) from
-    independent inputs of standard deviation one to the residuals: for the noise, and for the declared uncertainties. All sets have
-    the same inputs."""
+    """Predicts the residuals by simulating experiments with a given random seed. noise, stated: for each set, a matrix (r, z) or
+    (r, s) that maps independent inputs of standard deviation 1 to the residuals; `noise` is for the noise, `stated` for the
+    declared uncertainties. In one simulated experiment, all sets have the same inputs."""
     rng = np.random.default_rng(seed)
     first = next(iter(noise))
     drawn = rng.standard_normal((noise[first].shape[1], trials))
@@ -89,13 +92,13 @@ def _range(drawn: Array) -> tuple[float, float, float]:
 
 
 def _half(drawn: Array) -> float:
-    """Half of the width of the central 68.27 % interval."""
+    """Half of the width of the central 68.27 % interval of the drawn values."""
     low, high = np.quantile(drawn, (0.158655, 0.841345))
     return float(high - low) / 2
 
 
 def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[Array]]:
-    """For each set and output, the matrix (v, N) that maps all observations to the residuals at the verification positions."""
+    """For each set and output, the matrix (v, N) that computes the residuals at the verification positions from all observations."""
     v, total = len(verification), len(verification) + sum(gains.shape[2] for gains in sets.values())
     found, start = {}, v
     for name, gains in sets.items():
@@ -109,9 +112,9 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """The matrices that compute the coefficients from the observations, (m, p, n), for m outputs, p coefficients and n positions,
-    by weighted least squares. sigma: (m, n), standard deviations of the observations. The columns of the design `matrix` (n, p) are
-    scaled internally, because the design in SI units is ill-conditioned."""
+    """The matrices (m, p, n) that compute the p coefficients of m outputs from n observations by weighted least squares. sigma: (m,
+    n), standard deviations of the observations. The columns of the design matrix `matrix` (n, p) are scaled internally, because it
+    is ill-conditioned in SI units."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None] / sigma[:, None, :]

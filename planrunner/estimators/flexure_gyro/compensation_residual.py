@@ -1,4 +1,5 @@
-"""Residuals at verification positions after compensation with each of two or more sets of coefficients (CN100554884C, model G0).
+"""Compares the residuals at verification positions after compensation with each of two or more sets of coefficients (CN100554884C,
+model G0).
 
 Each set recovers ω_Y and ω_X from the outputs; the residuals of a set are the differences between these rates and the components of
 the Earth rate. The measured ratio of the residual sums of squares is compared with the ratio expected from the positions of the
@@ -62,7 +63,7 @@ _CLAIM = said(
 
 
 class CompensationResidualParameters(Record):
-    """Keys of the estimator compensation_residual."""
+    """The keys of the estimator `compensation_residual`."""
 
     trials: int = key(
         Number(1000, 1_000_000, integer=True),
@@ -74,13 +75,13 @@ class CompensationResidualParameters(Record):
 
 
 class CompensationResidual:
-    """The estimator `compensation_residual`."""
+    """The estimator with the name `compensation_residual`."""
 
     summary = "Residuals in verification positions after compensation with each of two or more sets of coefficients"
     Parameters = CompensationResidualParameters
 
     def design(self, request: DesignRequest[CompensationResidualParameters]) -> Design:
-        """Makes a design without coefficients. The predicted ratios are in the notes and in `extra`. Raises `EstimationError`."""
+        """Returns a design without coefficients. The predicted ratios are in the notes and in `extra`. Raises `EstimationError`."""
         model = flexure_gyro.static_model()
         matrix = static_matrix(model, request.segments, request.site)
         sets: dict[str, tuple[Array, Array]] = {}
@@ -103,8 +104,8 @@ class CompensationResidual:
         return Design((), (*notes, _CLAIM), {"ratios": ratios})
 
     def foresee(self, request: DesignRequest[CompensationResidualParameters]) -> Foresight:
-        """Gives only the names of the coefficients, because sums of a few squared residuals scatter by as much as their size. The notes
-        give their expected ratio."""
+        """Gives only the names of the coefficients, because sums of a few squared residuals scatter as much as they are large. The
+        notes give the expected ratio of the sums."""
         first, *others = request.uses
         why = "the noise of a few verification positions determines it"
         named = [*map(_sum, request.uses), *(_ratio(name, first) for name in others)]
@@ -149,12 +150,13 @@ class CompensationResidual:
 
 
 def _independent(stated: Sequence[Influence]) -> list[Influence]:
-    """The inputs that were known before the experiment, without those that were derived from the residuals of a fit."""
+    """The influences of inputs that were known before the experiment, without the inputs that were derived from the residuals of a
+    fit."""
     return [one for one in stated if not one.quantity.from_residuals]
 
 
 def _stated_maps(stated: Sequence[Influence], sets: int, residuals: int) -> Array:
-    """Change of the residuals, (sets, residuals, s), if each of the s inputs is wrong by its standard uncertainty."""
+    """The changes of the residuals (sets, residuals, s) if each of the s inputs is wrong by its standard uncertainty."""
     columns = [one.sensitivities * one.quantity.standard_uncertainty for one in stated]
     return np.hstack([np.zeros((sets * residuals, 0)), *columns]).reshape(sets, residuals, -1)
 
@@ -167,14 +169,13 @@ def _several(sets: Sized) -> None:
 
 
 def _relative(block: DesignBlock) -> Array:
-    """The noise of the calibration, divided by its root mean square, because only ratios matter."""
+    """The noise of the observations of a calibration, divided by its root mean square, because only ratios matter."""
     typical = float(np.sqrt(np.mean(block.sigma**2)))
     return block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
 
 
 def _covariances(request: EstimateRequest[CompensationResidualParameters], observations: Observations) -> Array:
-    """Covariances (2, N, N) of all observations of each output: noise within the segments, and declared flicker, which all segments
-    share."""
+    """The covariances (2, N, N) of all observations of each output, due to noise within the segments and to declared flicker."""
     told = [used.extra for used in request.uses.values()]
     start = np.concatenate([observations.start, *(one["start"] for one in told)])
     end = np.concatenate([observations.end, *(one["end"] for one in told)])

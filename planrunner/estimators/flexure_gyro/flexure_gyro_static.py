@@ -1,4 +1,5 @@
-"""Static coefficients of a flexure gyro from positions at rest: U0 … U5, V0 … V5 and the twelve physical coefficients (CN100554884C)."""
+"""Estimates the static coefficients of a flexure gyro from positions at rest: U0 … U5, V0 … V5 and the twelve physical coefficients
+(CN100554884C)."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ from planrunner.uncertainty.monte_carlo import Draws
 
 
 class FlexureGyroStaticParameters(Record):
-    """Keys of the estimator flexure_gyro_static."""
+    """The keys of the estimator `flexure_gyro_static`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=2),
@@ -74,7 +75,7 @@ class FlexureGyroStaticParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticQuantities(Quantities):
-    """Fitted static coefficients. stated: influences on [U; V] in SI, output after output."""
+    """The fitted static coefficients. stated: influences of declared inputs on [U; V] in SI, output after output."""
 
     observations: Observations
     design: PositionsDesign
@@ -84,7 +85,7 @@ class StaticQuantities(Quantities):
 
 
 class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
-    """The estimator `flexure_gyro_static`."""
+    """The estimator with the name `flexure_gyro_static`."""
 
     name = "flexure_gyro_static"
     summary = "Static coefficients of a two-axis flexure gyro from positions at rest"
@@ -175,24 +176,26 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         )
 
     def chain(self, request: EstimateRequest[FlexureGyroStaticParameters], estimate: Estimate) -> Draws:
-        """Monte Carlo draws of [U; V] from the fit and the stated inputs, passed through the closed-form inverse."""
+        """Monte Carlo draws of [U; V] from the fit and the stated inputs, which are passed through the closed-form inverse."""
         made = self.quantities(request)
         return made.found.draws(request.parameters.uncertainty, [made.stated])
 
 
 def static_design(products: tuple[str, ...], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each output at positions at rest. Raises `EstimationError`."""
+    """The design of each output for segments at rest. Raises `EstimationError`."""
     model = flexure_gyro.static_model(products)
     return PositionsDesign(model, tuple(segments), static_matrix(model, segments, site), local_magnitudes(model, site))
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
-    """The design matrix of positions at rest, SI. Raises `EstimationError` for a segment that moves or whose orientation is unknown."""
+    """The design matrix, SI, for segments at rest. Raises `EstimationError` for a segment that moves or whose orientation is
+    unknown."""
     return matrix_at_rest(model, segments, site, "the static coefficients need positions at rest")
 
 
 def local_magnitudes(model: ErrorModel, site: Site) -> Array:
-    """Sizes of the columns, (p,), from the Earth rate and gravity at the site. With these, determinants can be compared between sites."""
+    """The magnitudes (p,) of the columns, computed from the Earth rate and gravity at the site. If columns are divided by these
+    magnitudes, determinants can be compared between sites."""
     sizes = {0: 1.0, 1: site.gravity, 2: site.gravity**2}
     return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
 
@@ -201,11 +204,11 @@ def local_magnitudes(model: ErrorModel, site: Site) -> Array:
 def reported(
     units_of_outputs: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
 ) -> tuple[tuple[Reported, ...], Array]:
-    """Names of the reported quantities: the physical coefficients, then U0 …, V0 …; and the SI value of the unit of each, (q,).
+    """The reported quantities, first the physical coefficients, then U0 …, V0 …; and the SI value (q,) of the unit of each.
 
-    The unit of an output is the unit in which it is recorded.
+    A coefficient that is related to an output is in the unit in which this output is recorded.
 
-    Raises `EstimationError` for outputs of different units.
+    Raises `EstimationError` if the two outputs have different units.
     """
     i_x, i_y = units_of_outputs
     if i_x != i_y:
@@ -236,13 +239,14 @@ def reported(
 def static_coefficients(
     fit: OutputsFit, units: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
 ) -> Derived:
-    """All reported quantities, from SI [U; V]. Raises ValueError if the relation cannot be inverted."""
+    """Computes all reported quantities from [U; V] in SI. Raises ValueError if the relation between output coefficients and
+    physical coefficients cannot be inverted."""
     quantities, factors = reported(units, model, products)
     return derived(quantities, partial(_in_units, factors), fit)
 
 
 def _in_units(factors: Array, outputs: Array) -> Array:
-    """The reported quantities (q, n), from SI [U; V] (r, n)."""
+    """The reported quantities (q, n) in their units, for [U; V] in SI (r, n)."""
     physical = flexure_gyro.physical_coefficients(outputs.reshape(2, -1, outputs.shape[1]))
     return np.asarray(np.concatenate([physical, outputs]) / factors[:, None])
 
@@ -259,8 +263,9 @@ def _extra(
     fit: OutputsFit,
     parameters: FlexureGyroStaticParameters,
 ) -> dict[str, object]:
-    """Data in SI for an estimate that uses these coefficients for compensation: coefficients, their covariance on each basis, the
-    design, and the times and noise of the observations. The bias instability is given as 0.0 if the weights do not include it."""
+    """Data in SI for another estimate that compensates with these coefficients: the coefficients, their covariance of each kind,
+    the design matrix, and the times and noise of the observations. The bias instability is given as 0.0 if the weights do not
+    include it."""
     flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
         "outputs": list(parameters.outputs),
@@ -286,7 +291,7 @@ _GEOMETRY = (
 
 
 def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
-    """Descriptions, in the order of `flexure_gyro.physical_names` and then of `flexure_gyro.output_names`."""
+    """Descriptions of the coefficients, in the order of `flexure_gyro.physical_names` and then of `flexure_gyro.output_names`."""
     of_drifts = (_drift(axis, rate, kind) for axis, rate in (("X", "Y"), ("Y", "X")) for kind in drifts(products))
     of_outputs = (
         said("Coefficient {term} in the model of the torquer current i_{axis}", term=number, axis=axis)
@@ -297,7 +302,7 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
 
 
 def _drift(axis: str, rate: str, kind: str) -> Said:
-    """Description of a drift coefficient. kind: `F`, or the axes of the accelerations."""
+    """Description of a drift coefficient. kind: `F`, or the letters of the axes whose accelerations cause the drift."""
     if kind == "F":
         return said(
             "Part of the drift D({drift}) that is independent of acceleration; D({drift}) adds to the rate ω_{rate}",
@@ -323,8 +328,8 @@ def _drift(axis: str, rate: str, kind: str) -> Said:
 
 
 def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
-    """The values `determinant` and `condition`, by which sets of positions can be compared, and the same values in words. The unit
-    of rates is the Earth rate, and the unit of accelerations is g."""
+    """The values `determinant` and `condition`, by which sets of positions can be compared, and a sentence with these values. Rates
+    are in units of the Earth rate, and accelerations in units of g."""
     sight = rank.look(design.matrix / design.magnitudes)
     determinant, condition = sight.determinant, sight.condition
     note = said(
