@@ -1,1 +1,1 @@
-"""Instruments: their capabilities (`interfaces`), their models for planning (`models`), and one file per instrument."""
+"""Instruments: what they can do (`interfaces`), their models for planning (`models`), and one file per instrument."""

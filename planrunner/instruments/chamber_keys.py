@@ -1,4 +1,4 @@
-"""Keys of a chamber in the bench file that every chamber has, simulated or real: its range, its ramp and its stated uncertainty."""
+"""Keys in the bench file that every chamber has, simulated or real: its range, its ramp and its declared uncertainty."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 
 class ChamberKeys(Record):
-    """Keys common to all chambers, used for planning."""
+    """The keys that all chambers have in common; planning uses them."""
 
     lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature of the chamber.", "-55 degC")
     highest: Quantity = key(QuantityOf("temperature"), "Highest temperature of the chamber.", "85 degC")
@@ -52,7 +52,7 @@ class ChamberKeys(Record):
         )
 
     def check_reach(self, kelvin: float) -> None:
-        """Raises `InstrumentError` for a temperature beyond the chamber's range."""
+        """Raises `InstrumentError` if a temperature is outside the chamber's range."""
         if not self.lowest.value <= kelvin <= self.highest.value:
             shown, low, high = (value - ZERO_CELSIUS for value in (kelvin, self.lowest.value, self.highest.value))
             raise InstrumentError(f"{shown:g} degC is outside the chamber's range of {low:g} to {high:g} degC")

@@ -1,4 +1,4 @@
-"""Bench keys of frames and binary records: the positions of the numbers, their encoding, and the checksum."""
+"""Keys in the bench file for frames and binary records: positions and encoding of the numbers, and the checksum."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LONGEST = 4096
 
 
 class ScaledNumber(Record):
-    """A number in a frame, or in a record of a file."""
+    """Keys of a number in a frame or in a record of a file."""
 
     place: int = key(
         Number(0, LONGEST - 1, integer=True), "Position of its first byte, counted from 0 at the sync.", 2, name="at"
@@ -45,7 +45,7 @@ class ScaledNumber(Record):
 
 
 class ChecksumOfFrame(Record):
-    """The checksum at the end of a frame."""
+    """Keys of the checksum at the end of a frame."""
 
     type: str = key(Choice(tuple(CHECKSUMS)), "Algorithm of the checksum.", "crc16_modbus")
     start: int = key(
@@ -58,7 +58,7 @@ SYNC = Text(r"[0-9A-Fa-f]{2}( ?[0-9A-Fa-f]{2}){0,15}", "bytes in hexadecimal", "
 
 
 class PlacedNumber(Protocol):
-    """The keys of a number in a frame."""
+    """The keys that describe where a number is in a frame, and how it is encoded."""
 
     @property
     def place(self) -> int: ...
@@ -69,13 +69,13 @@ class PlacedNumber(Protocol):
 
 
 def field_of(item: PlacedNumber, scale: float = 1.0) -> Field:
-    """The description of a number, from its keys."""
+    """Describes a number in a frame, from its keys."""
     width, kind = TYPES[item.type]
     return Field(item.place, width, kind, scale, item.little_endian)
 
 
 def framing_of(sync: str, length: int, checksum: ChecksumOfFrame | None) -> Framing:
-    """The description of frames of constant length, from their keys."""
+    """Describes frames of constant length, from their keys."""
     start = bytes.fromhex(sync)
     if checksum is None:
         return Framing(start, length)

@@ -1,4 +1,4 @@
-"""Capabilities of instruments as small protocols; a driver implements those that apply.
+"""What instruments can do, as small protocols; a driver implements those that apply to its instrument.
 
 A driver is a class found through the entry-point group `planrunner.instruments`:
 
@@ -11,9 +11,9 @@ A driver is a class found through the entry-point group `planrunner.instruments`
         @classmethod
         def connect(cls, parameters, surroundings) -> MyTable
 
-Commands return at once with their expected duration in seconds; the executor waits on its clock and then queries `holding()`. Connecting is
-not commanding: an instrument that is only connected is closed unchanged. Every failure is an `InstrumentError`; the executor then calls
-`make_safe` on every instrument that it commanded.
+Commands return at once and state how many seconds they will probably take. The executor waits on its clock, and then queries
+`holding()`. Connecting does not command an instrument: an instrument that is only connected is left unchanged when it is closed.
+Every failure is an `InstrumentError`; the executor then calls `make_safe` on every instrument that it commanded.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ P = TypeVar("P", bound=Record)
 
 
 class InstrumentError(Exception):
-    """An instrument did not execute a request. The message names the instrument, the problem and what to check."""
+    """Reports that an instrument did not execute a request. The message names the instrument, the problem and what to check."""
 
 
 class UnservedError(InstrumentError):
-    """A schedule that cannot be executed. findings: all reasons."""
+    """Reports that an instrument cannot execute a schedule. findings: all reasons why it cannot."""
 
     def __init__(self, findings: Sequence[Finding]):
         self.findings = tuple(findings)
@@ -52,27 +52,27 @@ class UnservedError(InstrumentError):
 
 
 class Clock(Protocol):
-    """Interface of time for code that must work in the same way with simulated and real time."""
+    """Time, for code that must work in the same way with simulated and with real time."""
 
     def now(self) -> float:
-        """Seconds since the run began."""
+        """Seconds since the start of the run."""
 
     def sleep(self, seconds: float) -> None: ...
 
 
 class RunClock(Clock, Protocol):
-    """The clock of a run: it can be set for a resumed run, and calls back while it sleeps."""
+    """The clock of a run. It can be set when a run is resumed, and it calls back while it sleeps."""
 
     def set(self, seconds: float) -> None:
-        """Sets the time at which the clock continues when a run is resumed."""
+        """Sets the time from which the clock continues when a run is resumed."""
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
-        """Sets a callback that is called during sleeps and returns whether to end the sleep. None: no callback."""
+        """Sets a function that is called during sleeps; if it returns True, the sleep ends. None removes it."""
 
 
 @runtime_checkable
 class Hastens(Protocol):
-    """A clock that runs `speed` times as fast as real time, for a bench of simulated instruments at that speed."""
+    """A clock that runs `speed` times as fast as real time, for benches whose simulated instruments run at this speed."""
 
     speed: float
 
@@ -86,10 +86,10 @@ class Closes(Protocol):
 
 @dataclass(slots=True)
 class Surroundings:
-    """Context for connecting a driver: clock, site, the folder that must contain data files, the seed of the run, and the other
-    instruments by role. world: shared by the drivers of a virtual bench; real drivers ignore it. real_time: the clock is a real-time
-    clock, so simulated and played-back samples come in blocks of about a second. notice: receives the progress of work that takes long
-    before the run begins, such as the examination of a recording."""
+    """What a driver needs to connect: the clock, the site, the folder that must contain all data files, the seed of the run, and
+    the other instruments by role. world: state that the drivers of a virtual bench share; real drivers ignore it. real_time: True
+    if the clock shows real time; simulated and played-back samples then come in blocks of about a second. notice: function that is
+    told the progress of long work before the run begins, such as the examination of a recording."""
 
     clock: Clock
     site: Site
@@ -102,7 +102,7 @@ class Surroundings:
 
 
 class Driver(Protocol[P]):
-    """The class-level side of a plug-in. P: the record of its keys in a bench file."""
+    """The class methods of a driver, which a plug-in must have. P is the record with the driver's keys in a bench file."""
 
     role: str
     Parameters: type[P]
@@ -114,42 +114,42 @@ class Driver(Protocol[P]):
 
 
 class OnlyRead:
-    """Base of the sensors that receive no command and hold no resource."""
+    """Base of sensors that receive no commands and hold no resources."""
 
     def make_safe(self) -> None:
-        """Does nothing: what is only read is always safe."""
+        """Does nothing, because an instrument that is only read is always safe."""
 
     def close(self) -> None:
-        """Does nothing: there are no open resources."""
+        """Does nothing, because there are no open resources."""
 
 
 class PlaysBack(OnlyRead):
-    """Base of the drivers whose samples come from a recording, as do orientations, rates and temperatures."""
+    """Base of the drivers that play back a recording; the samples, orientations, rates and temperatures all come from it."""
 
 
 class TakesEffects(OnlyRead):
-    """Base of the virtual sensors to whose outputs effects of the catalogue can be added."""
+    """Base of the virtual sensors that accept effects of the catalogue; the effects change their outputs."""
 
 
 @runtime_checkable
 class Addressed(Protocol):
     @classmethod
     def address(cls, parameters: Record) -> str:
-        """Address of a real instrument that two runs cannot share, such as a VISA resource or a serial port."""
+        """Address of a real instrument, such as a VISA resource or a serial port. Two runs cannot use the same address at a time."""
 
 
 @runtime_checkable
 class Instrument(Protocol):
-    """Methods of every instrument."""
+    """The methods that every instrument has."""
 
     def identify(self) -> Mapping[str, str]:
-        """Manufacturer, model, serial number …, as reported by the instrument."""
+        """Manufacturer, model, serial number and further details, as the instrument reports them."""
 
     def make_safe(self) -> None:
-        """Brings the instrument to its safe state (table stopped, chamber to ambient). It can be called repeatedly. It raises
-        `InstrumentError` on every failure, because the last caller decides whether a watchdog must act.
+        """Brings the instrument to its safe state (table stopped, chamber at ambient temperature). It can be called repeatedly. It
+        raises `InstrumentError` on every failure, because the caller must then decide whether a watchdog has to act.
 
-        Commands may follow: a run that waits for its operator waits in the safe state."""
+        Further commands may follow: a run that waits for its operator waits in the safe state and then continues."""
 
     def close(self) -> None: ...
 
@@ -157,10 +157,10 @@ class Instrument(Protocol):
 @runtime_checkable
 class HoldsOrientation(Protocol):
     def orient(self, attitude: Array) -> float:
-        """Starts a move to an attitude (3, 3) at rest; returns the expected time [s]."""
+        """Starts a move to the attitude (3, 3), in which the table comes to rest; returns the expected time [s]."""
 
     def holding(self) -> bool:
-        """Whether the commanded state is reached and held."""
+        """True if the commanded state has been reached and is held."""
 
 
 @runtime_checkable
@@ -189,25 +189,27 @@ class Foresees(Protocol):
 @runtime_checkable
 class KnowsLength(Protocol):
     def length_of(self, segment: Segment) -> float | None:
-        """Time [s] of data for a segment whose dwell is not planned; None if not known. It is called after `foresee`, only for the
-        display of progress."""
+        """Time [s] for which data exist in a segment whose dwell is not planned; None if this is not known. The method is called
+        after `foresee`, and only to display progress."""
 
 
 @runtime_checkable
 class HasModes(Protocol):
     def set_mode(self, mode: str) -> float:
-        """Starts a change to an operating mode of `SensorModel.modes`; returns the expected time [s] until the change is complete."""
+        """Starts a change to one of the operating modes in `SensorModel.modes`; returns the expected time [s] until the change is
+        complete."""
 
 
 @runtime_checkable
 class Readable(Protocol):
     def read(self) -> Mapping[str, float]:
-        """A few current readings for the journal (name_unit → value)."""
+        """A few current readings for the journal; each key is a name followed by its unit (name_unit)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Consecutive samples: `time` (n,) in s since power-on, strictly increasing, and each channel (n,) in its unit."""
+    """Consecutive samples: `time` (n,), in s since power-on, strictly increasing; and the values (n,) of each channel in the
+    channel's unit."""
 
     time: Array
     channels: Mapping[str, Array]
@@ -215,9 +217,10 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
-    """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: the sample contains the means
-    of the channels, and further channels, named here, for their scatter. deviations: channel → channel of the standard deviation of
-    the averaged samples, which count as independent. count: channel of the number of samples; seconds: channel of the duration."""
+    """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: it contains the means of the
+    channels, and their scatter in further channels, which are named here. deviations: for each channel, the channel with the
+    standard deviation of the averaged samples, which are treated as independent. count: channel with the number of samples;
+    seconds: channel with the duration."""
 
     deviations: Mapping[str, str]
     count: str
@@ -226,8 +229,8 @@ class SummaryChannels:
 
 @runtime_checkable
 class Summarises(Protocol):
-    """A sensor whose stream of a segment is a single sample, the summary. `StreamsSamples.channels` contains the channels of
-    `summary`."""
+    """A sensor that yields a single sample, the summary, for each segment. `StreamsSamples.channels` includes the channels that
+    `summary` names."""
 
     summary: SummaryChannels
 
@@ -235,23 +238,23 @@ class Summarises(Protocol):
 @runtime_checkable
 class StreamsSamples(Protocol):
     def channels(self) -> Mapping[str, str]:
-        """Channel name → unit, in the order of the recording's columns."""
+        """The unit of each channel by name, in the order of the recording's columns."""
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The samples of one segment's dwell as blocks of bounded size, as they arrive. The stream ends with the dwell.
+        """Yields the samples of one segment's dwell as they arrive, in blocks of bounded size. The stream ends with the dwell.
 
-        In real time a block is returned at least every second, even without rows if no sample has arrived, so that the bench can be
-        supervised between blocks; a sensor that stays silent raises `InstrumentError`."""
+        In real time, a block is returned at least every second, without rows if no sample has arrived, so that the bench can be
+        supervised between blocks. A sensor that stays silent raises `InstrumentError`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """The current state of an instrument, as measured by it.
+    """The current state of an instrument, as the instrument measures it.
 
-    values: live quantities in SI units by name; standard names are `position_error` [rad] (following error, the largest of its
-    axes), `rate_error` [rad/s], `temperature` [K]. faults: reasons why the instrument cannot continue, in words (interlock open,
-    over-temperature, axis fault); they end the run. doubts: reasons why the samples may be invalid (status bits); the plan defines
-    the consequence.
+    values: live quantities in SI units by name. Standard names are `position_error` [rad] (following error, the largest of all
+    axes), `rate_error` [rad/s] and `temperature` [K]. faults: reasons why the instrument cannot continue, in words (interlock open,
+    over-temperature, axis fault); a fault ends the run. doubts: reasons why the samples may be invalid (status bits); the plan
+    defines what then happens.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
@@ -261,30 +264,30 @@ class Condition:
 
 @runtime_checkable
 class Watched(Protocol):
-    """An instrument with live readings, which determine settling and are compared with limits during a dwell."""
+    """An instrument with live readings. The readings determine when it has settled, and are compared with limits during a dwell."""
 
     def watch(self) -> Condition:
-        """The current condition of the instrument, from one short exchange or from the last frame. Called about once a second, also
-        between the blocks of a stream. Values that are not known at the moment are omitted."""
+        """The current condition of the instrument, from one short exchange or from the last frame. The method is called about once
+        a second, also between the blocks of a stream. Values that are unknown at the moment are omitted."""
 
 
 @runtime_checkable
 class Alive(Protocol):
-    """An instrument that can verify its link. A `Watched` instrument verifies its link by its readings and does not need this
+    """An instrument that can check its link. A `Watched` instrument checks its link by its readings, so it does not need this
     protocol."""
 
     def heartbeat(self) -> None:
-        """Performs the shortest possible exchange; called every few seconds while there is no other communication. Raises
-        `InstrumentError` if there is no reply."""
+        """Makes the shortest possible exchange with the instrument; called every few seconds while there is no other communication.
+        Raises `InstrumentError` if there is no reply."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
-    """Limits that an instrument must enforce itself, independent of the computer. None means that the driver takes the limit from
-    its own keys, as it always does for travel.
+    """Limits that an instrument must enforce by itself, independently of the computer. None means that the driver takes the limit
+    from its own keys; limits of travel always come from these keys.
 
-    rate [rad/s], acceleration [rad/s²], position_error [rad]: limits of every axis. coldest, hottest: K. silence: time [s] without
-    communication from the computer after which the instrument makes itself safe.
+    rate [rad/s], acceleration [rad/s²] and position_error [rad] are limits of every axis. coldest and hottest are limits of
+    temperature [K]. silence: time [s] without communication from the computer after which the instrument makes itself safe.
     """
 
     rate: float | None = None
@@ -299,14 +302,15 @@ class OwnLimits:
 class SelfLimiting(Protocol):
     def limit(self, limits: OwnLimits) -> Sequence[str]:
         """Sets the limits and time-outs that the instrument supports, before the first move and again after a wait in the safe
-        state. Returns a line for the journal for each limit set. Raises `InstrumentError` if a supported limit cannot be set."""
+        state. Returns one line for the journal for each limit that was set. Raises `InstrumentError` if a supported limit cannot be
+        set."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Frames of one segment's stream. lost: frames missing according to the counter; corrupt: frames with a wrong checksum;
-    overflowed: frames dropped because the computer did not read them in time; skipped_bytes: bytes between frames. details: further
-    values (latency_s, clock_skew_ppm …)."""
+    """Counts of the frames in one segment's stream. lost: frames that are missing according to the counter; corrupt: frames with a
+    wrong checksum; overflowed: frames that were lost because the computer did not read them in time; skipped_bytes: bytes between
+    frames. details: further values by name, such as latency_s or clock_skew_ppm."""
 
     received: int = 0
     lost: int = 0
@@ -319,18 +323,18 @@ class FrameCounts:
 @runtime_checkable
 class Counting(Protocol):
     def counts(self) -> FrameCounts:
-        """Frame counts of the segment that is being streamed, or was streamed last."""
+        """Counts of the frames in the segment that is being streamed, or was streamed last."""
 
 
 @runtime_checkable
 class Remarking(Protocol):
     def remarks(self) -> Sequence[str]:
-        """Unusual events since the last call, one line each, for the journal (a repeated exchange, a reopened link)."""
+        """Unusual events since the last call, such as a repeated exchange or a reopened link; one line for each, for the journal."""
 
 
 @runtime_checkable
 class Resumable(Protocol):
-    """A simulated instrument whose state is restored after a crash. Real instruments have nothing to restore."""
+    """A simulated instrument whose state can be restored after a crash. A real instrument has no state to restore."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         """The state as JSON data."""

@@ -1,6 +1,6 @@
-"""Models of instruments, known without a connection, which are used by check, schedule, design and estimators.
+"""Models of instruments. They are known without a connection; checks, schedules, designs and estimators use them.
 
-All values are in SI units with radians, except those of a sensor's outputs, whose units are always named.
+All values are in SI units, with angles in radians. The exception is the outputs of a sensor, whose units are always named.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(frozen=True, slots=True)
 class TableModel:
-    """A position/rate table. axes: outermost first. position_uncertainty: standard uncertainty of a position, rad; rate_stability:
-    relative standard uncertainty of a rate; orthogonality: standard uncertainty of the angles between the axes, rad. rocks: whether
-    the table has a rocking motion."""
+    """A table that turns to positions and at rates. axes: the axes of the table, the outermost first. position_uncertainty:
+    standard uncertainty of a position, rad; rate_stability: relative standard uncertainty of a rate; orthogonality: standard
+    uncertainty of the angles between the axes, rad. rocks: True if the table can rock."""
 
     axes: tuple[TableAxis, ...]
     position_uncertainty: float = 0.0
@@ -47,10 +47,11 @@ class TableModel:
 
 @dataclass(frozen=True, slots=True)
 class ChamberModel:
-    """A temperature chamber. lowest, highest: K; ramp: K/s; ambient: K, the temperature of the safe state.
+    """A temperature chamber. lowest, highest: limits of the temperature, K; ramp: rate of change of the setpoint, K/s; ambient:
+    temperature in the safe state, K.
 
-    lag: time constant [s] with which the air follows the ramp; tolerance: deviation [K] from the setpoint at which a temperature
-    counts as reached; temperature_uncertainty: standard uncertainty [K] of the chamber's own thermometer.
+    lag: time constant [s] with which the air follows the setpoint; tolerance: a temperature counts as reached if the air differs
+    from the setpoint by at most this [K]; temperature_uncertainty: standard uncertainty [K] of the chamber's own thermometer.
     """
 
     lowest: float
@@ -62,10 +63,10 @@ class ChamberModel:
     temperature_uncertainty: float = 0.0
 
     def seconds_to_change(self, kelvin: float) -> float:
-        """Time [s] until the air is within the tolerance of a setpoint that differs by `kelvin` from the present one.
+        """Time [s] until the air is within the tolerance of a new setpoint, which differs by `kelvin` from the present one.
 
-        At the end of a ramp with the rate r and the duration t, the output of a first-order lag τ is r·τ·(1 − e^(−t/τ)) behind.
-        This difference then decays with the time constant τ.
+        At the end of a ramp with the rate r and the duration t, the output of a first-order lag with the time constant τ is behind
+        by r·τ·(1 − e^(−t/τ)). This difference then decays with the time constant τ.
         """
         if abs(kelvin) <= self.tolerance:
             return 0.0
@@ -76,20 +77,20 @@ class ChamberModel:
         return ramping + self.lag * max(0.0, math.log(behind / self.tolerance))
 
     def behind(self, kelvin: float, lag: float, seconds: float) -> float:
-        """Signed distance [K] between the setpoint and the temperature of a body, `seconds` after the beginning of a ramp.
+        """Signed distance [K] between the setpoint and the temperature of a body, `seconds` after the start of a ramp.
 
-        The body follows the air with the time constant `lag` [s]. The ramp changes the setpoint by `kelvin` and begins in
+        The body follows the air with the time constant `lag` [s]. The ramp changes the setpoint by `kelvin` and starts from
         equilibrium.
 
-        At the time t of a ramp with the rate k, the output of two first-order lags a and s in series is k·((a + s) − (a²·e^(−t/a) −
-        s²·e^(−t/s))/(a − s)) behind the ramp. A ramp that ends after T is the difference between this ramp and the same ramp begun
-        T later.
+        At the time t of a ramp with the rate k, the output of two first-order lags in series, with the time constants a and s, is
+        behind the ramp by k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)). A ramp that ends after T is the difference between an
+        endless ramp and the same ramp started T later.
         """
         slope = math.copysign(self.ramp, kelvin)
         return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
 
     def _lag_of_ramp(self, lag: float, seconds: float) -> float:
-        """The distance of `behind` for an endless ramp of 1 K/s."""
+        """Distance as in `behind`, for an endless ramp of 1 K/s."""
         if seconds <= 0:
             return 0.0
         a, s = max(self.lag, _SHORT), max(lag, _SHORT)
@@ -99,11 +100,11 @@ class ChamberModel:
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Noise of one output, in output units.
+    """Noise of one output, in the unit of the output.
 
-    white: random-walk coefficient N [unit·√s], such that the mean over T seconds has the variance N²/T. bias_instability: flicker
-    floor [unit]; resolution: one count [unit]. counted: whether the remainder of a count is carried to the next sample, so that
-    only the two ends of a mean are rounded. states_flicker: whether the bench file gives a bias instability, which may be zero.
+    white: random-walk coefficient N [unit·√s]; a mean over T seconds has the variance N²/T. bias_instability: flicker floor [unit];
+    resolution: size of one count [unit]. counted: True if the remainder of a count is carried to the next sample, so that only the
+    two ends of a mean are rounded. states_flicker: True if the bench file declares a bias instability, which may be zero.
     """
 
     white: float = 0.0
@@ -113,12 +114,12 @@ class NoiseModel:
     states_flicker: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
-        """Whether the rounding of samples to counts averages out in a mean. This is so if the noise between the samples, with this
+        """True if the rounding of samples to counts averages out in a mean. It does if the noise between the samples, with this
         variance [unit²], is large enough to dither the rounding, or if the remainder of a count is carried to the next sample."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
-        """Standard uncertainty of the mean of the samples taken at `rate_hz` during `seconds`."""
+        """Standard uncertainty of the mean of the samples that are taken at `rate_hz` during `seconds`."""
         samples = max(1.0, seconds * rate_hz)
         white = self.white**2 / max(seconds, 1.0 / rate_hz)
         per_sample = self.white**2 * rate_hz
@@ -129,13 +130,14 @@ class NoiseModel:
         return math.sqrt(white + rounding + self.bias_instability**2)
 
     def chance_of_no_change(self, seconds: float, rate_hz: float) -> float:
-        """Upper bound of the probability that all samples of a constant input, taken at `rate_hz` during `seconds`, are equal.
+        """Upper bound of the probability that all samples of a constant input are equal. The samples are taken at `rate_hz` during
+        `seconds`.
 
-        Without carried remainders, the probability is largest if the input is in the middle of a count. With carried remainders,
-        the sum of the noise is a random walk that starts anywhere in a count, and it must stay within the count. The probability
-        that a walk of n steps of σ stays between walls at the distance a is at most exp(−π²·n·σ²/(2·a²)), from the series of H. S.
-        Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3. The walls are checked only once per step, so a is larger than
-        the count by 2·0.5826·σ (D. Siegmund, Sequential Analysis, 10.2).
+        If remainders are not carried, the probability is largest for an input in the middle of a count. If remainders are carried,
+        the sum of the noise is a random walk that starts anywhere in a count and must stay within it. A walk of n steps with the
+        standard deviation σ stays between walls at the distance a with a probability of at most exp(−π²·n·σ²/(2·a²)), from the
+        series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3. The walls are checked only once per step;
+        therefore a is larger than the count by 2·0.5826·σ (D. Siegmund, Sequential Analysis, 10.2).
         """
         if self.resolution == 0 or self.white == 0:
             return 0.0 if self.white else 1.0
@@ -149,9 +151,9 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class OutputModel:
-    """One output channel: its name, the unit in which it is recorded, full scale (either sign) in that unit, and noise. constant:
-    whether the output is exactly constant while the table is at rest, as that of a simulated table encoder is. senses: the sensed
-    quantity, if the unit does not determine it."""
+    """One output channel: its name, the unit in which it is recorded, its full scale in that unit (for both signs), and its noise.
+    constant: True if the output is exactly constant while the table is at rest, like the output of a simulated table encoder.
+    senses: the quantity that the output senses, if the unit does not determine it."""
 
     name: str
     unit: str
@@ -163,13 +165,13 @@ class OutputModel:
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """The sensor under test. `nominal` contains declared coefficients (name → SI value) at which predictions are linearised.
+    """The sensor under test. nominal: declared coefficients (SI values by name), at which predictions are linearised.
 
-    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that has only one. one_rate: True
-    if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s]
-    with which the sensor's temperature follows that of the air, 0 if not declared. records_angle: whether the sensor records the
-    table's angle about one axis, so that motion about several axes cannot be recorded. nominal_supply: supply voltage [V] at which
-    the effects of the supply are zero. stabilised: whether gimbals decouple the outputs from the motion of the table.
+    modes: operating modes that the driver can set, such as caged or navigation; empty if the sensor has only one. one_rate: True if
+    the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s] with
+    which the temperature of the sensor follows the temperature of the air; 0 if not declared. records_angle: True if the sensor
+    records the table's angle about one axis, so that motion about several axes cannot be recorded. nominal_supply: supply voltage
+    [V] at which the effects of the supply are zero. stabilised: True if gimbals decouple the outputs from the motion of the table.
     """
 
     kind: str
@@ -184,7 +186,7 @@ class SensorModel:
     stabilised: bool = False
 
     def rate_refused(self, asked: float | None) -> str:
-        """Why the sensor cannot be sampled at `asked` Hz; empty if it can be, or if no rate is requested."""
+        """The reason why the sensor cannot be sampled at `asked` Hz; empty if it can be, or if `asked` is None."""
         return rate_refused(asked, self.sample_rate, self.one_rate)
 
     def output(self, name: str) -> OutputModel | None:
@@ -192,8 +194,8 @@ class SensorModel:
 
 
 def rate_refused(asked: float | None, own: float, one_rate: bool) -> str:
-    """Why a sensor with the sample rate `own` Hz (and no other if `one_rate`) cannot be sampled at `asked` Hz; empty if it can be,
-    or if no rate is requested."""
+    """The reason why a sensor with the sample rate `own` [Hz] cannot be sampled at `asked` [Hz]; empty if it can be, or if `asked`
+    is None. one_rate: True if the sensor can only be sampled at `own`, False if also at lower rates."""
     if asked is None or abs(asked / own - 1) <= 1e-9:
         return ""
     if one_rate:

@@ -1,5 +1,5 @@
-"""Kinds of parameter for instruments in addition to those of the plan language: quantities of a sensor's compound dimensions, and
-polynomials of temperature."""
+"""Kinds of keys that instruments need in addition to those of the plan language: quantities with the compound units of a sensor,
+and polynomials of temperature."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from planrunner.plan.units import unit
 
 @dataclass(frozen=True, slots=True)
 class QuantityLike:
-    """A quantity of the dimension of `unit`, such as `(deg/h)/(pulse/s)`, or of one of `others`; `sign` as for `QuantityOf`."""
+    """A quantity with the dimension of `unit`, such as `(deg/h)/(pulse/s)`, or of one of the units `others`. sign: as in
+    `QuantityOf`."""
 
     unit: str
     sign: Sign = "any"
@@ -40,7 +41,7 @@ class QuantityLike:
 
 @dataclass(frozen=True, slots=True)
 class Polynomial:
-    """Coefficients of (T − T₀), (T − T₀)², … in `unit`/K, `unit`/K^2, …, up to the third power."""
+    """Coefficients of (T − T₀), (T − T₀)² and (T − T₀)³, in `unit`/K, `unit`/K^2 and `unit`/K^3; at least the first is given."""
 
     unit: str
 
@@ -60,7 +61,7 @@ class Polynomial:
 
 
 def nominal_supply() -> Quantity:
-    """The key of a sensor for the supply voltage at which the effects of the supply are zero."""
+    """Makes the key that states the nominal supply voltage of a sensor. At this voltage, the effects of the supply are zero."""
     voltage: Quantity = key(
         QuantityOf("voltage", "positive"),
         "Supply voltage at which the effects of the supply are zero. It also applies to segments that state no "

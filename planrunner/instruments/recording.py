@@ -1,8 +1,9 @@
 """The recording player: a sensor that plays back a file as if it were being measured.
 
-Columns are mapped to channels with units. Each label has an interval of the recording. A table of segments states the intervals, or
-pauses in the recorded time separate them; without either, the whole recording is one interval. Files must be inside the data
-folder, except files named on the command line. Rows are streamed, so a long recording is never in memory as a whole.
+Columns of the file become channels with units. Each label of the plan has an interval of the recording. A table of segments states
+the intervals, or pauses in the recorded time separate them. Otherwise, the whole recording is one interval. All files must be
+inside the data folder, except those that are named on the command line. Rows are streamed, so a long recording is never in memory
+as a whole.
 """
 
 from __future__ import annotations
@@ -100,8 +101,9 @@ class RecordingPlayer(PlaysBack):
         piece: float = math.inf,
         notice: Announce | None = None,
     ) -> RecordingPlayer:
-        """Opens a player of the files at `paths`, each of which continues the one before. table: file of the segments; piece:
-        length [s] of the longest block; notice: receives the progress while a whole file is read. Raises `InstrumentError`."""
+        """Opens a player for the files at `paths`, each of which continues the previous one. table: file with the table of
+        segments; piece: length [s] of the longest block; notice: receives the progress while a whole file is read. Raises
+        `InstrumentError` if the files do not contain the described recording."""
         columns = {name: channel.column for name, channel in parameters.channels.items()}
         parts = [RecordedFile(path, name) for path, name in zip(paths, parameters.files, strict=True)]
         pause = parameters.pause_between_files
@@ -126,14 +128,15 @@ class RecordingPlayer(PlaysBack):
         return {name: channel.unit for name, channel in self.parameters.channels.items()}
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Checks that the recording contains every segment with its whole dwell and can be read to its end. Raises `UnservedError`."""
+        """Checks that the recording contains every segment with its whole dwell, and that it can be read to its end. Raises
+        `UnservedError` with all errors that were found."""
         found = Findings()
         self.look_over(segments, found)
         if found.errors:
             raise UnservedError(found.errors)
 
     def look_over(self, segments: Sequence[Segment], log: Findings) -> None:
-        """Adds all findings about the recording to `log`, in one pass, before these segments are played back."""
+        """Examines the recording in one pass, before the segments are played back, and adds all findings to `log`."""
         name, rate = self.parameters.file, self.parameters.sample_rate.value
         try:
             self._held = scan(self.file, name, rate, self._wanted(segments, log), log, self.notice)
@@ -143,7 +146,7 @@ class RecordingPlayer(PlaysBack):
             )
 
     def length_of(self, segment: Segment) -> float | None:
-        """Time [s] of a segment that is played back to its end; None before the recording has been examined."""
+        """Time [s] for which the recording contains data of a segment; None before the recording has been examined."""
         if self.spans is not None and segment.label in self.spans.spans:
             return self.spans.span(segment.label).seconds
         if self.parted and segment.index < len(self.parted):
@@ -151,7 +154,8 @@ class RecordingPlayer(PlaysBack):
         return None if self._held is None else self._held.seconds
 
     def _wanted(self, segments: Sequence[Segment], log: Findings) -> list[Wanted]:
-        """The intervals of those segments that the recording contains. For each other segment, a finding is added to `log`."""
+        """Finds the intervals of the segments in the recording. For each segment that the recording does not contain, adds a
+        finding to `log`."""
         name, labels = self.parameters.file, [segment.label for segment in segments]
         if self.parted:
             if len(labels) == len(self.parted):
@@ -178,8 +182,8 @@ class RecordingPlayer(PlaysBack):
         return found
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """Yields the samples of the interval with one label: those of its first `dwell` seconds, or all. Time is counted from
-        power-on if power-on is declared, otherwise from the first row of the recording.
+        """Yields the samples of a segment: those of its first `dwell` seconds, or all if the dwell is not planned. Times are
+        counted from power-on if the bench file declares it, otherwise from the first row of the recording.
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value
@@ -214,7 +218,7 @@ class RecordingPlayer(PlaysBack):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _pieces(self, time: Array, columns: Mapping[str, Array]) -> Iterator[Block]:
-        """Divides blocks into pieces whose length suits the clock: about one second each in real time."""
+        """Divides a block into pieces whose length suits the clock: about one second each in real time."""
         rate = self.parameters.sample_rate.value
         size = time.size if math.isinf(self.piece) else max(1, round(self.piece * rate))
         for first in range(0, time.size, size):
@@ -253,7 +257,7 @@ class RecordingPlayer(PlaysBack):
 
 
 def _stamps(parameters: RecordingParameters) -> TimeStamps:
-    """The source of the time of a row. Raises `InstrumentError` if the bench file does not describe the time."""
+    """Describes where the time of a row comes from. Raises `InstrumentError` if the bench file does not describe the time."""
     if parameters.stamps is None:
         raise InstrumentError(
             f"the bench file does not say which column of {parameters.file} is the time: write `time: {{column: …}}`, or "
@@ -263,8 +267,8 @@ def _stamps(parameters: RecordingParameters) -> TimeStamps:
 
 
 def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
-    """Adds findings about a declared rate that contradicts the time column, usually because of a wrong unit of time, and about a
-    power-on after the first row."""
+    """Raises `InstrumentError` if the declared sample rate contradicts the time column, usually because the unit of time is wrong,
+    or if power-on is declared later than the first row."""
     declared = parameters.sample_rate.value
     if not math.isnan(file.interval) and abs(math.log(file.interval * declared)) > RATE_TOLERANCE:
         message = (

@@ -1,7 +1,7 @@
-"""A recording that is played back: one file or several, in any format, read in batches, inside a data folder.
+"""A recording that is played back. It consists of one file or several, in any format, inside a data folder.
 
-Before a sample is read, the memory that a file requires is checked. Samples come in batches, so a recording may have any length
-while the memory is limited.
+The memory that a file requires is checked before a sample is read. Samples are read in batches, so a recording of any length needs
+limited memory.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ HELD = 1_000_000
 
 
 def beneath(root: Path | None, name: str) -> Path:
-    """The path of the file `name` in the data folder. Raises `InstrumentError` for a file or link outside the folder."""
+    """The path of the file `name` inside the data folder `root`. Raises `InstrumentError` if there is no such file, or if it is
+    outside the folder, also through a link."""
     if root is None:
         raise InstrumentError(f"'{name}' is relative to a data folder, but no data folder is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
@@ -55,7 +56,7 @@ def beneath(root: Path | None, name: str) -> Path:
 
 class RecordingFile(Protocol):
     """A recording that can be read repeatedly. origin: time of the first row, s; interval: median time between the first rows, s,
-    NaN for a single row; about: approximate number of rows, for progress."""
+    NaN if there is only one row; about: approximate number of rows, used to display progress."""
 
     @property
     def origin(self) -> float: ...
@@ -65,21 +66,21 @@ class RecordingFile(Protocol):
     def about(self) -> int: ...
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """Times [s], shape (n,), and channels, each (n,), of the samples in a span, in batches of at most `BATCH`
-        rows. A missing number is NaN. Raises `InstrumentError` where time does not increase."""
+        """Yields the samples in a span, in batches of at most `BATCH` rows: times (n,), in s, and the values (n,) of each channel.
+        A missing number is NaN. Raises `InstrumentError` where time does not increase."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """The rows and bytes that were skipped, in words. They are known after a pass over all rows."""
+        """Remarks about rows and bytes that were skipped, in words. They are complete after a pass over all rows."""
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Every row unchanged, in batches: number of the first row, counted from 1; times [s], which may be missing or decrease;
-        channels. Raises `InstrumentError` if the file cannot be read."""
+        """Yields all rows unchanged, in batches: the number of the first row, counted from 1; times [s], which may be missing or
+        decrease; and the values of each channel. Raises `InstrumentError` if the file cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """A file of a recording. name: name of the file, for messages."""
+    """One file of a recording. name: name of the file, used in messages."""
 
     path: Path
     name: str
@@ -92,11 +93,11 @@ def open_recording(
     given: Format | None = None,
     pause: float | None = None,
 ) -> RecordingFile:
-    """Opens the recording in `parts`, in their order, after a check of their columns and first rows.
+    """Opens the files `parts` as one recording, in this order, after a check of their columns and first rows.
 
-    channels: channel → column; given: format as the bench states it; by default the format follows from the name of each file.
-    pause: time [s] between the last row of a file and the first row of the next, if time starts again in each file; None if the
-    time continues. Raises `InstrumentError`.
+    channels: for each channel, the name of its column; given: format from the bench file; None if the extension of each file name
+    determines it. pause: time [s] between the last row of a file and the first row of the next one if time starts again in each
+    file; None if the time continues. Raises `InstrumentError` if a file cannot be read or lacks a column.
     """
     files = []
     for part in parts:
@@ -107,7 +108,8 @@ def open_recording(
 
 
 class _Joined:
-    """Several files, one after the other. counted: whether time is counted from row to row through all files."""
+    """Several files, read one after the other as one recording. counted: True if the files contain no time and rows are counted
+    instead, through all files."""
 
     def __init__(self, files: tuple[AnyFile, ...], pause: float | None, counted: bool):
         self.files, self.pause, self.counted = files, pause, counted
@@ -119,7 +121,8 @@ class _Joined:
         return tuple(f"{file.name}: {remark}" for file in self.files for remark in file.remarks)
 
     def _shift(self, file: AnyFile, last: float, first: float) -> float:
-        """The time [s] to add to the times of a file. last: time of the last row before the file; first: first time in the file."""
+        """The time [s] that is added to the times of a file. last: time of the last row of the previous file; first: first time in
+        this file."""
         period = 0.0 if math.isnan(self.interval) else self.interval
         if self.counted:
             return last + period - first
@@ -146,7 +149,7 @@ class _Joined:
                     return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """All rows of all files, as described in `RecordingFile.all_rows`. Rows are counted through all files."""
+        """All rows of all files, as described in `RecordingFile.all_rows`. Row numbers continue from file to file."""
         last, before = math.nan, 0
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -162,7 +165,8 @@ class _Joined:
 
 @dataclass(frozen=True, slots=True)
 class HeldRecording:
-    """A recording in memory, so that many intervals require only one pass over the files. time: (n,), s; columns: each (n,)."""
+    """A recording in memory, so that many intervals can be read after one pass over its files. time: (n,), s; columns: the values
+    (n,) of each channel."""
 
     origin: float
     interval: float
@@ -171,8 +175,8 @@ class HeldRecording:
 
     @classmethod
     def of(cls, file: RecordingFile, most: float = np.inf, pace: Pace | None = None) -> HeldRecording | None:
-        """Reads all rows of a file once; returns None if the file has more than `most` rows. Raises `InstrumentError` like the
-        file."""
+        """Reads all rows of a file once; returns None if the file has more than `most` rows. Raises `InstrumentError` if the file
+        cannot be read."""
         pieces, count = [], 0
         for piece in file.rows():
             pieces.append(piece)
@@ -207,9 +211,10 @@ class HeldRecording:
 
 
 def at_hand(file: RecordingFile, name: str = "", notice: Announce | None = None) -> RecordingFile:
-    """The same recording in a form from which many stretches can be read quickly. It is in memory if it has at most `HELD` rows. A
-    longer file becomes a temporary Parquet file, because finding a stretch in the original requires reading all preceding rows.
-    name: name of the file, for the progress that `notice` receives. Raises `InstrumentError` like the file."""
+    """Returns the same recording in a form from which many intervals can be read quickly. A recording of at most `HELD` rows is
+    kept in memory. A longer one is copied to a temporary Parquet file, because in other formats all preceding rows must be read to
+    reach an interval. name: name of the file, used in the progress that `notice` receives. Raises `InstrumentError` if the
+    recording cannot be read or the copy cannot be written."""
     held = HeldRecording.of(file, HELD, Pace(f"reading {name}", min(file.about, HELD), notice))
     if held is not None:
         return held
@@ -218,7 +223,7 @@ def at_hand(file: RecordingFile, name: str = "", notice: Announce | None = None)
 
 @dataclass
 class _Spooled:
-    """Rows of a file in a temporary Parquet file, which is deleted together with this object."""
+    """A copy of a recording in a temporary Parquet file, which is deleted together with this object."""
 
     origin: float
     interval: float

@@ -1,4 +1,4 @@
-"""Bench keys of a recording that is played back: file, time, channels with their noise, and segments."""
+"""Keys in the bench file for a recording that is played back: its file, time, channels with their noise, and segments."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NO_TRIM = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
 
 
 class UnitText:
-    """The text of a unit, such as deg/s."""
+    """The name of a unit, such as deg/s."""
 
     def read(self, node: Node, log: Findings) -> str | None:
         text = node.text if isinstance(node, Scalar) else ""
@@ -52,7 +52,7 @@ class UnitText:
 
 
 class TimeColumn(Record):
-    """The time column."""
+    """Keys of the column that contains the time."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
     unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", default="s")
@@ -71,7 +71,7 @@ class TimeColumn(Record):
 
 
 class ChannelColumn(Record):
-    """The column that a channel is read from."""
+    """Keys of a channel: the column from which it is read, its unit, and its noise."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column in the file.", "gyro_y_deg_per_s")
     unit: str = key(
@@ -120,7 +120,8 @@ class ChannelColumn(Record):
     )
 
     def white(self, sample_rate: float) -> float:
-        """The random-walk coefficient N, in output units times √s; 0 if no noise is declared. sample_rate: Hz."""
+        """The random-walk coefficient N of the white noise, in the unit of the channel times √s; 0 if no noise is declared.
+        sample_rate: in Hz."""
         factor = unit(self.unit).factor
         if self.noise is not None:
             return width(self.noise) / factor / math.sqrt(sample_rate)
@@ -129,7 +130,8 @@ class ChannelColumn(Record):
         return 0.0 if self.random_walk is None else self.random_walk.value / factor
 
     def amount(self, name: str, otherwise: float = 0.0) -> float:
-        """The bias_instability, resolution or full_scale in output units."""
+        """The bias instability, the resolution or the full scale in the unit of the channel. name: name of the key; otherwise: the
+        result if the key is absent."""
         value: Quantity | None = getattr(self, name)
         return otherwise if value is None else width(value) / unit(self.unit).factor
 
@@ -149,7 +151,7 @@ WHITE = ("noise", "noise_density", "random_walk")
 
 
 class ChannelKind:
-    """The column of a channel; the declared noise and full scale must fit the unit of the channel."""
+    """The value that describes a channel. The dimensions of the declared noise and full scale must fit the unit of the channel."""
 
     _record = RecordOf(ChannelColumn)
 
@@ -181,7 +183,7 @@ class ChannelKind:
 
 
 class SegmentColumns(Record):
-    """The table that states which stretch of the recording belongs to which label."""
+    """Keys of the table that states which interval of the recording belongs to which label."""
 
     table: str = key(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), "CSV file in the data folder.", "jig/stops.csv")
     label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "label", default="label")
@@ -199,12 +201,12 @@ class SegmentColumns(Record):
 
     @classmethod
     def of(cls, table: str) -> SegmentColumns:
-        """The keys of a table file whose columns have the usual names."""
+        """The keys of a table whose columns have the default names."""
         return cls(table=table)
 
 
 class RowColumns(Record):
-    """The columns of a table that has a row for each segment."""
+    """Names of the columns in a table that has one row for each segment."""
 
     label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "state", default="label")
     count: str = key(Text(COLUMN, "a column's name"), "Column of the number of samples.", "n", default="count")
@@ -217,7 +219,7 @@ class RowColumns(Record):
 
 
 class RecordingParameters(Record):
-    """A recording that is played back."""
+    """Keys of a recording that is played back."""
 
     file: str = key(
         Text(r"[^\x00-\x1f]{1,400}", "a file's path"),
@@ -280,12 +282,12 @@ class RecordingParameters(Record):
 
     @property
     def power_on(self) -> Quantity | None:
-        """Value of the time column when the sensor was switched on."""
+        """The value of the time column at the moment when the sensor was switched on; None if it is not declared."""
         return self.time.power_on if isinstance(self.time, TimeColumn) else None
 
     @property
     def stamps(self) -> TimeStamps | None:
-        """Source of the time of a row; None if the bench does not state it."""
+        """Where the time of a row comes from; None if the bench file does not state it."""
         if isinstance(self.time, TimeColumn):
             scale = SECONDS[self.time.unit] if self.time.per_second is None else 1 / self.time.per_second
             return TimeStamps(self.time.column, scale, wraps=self.time.wraps)
@@ -293,13 +295,14 @@ class RecordingParameters(Record):
 
 
 def width(quantity: Quantity) -> float:
-    """A difference, such as a standard deviation, in SI units: for a temperature, without the offset of its scale."""
+    """The size of a quantity that is a difference, such as a standard deviation, in SI units; the offset of a temperature scale is
+    not included."""
     return quantity.value - quantity.unit.offset
 
 
 def _check_dimension(channel: ChannelColumn, name: str, times: str, log: Findings) -> None:
-    """Checks the dimension of a declared amount against that of the channel. times: a factor after the channel's unit, such as
-    `*sqrt(s)`, or an empty text."""
+    """Checks that a declared quantity has the dimension of the channel. times: a factor by which the unit of the channel is
+    multiplied, such as `*sqrt(s)`, or an empty text."""
     value: Quantity | None = getattr(channel, name)
     if value is None:
         return

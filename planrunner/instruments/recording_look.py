@@ -1,4 +1,4 @@
-"""Determines properties of a recording that has no description yet: channels, time, noise, intervals at rest."""
+"""Finds properties of a recording that has no description yet: channels, time, noise, and intervals at rest."""
 
 from __future__ import annotations
 
@@ -54,8 +54,9 @@ _NAME = re.compile(r"[^A-Za-z0-9_]+")
 
 @dataclass(frozen=True, slots=True)
 class LikelyChannel:
-    """A column as a probable channel. unit: guessed; counts: whether the numbers are raw counts, with `per_unit` counts per unit;
-    noise: standard deviation of a sample at rest, in the unit; sure: whether the name of the column contains the unit."""
+    """A column that is probably a channel. unit: the probable unit; counts: True if the numbers are raw counts, with `per_unit`
+    counts per unit; noise: standard deviation of a sample at rest, in this unit; sure: True if the name of the column contains the
+    unit."""
 
     name: str
     column: str
@@ -69,8 +70,8 @@ class LikelyChannel:
 
 @dataclass(frozen=True, slots=True)
 class WindowLevels:
-    """Mean and scatter of each column in successive windows. begin: beginnings of the windows, (n,), s; mean, scatter: column →
-    (n,)."""
+    """Mean and standard deviation (scatter) of each column in successive windows. begin: (n,), start times of the windows, s;
+    length: length of a window, s; mean, scatter: for each column, the values (n,)."""
 
     begin: Array
     length: float
@@ -80,9 +81,9 @@ class WindowLevels:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Properties of a recording. time: column and unit, None if rows are counted; rate: Hz; other: columns that are not channels;
-    still: spans without motion; backwards: number of rows whose time does not increase (if there are any, rows are counted
-    instead); pauses: number of pauses, and the length of the shortest one, s."""
+    """Properties that were found in a recording. time: column and unit of the time, None if rows are counted; rate: sample rate,
+    Hz; other: columns that are not channels; still: spans without motion; backwards: number of rows whose time does not increase
+    (if there are any, rows are counted instead); pauses: number of pauses, and the length of the shortest one, s."""
 
     file: str
     format: Format | None
@@ -98,13 +99,14 @@ class Look:
 
     @property
     def still_share(self) -> float:
-        """Fraction of the time without motion."""
+        """The fraction of the recorded time that is without motion."""
         whole = len(self.windows.begin) * self.windows.length
         return sum(span.seconds for span in self.still) / whole if whole else 0.0
 
 
 def look_at(path: Path, rate: float | None = None, notice: Announce | None = None) -> Look:
-    """Examines a recording in two passes. rate: Hz, for a file without a time. Raises `InputError`."""
+    """Examines a recording. rate: sample rate [Hz] of a file without a time. Raises `InputError` if the file cannot be read, or
+    contains no time or no inertial channel."""
     try:
         given = guessed_format(path, path.name)
         columns = columns_of_numbers(path, path.name, given)
@@ -139,7 +141,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
 
 
 class _Clock:
-    """Observes the time column: the rows in which time does not increase, the steps longer than `pause` [s], and the total time."""
+    """Observes the time column: rows in which time does not increase, steps longer than `pause` [s], and the total time."""
 
     def __init__(self, stamp: tuple[str, str] | None, pause: float):
         self._column = None if stamp is None else stamp[0]
@@ -150,7 +152,7 @@ class _Clock:
         self.steps: list[float] = []
 
     def watched(self, rows: FileRows) -> FileRows:
-        """Yields the rows unchanged and observes them."""
+        """Yields the rows unchanged, and observes their times."""
         for number, time, values in rows:
             if self._column is not None and len(values[self._column]):
                 own = values[self._column] * self._scale
@@ -162,15 +164,15 @@ class _Clock:
             yield number, time, values
 
     def rate(self, rows: int, median: float) -> float:
-        """Rows per second [Hz]: the mean rate over the whole recording, or `median`, the rate of the median step, if pauses make
-        these rates differ."""
+        """Rows per second [Hz], averaged over the whole recording. If pauses make this differ from `median`, the rate of the median
+        step, returns `median`."""
         whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 
 
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
-    """The guesses for columns. If no name contains a gyro or an accelerometer, three neighbouring columns are taken as
-    accelerometers if their vector is as long as gravity, and three columns next to them as gyros."""
+    """Guesses for the columns, completed if the names do not help. If no name suggests a gyro or an accelerometer, three
+    neighbouring columns whose vector is as long as gravity are taken as accelerometers, and three columns next to them as gyros."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
@@ -194,7 +196,7 @@ def _windows(
     about: int,
     notice: Announce | None,
 ) -> tuple[WindowLevels, int]:
-    """Means and scatter of windows, and the number of rows."""
+    """Computes the means and standard deviations of all windows; also returns the number of rows."""
     size = max(2, round(WINDOW * rate), math.ceil(about / MOST_WINDOWS))
     pace = Pace("looking at the recording", about, notice)
     kept: dict[str, list[Array]] = {column: [] for column in columns}
@@ -219,8 +221,8 @@ def _windows(
 
 
 def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
-    """Spans in which every sensor is quiet: its scatter is similar to that of its quietest tenth, or small compared with its
-    scatter during motion."""
+    """Spans in which every sensor is at rest: its scatter is similar to that in its quietest windows, or small compared with its
+    scatter in motion, and its mean does not change much between windows."""
     if not columns or not len(windows.begin):
         return ()
     quiet = np.ones(len(windows.begin), bool)
@@ -236,7 +238,7 @@ def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
 
 
 def _course(mean: Array) -> Array:
-    """Absolute change of the mean from one window to the next, (n,), from the windows before and after each window."""
+    """Absolute change (n,) of the mean per window, computed from the windows before and after each window."""
     if len(mean) < 3:
         return np.zeros(len(mean))
     change = np.abs(mean[2:] - mean[:-2]) / 2
@@ -244,7 +246,7 @@ def _course(mean: Array) -> Array:
 
 
 def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Array:
-    """The values of the windows in the still spans, or of all windows if nothing is still."""
+    """The values of the windows in the still spans; of all windows if there are no still spans."""
     chosen = np.zeros(len(windows.begin), bool)
     for span in still:
         chosen |= (windows.begin >= span.start - 1e-9) & (windows.begin < span.end - 1e-9)
@@ -290,7 +292,7 @@ def _channels(guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[S
 
 
 def poses(windows: WindowLevels, still: Sequence[Span], triad: Sequence[LikelyChannel]) -> int:
-    """Number of still spans in which gravity points in different directions."""
+    """The number of different directions in which gravity points in the still spans."""
     found: list[Array] = []
     for span in still:
         mean = np.array(

@@ -1,7 +1,8 @@
-"""Check of a recording before it is played back: one pass with limited memory that reports all faults.
+"""Checks a recording before it is played back: reports all faults in one pass with limited memory.
 
-It finds missing or decreasing times; segments that extend beyond the data, contain no or too few samples, or overlap; gaps in time and
-missing numbers. Faults that prevent playback are errors; faults that only reduce the data of an estimate are warnings.
+It finds times that are missing or decrease; segments that extend beyond the data, contain no or too few samples, or overlap; gaps
+in time; and missing numbers. Faults that prevent playback are errors. Faults that only reduce the data for an estimate are
+warnings.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """An interval that a plan requires. span: the interval as in the table, after trimming; dwell: length [s] of the part to be
-    played, None for the whole interval. mark: place of the interval in the table."""
+    """An interval that a plan requires. span: the interval in the table, after trimming; dwell: length [s] of the part to be
+    played, None for the whole interval. mark: line of the interval in the table."""
 
     label: str
     span: Span
@@ -39,14 +40,15 @@ class Wanted:
 
     @property
     def played(self) -> Span:
-        """The part of the interval that is played, from the beginning of the interval."""
+        """The part of the interval that is played; it starts at the start of the interval."""
         end = self.span.end if self.dwell is None else min(self.span.end, self.span.start + self.dwell)
         return Span(self.span.start, end)
 
 
 @dataclass(slots=True)
 class _Seen:
-    """Result of a pass for one interval. gap: length [s] of the longest gap, which begins at `at`."""
+    """What a pass over the recording found in one interval. gap: length [s] of the longest gap between samples; at: time at which
+    this gap starts."""
 
     rows: int = 0
     complete: int = 0
@@ -72,7 +74,8 @@ class _Seen:
 
 @dataclass(slots=True)
 class _Pass:
-    """One pass over a recording. faults: places where the time is wrong; wrong: total number of such places."""
+    """What one pass over a recording has found so far. faults: descriptions of the first rows whose time is wrong; wrong: total
+    number of such rows."""
 
     period: float
     seen: list[_Seen]
@@ -119,9 +122,9 @@ def scan(
     log: Findings,
     notice: Announce | None = None,
 ) -> Span | None:
-    """Adds all faults of a recording to `log`. name: name of the file, for messages; sample_rate: Hz, as declared; notice: receives
-    the progress. Returns the span of the recording, None if its time is wrong. Raises `InstrumentError` if the rest of the file
-    cannot be read."""
+    """Adds all faults of a recording to `log`. name: name of the file, used in messages; sample_rate: declared sample rate, Hz;
+    notice: receives the progress. Returns the span of the recording; None if times in it are wrong. Raises `InstrumentError` if the
+    file cannot be read to its end."""
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])
     pace = Pace(f"checking {name}", file.about, notice)
@@ -153,7 +156,7 @@ def _on_time(found: _Pass, name: str, log: Findings) -> None:
 
 
 def _on_segment(one: Wanted, seen: _Seen, found: _Pass, name: str, log: Findings) -> None:
-    """Whether an interval lies within the data and contains the part to be played. It adds a finding otherwise."""
+    """Checks that an interval lies within the data and contains the part to be played. Adds a finding to `log` if it does not."""
     slack = GAP * found.period
     end = found.last + found.period
     begins, ends = (

@@ -1,6 +1,7 @@
-"""Segments of a recording that is played back: the rows of its table, or the parts between pauses.
+"""Segments of a recording that is played back: the rows of a table, or the parts between pauses.
 
-The table is a small CSV file with a label, a beginning and an end in each row. Without a table, pauses in the time divide the recording.
+The table is a small CSV file; each row contains a label, a start time and an end time. Without a table, pauses in the recorded time
+divide the recording.
 """
 
 from __future__ import annotations
@@ -27,23 +28,23 @@ LabelledRow = Mapping[str, str | None]
 
 @dataclass(frozen=True, slots=True)
 class SegmentTable:
-    """Stretches of the recording by label, after trimming, and the lines of the labels in the table. name: name of the file, for
-    messages."""
+    """The intervals of a recording by label, after trimming, and the line of each label in the table. name: name of the file with
+    the table, used in messages."""
 
     name: str
     spans: Mapping[str, Span]
     lines: Mapping[str, int]
 
     def span(self, label: str) -> Span:
-        """The interval of a label. Raises `InstrumentError` with the closest label if there is none."""
+        """The interval that belongs to a label. If there is none, raises `InstrumentError`, which suggests the closest label."""
         if label not in self.spans:
             raise InstrumentError(f"{self.name} has no segment '{label}'; {closest_label(label, self.spans)}")
         return self.spans[label]
 
 
 def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], scale: float, trim: float) -> SegmentTable:
-    """Reads the table at `path`. columns: names of the columns of label, start and end; scale: seconds per unit of start and end;
-    trim: time omitted at either end, s.
+    """Reads the table of segments at `path`. columns: names of the columns of the label, start and end; scale: seconds per unit of
+    start and end; trim: time [s] omitted at both ends of each segment.
 
     Raises `InstrumentError` with the line of the fault.
     """
@@ -57,8 +58,8 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], sca
 
 
 def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tuple[str, int, LabelledRow]]:
-    """The rows of a CSV table, each as label, line number and cells. columns: columns that the table must have, the column of the
-    labels first. name: name of the file, for messages.
+    """Yields the rows of a CSV table, each as label, line number and cells. columns: names of the columns that the table must have,
+    first the column of the labels. name: name of the file, used in messages.
 
     Raises `InstrumentError` with the line of the fault; every label must be present and unique.
     """
@@ -88,7 +89,7 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
 
 
 def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, scale: float, trim: float) -> Span:
-    """The stretch of a row. columns: names of the columns of start and end."""
+    """The interval that a row states. columns: names of the columns of the start and the end."""
     times = []
     for column in columns:
         try:
@@ -107,10 +108,10 @@ def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, scal
 
 
 def stretches(file: RecordingFile, pause: float, name: str = "", notice: Announce | None = None) -> tuple[Span, ...]:
-    """The stretches of a recording in which successive rows are at most `pause` s apart, found in one pass. Each stretch ends one
-    sample period after its last row. name: name of the file, for the progress that `notice` receives.
+    """Divides a recording at its pauses, which are steps of time longer than `pause` [s]; returns the parts between pauses. Each
+    part ends one sample period after its last row. name: name of the file, used in the progress that `notice` receives.
 
-    Raises `InstrumentError` like the file.
+    Raises `InstrumentError` if the file cannot be read.
     """
     found: list[Span] = []
     start = last = math.nan

@@ -1,7 +1,9 @@
-"""A table that replaces a recording: one row per segment, with the mean, the standard deviation and the number of its samples.
+"""A table that replaces a recording: for each segment, it contains a row with the mean, the standard deviation and the number of
+the samples.
 
-Published calibrations often contain no more. The rows are observations like the means of recorded samples. Estimates that need
-samples are refused. The samples of a segment count as independent: the standard error of a mean is s/√n, unless the table gives it.
+Published calibrations often contain no more. A row is used as an observation, like the means of recorded samples. Estimates that
+need samples are refused. The samples of a segment are treated as independent: the standard error of a mean is s/√n, unless the
+table states it.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ _DURATION = "seconds"
 
 @dataclass(frozen=True, slots=True)
 class SummaryRow:
-    """A segment in the table. line: line in the file; start: s; count: number of samples; means, deviations: by channel, in the
-    unit of the channel. If the table states a standard error, it is converted to a deviation: a mean of `count` independent samples
-    with this deviation has the stated standard error."""
+    """The row of a segment in the table. line: line in the file; start: start time, s; count: number of samples; means, deviations:
+    mean and standard deviation of each channel, in the unit of the channel. A standard error in the table is converted to a
+    deviation, so that a mean of `count` independent samples with this deviation has the stated standard error."""
 
     line: int
     start: float
@@ -38,7 +40,7 @@ class SummaryRow:
 
 
 class SummaryPlayer(PlaysBack):
-    """A sensor that plays back a table of means."""
+    """A sensor that plays back a table of means (a summary)."""
 
     def __init__(self, parameters: RecordingParameters, rows: Mapping[str, SummaryRow], clock: Clock):
         self.parameters = parameters
@@ -52,7 +54,7 @@ class SummaryPlayer(PlaysBack):
 
     @classmethod
     def open(cls, parameters: RecordingParameters, path: Path, clock: Clock) -> SummaryPlayer:
-        """Opens a player of the table at `path`. Raises `InstrumentError` with the line of the fault."""
+        """Opens a player for the table at `path`. Raises `InstrumentError` with the line of the fault."""
         columns = parameters.summary
         assert columns is not None
         for key, stated in (
@@ -72,14 +74,14 @@ class SummaryPlayer(PlaysBack):
         return {**units, **scatter, self.summary.count: "1", self.summary.seconds: "s"}
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Checks that the table contains every segment. Raises `UnservedError`."""
+        """Checks that the table contains every segment. Raises `UnservedError` with all errors that were found."""
         found = Findings()
         self.look_over(segments, found)
         if found.errors:
             raise UnservedError(found.errors)
 
     def look_over(self, segments: Sequence[Segment], log: Findings) -> None:
-        """Adds all findings about the rows of these segments to `log`."""
+        """Adds findings to `log` for segments that have no row, or whose row does not fit the planned dwell."""
         for segment in segments:
             try:
                 self._row(segment)
@@ -91,7 +93,8 @@ class SummaryPlayer(PlaysBack):
                 )
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """Yields the row of a segment as one sample of each channel and of its scatter (`summary`)."""
+        """Yields a single sample, which consists of the values in the row of the segment: the mean and the standard deviation of
+        each channel, the number of samples and the duration."""
         row = self._row(segment)
         seconds = row.count / self.parameters.sample_rate.value
         self.clock.sleep(seconds)
@@ -126,7 +129,7 @@ class SummaryPlayer(PlaysBack):
 
 
 def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) -> dict[str, SummaryRow]:
-    """Reads the rows of a table by label. Raises `InstrumentError` with the line of the fault."""
+    """Reads the rows of a table; returns them by label. Raises `InstrumentError` with the line of the fault."""
     name = parameters.file
     rows: dict[str, SummaryRow] = {}
     begin = 0.0
@@ -139,7 +142,8 @@ def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) 
 
 
 def _columns(parameters: RecordingParameters, columns: RowColumns) -> list[str]:
-    """The columns that the table must have, the column of the labels first. Raises `InstrumentError`."""
+    """The columns that the table must have, first the column of the labels. Raises `InstrumentError` if a channel does not have
+    exactly one column for its scatter."""
     wanted = [columns.label, columns.count, *([] if columns.start is None else [columns.start])]
     for name, channel in parameters.channels.items():
         stated = [key for key in (channel.standard_deviation, channel.standard_error) if key is not None]

@@ -1,7 +1,8 @@
 """Chambers with an Espec P300 or SCP-220 controller, over TCP (port 10001) or a serial line.
 
-Every command is answered, with `OK:` and the command or with `NA:` and the reason. The chamber's upper and lower temperature alarms
-are set before it first runs, so that it stops by itself beyond them. Sources: P300 communication manual; the maker's open library.
+The controller answers every command with `OK:` and the command, or with `NA:` and the reason. The upper and lower temperature
+alarms of the chamber are set before it first runs, so that the chamber stops by itself beyond them. Sources: P300 communication
+manual; the open library of the manufacturer.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ REASONS = {
 
 
 class EspecP300Parameters(WiredChamberKeys):
-    """A chamber with an Espec P300 or SCP-220 controller."""
+    """Keys of a chamber with an Espec P300 or SCP-220 controller."""
 
     station: int | None = optional(
         Number(1, 16, integer=True), "Address of the chamber on a line that several chambers share (RS-485).", 1
@@ -42,7 +43,7 @@ class EspecP300(ChamberDriver[EspecP300Parameters]):
 
 
 class EspecP300Commands(LinkedCommands):
-    """Commands of a P300; an `AirCommands`."""
+    """Commands of a P300 controller, as `AirCommands`."""
 
     def __init__(self, parameters: EspecP300Parameters):
         self.parameters = parameters
@@ -51,7 +52,8 @@ class EspecP300Commands(LinkedCommands):
         self.station = "" if parameters.station is None else f"{parameters.station},"
 
     def identify(self) -> Mapping[str, str]:
-        """Type of the chamber: sensors, controller, highest temperature. The controller reports neither manufacturer nor serial number."""
+        """Returns the type of the chamber: its sensors, controller and highest temperature. The controller reports neither
+        manufacturer nor serial number."""
         said = self._ask("TYPE?")
         self.parameters.check_identity(said, "")
         if said.count(",") not in (2, 3):
@@ -61,7 +63,7 @@ class EspecP300Commands(LinkedCommands):
         return {"manufacturer": "Espec", "model": "P300 or SCP-220", "type": said}
 
     def prepare(self, ramp: float) -> None:
-        """Prepares operation at a constant setpoint, in which the chamber ramps at its largest rate."""
+        """Prepares operation at a constant setpoint, which the chamber approaches at its largest rate."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
         self._do(f"TEMP,H{hottest:.1f}")

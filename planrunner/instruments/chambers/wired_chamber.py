@@ -1,7 +1,9 @@
-"""Functions common to all real chambers: checks of the temperature range, arrival of the air at the setpoint, the safe state.
+"""Functions that all real chambers share: checking the temperature range, deciding when the air has reached the setpoint, and
+bringing the chamber to its safe state.
 
-The commands of a controller are in a separate file, as `AirCommands`; this file does not depend on a vendor. The safe state is ambient
-temperature, held, because a chamber that is switched off at −40 degC would cause condensation on the sensor.
+The commands of each controller are in a separate file, as `AirCommands`; this file does not depend on a manufacturer. In the safe
+state, the chamber holds the ambient temperature, because moisture would condense on the sensor in a chamber that is switched off at
+−40 degC.
 """
 
 from __future__ import annotations
@@ -21,35 +23,35 @@ MARGIN = 5.0
 
 
 class WiredChamberKeys(LinkKeys, ChamberKeys):
-    """Keys of a real chamber."""
+    """The keys that all real chambers have in common."""
 
 
 K = TypeVar("K", bound=WiredChamberKeys)
 
 
 class AirCommands(Protocol):
-    """Commands of a controller; temperatures in degC. Every failure is an `InstrumentError`."""
+    """Commands of a chamber controller; temperatures are in degC. Every failure is an `InstrumentError`."""
 
     def identify(self) -> Mapping[str, str]: ...
     def prepare(self, ramp: float) -> None:
-        """Sets the units and the rate of the setpoint [K/min], if the controller has these settings."""
+        """Sets the units, and the rate of change of the setpoint to `ramp` [K/min], if the controller has these settings."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
-        """Sets the temperatures at which the chamber stops by itself; returns a line for each limit set."""
+        """Sets the temperatures at which the chamber stops by itself; returns one line of text for each limit that was set."""
 
     def head_for(self, celsius: float) -> None:
         """Changes the setpoint and starts the chamber."""
 
     def air(self) -> float: ...
     def faults(self) -> Sequence[str]:
-        """The reasons why the chamber cannot continue, in words; empty without a fault."""
+        """The reasons why the chamber cannot continue, in words; empty if there is no fault."""
 
     def remarks(self) -> Sequence[str]: ...
     def close(self) -> None: ...
 
 
 class WiredChamber:
-    """A real chamber behind its `AirCommands`."""
+    """A real chamber, controlled through its `AirCommands`."""
 
     def __init__(self, commands: AirCommands, keys: ChamberKeys):
         self.commands, self.keys = commands, keys
@@ -58,8 +60,8 @@ class WiredChamber:
 
     @classmethod
     def connect(cls, commands: AirCommands, keys: ChamberKeys) -> WiredChamber:
-        """Connects and queries the identification. If the query fails, the link is released. A chamber with a fault can still be made
-        safe."""
+        """Connects and queries the identification of the chamber. If the query fails, the link is closed. A fault of the chamber
+        does not prevent the connection, so that the chamber can be made safe."""
         try:
             commands.identify()
         except BaseException:
@@ -78,7 +80,7 @@ class WiredChamber:
         return told
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Checks the chamber before a run. Raises `InstrumentError` if it reports a fault."""
+        """Checks the chamber before a run. Raises `InstrumentError` if the chamber reports a fault."""
         self._raise(self.commands.faults())
 
     def set_temperature(self, kelvin: float) -> float:
@@ -134,13 +136,14 @@ class WiredChamber:
 
 
 class ChamberDriver(Generic[K]):
-    """The driver of a real chamber. K: the record of its keys. Derived drivers give `Parameters` and `commands_of`."""
+    """Base of the drivers of real chambers. K is the record with the keys of the chamber. Derived drivers define `Parameters` and
+    `commands_of`."""
 
     role = "chamber"
 
     @classmethod
     def commands_of(cls, parameters: K) -> AirCommands:
-        """The commands of a chamber with these keys."""
+        """Makes the commands of a chamber with these keys."""
         raise NotImplementedError
 
     @classmethod

@@ -1,8 +1,8 @@
-"""Arrays of numbers: MATLAB files of version 5 and 7.3, NumPy files and HDF5.
+"""Files with arrays of numbers: MATLAB files of version 5 and 7.3, NumPy files and HDF5.
 
-A column is the name of an array with one number per row (`gyro_x`), or a column of a matrix by its number from 1 (`imu[4]`). A
-field of a structure follows after a point (`data.gyr[1]`). In HDF5, `/` separates the groups (`imu/gyro[1]`). The longer dimension
-of a matrix is that of the rows.
+A column is named after its array if the array has one number per row (`gyro_x`). A column of a matrix is named by its number,
+counted from 1 (`imu[4]`). The name of a field in a structure follows after a point (`data.gyr[1]`). In HDF5, `/` separates the
+groups (`imu/gyro[1]`). The rows of a matrix are counted along its longer dimension.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ _DEEPEST = 6  # structures in structures
 
 
 class ArraysFile(FormatFile[NoKeys]):
-    """A file of named arrays. Each array is one column or one matrix."""
+    """A file of named arrays. Each array is a single column or a matrix of columns."""
 
     @abstractmethod
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
-        """Shapes of the numeric arrays, by name. Raises `InstrumentError`."""
+        """Shapes of the numeric arrays, by name. Raises `InstrumentError` if the file cannot be read."""
 
     @abstractmethod
     def read(self, names: list[str], begin: int, end: int) -> Mapping[str, Array]:
-        """Reads the rows `begin` to `end`, counted from 0, of columns by name."""
+        """Reads the rows from `begin` (counted from 0) up to but not including `end`, for the named columns."""
 
     def faults(self) -> tuple[type[Exception], ...]:
         return (*super().faults(), ValueError, KeyError, EOFError, zlib.error, zipfile.BadZipFile, struct.error)
@@ -95,7 +95,7 @@ class ArraysFile(FormatFile[NoKeys]):
 
 
 def array_of(column: str) -> str:
-    """The array that contains a column."""
+    """The name of the array that contains a column."""
     found = _COLUMN.fullmatch(column)
     return column if found is None else found[1]
 
@@ -109,7 +109,8 @@ def _columns_of(array: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def _part(array: NDArray[np.generic] | h5py.Dataset, column: str, begin: int, end: int) -> Array:
-    """Rows of one column of an array or dataset; from a dataset only these rows are read."""
+    """The rows from `begin` up to but not including `end` of one column of an array or dataset; of a dataset, only these rows are
+    read."""
     shape = array.shape
     if len(shape) == 1:
         return np.asarray(array[begin:end], float)
@@ -124,7 +125,7 @@ def _is_table(array: object) -> bool:
 
 
 class _HeldArrays(ArraysFile):
-    """A file that is read as a whole; its arrays stay in memory."""
+    """A file that is read as a whole; its arrays are kept in memory."""
 
     def __init__(self, path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], parameters: NoKeys):
         super().__init__(path, name, stamps, channels, parameters)
@@ -132,7 +133,7 @@ class _HeldArrays(ArraysFile):
 
     @abstractmethod
     def load(self, file: BinaryIO) -> Mapping[str, object]:
-        """Loads everything that the file contains, by name."""
+        """Loads all contents of the file, by name."""
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """The numeric arrays by name."""
@@ -151,7 +152,7 @@ class _HeldArrays(ArraysFile):
         return {name: _part(self.arrays()[array_of(name)], name, begin, end) for name in names}
 
     def bounded(self, size: int) -> None:
-        """Checks the size. Raises `InstrumentError` if the arrays are too large for the memory."""
+        """Raises `InstrumentError` if the arrays, with `size` bytes in total, are too large for the memory."""
         if size > MAX_UNPACKED:
             message = f"its arrays have more than {MAX_UNPACKED / 1e9:g} GB"
             raise InstrumentError(
@@ -160,7 +161,7 @@ class _HeldArrays(ArraysFile):
 
 
 def _within(name: str, value: object, depth: int = 0) -> dict[str, NDArray[np.generic]]:
-    """The numeric arrays in a value: the value itself, or the fields of a structure."""
+    """Finds the numeric arrays in a value: the value itself, or the fields of a structure."""
     if not isinstance(value, np.ndarray) or depth > _DEEPEST:
         return {}
     if _is_table(value):
@@ -180,7 +181,7 @@ def _within(name: str, value: object, depth: int = 0) -> dict[str, NDArray[np.ge
 
 
 class MatlabFile(_HeldArrays):
-    """A MATLAB file of version 5, 6 or 7. Version 7.3 writes HDF5."""
+    """A MATLAB file of version 5, 6 or 7. Version 7.3 writes HDF5, which `Hdf5File` reads."""
 
     def load(self, file: BinaryIO) -> Mapping[str, object]:
         from scipy.io import loadmat
@@ -195,8 +196,8 @@ class MatlabFile(_HeldArrays):
 
 
 def _unpacked(file: BinaryIO) -> int:
-    """Total size in bytes of all elements of a MATLAB file after unpacking. Counting stops as soon as the total exceeds the bound.
-    Afterwards the file is positioned at its start."""
+    """Total size in bytes of all elements of a MATLAB file after unpacking. Counting stops as soon as the total exceeds
+    `MAX_UNPACKED`. Afterwards the file is positioned at its start."""
     file.seek(0)
     header = file.read(_MATLAB_HEADER)
     order = ">" if header[126:128] == b"MI" else "<"
@@ -221,7 +222,8 @@ def _unpacked(file: BinaryIO) -> int:
 
 
 class NumpyFile(_HeldArrays):
-    """A NumPy file: `.npy`, a matrix named `data` or a table with named fields; `.npz`, several arrays. Python objects are refused."""
+    """A NumPy file: a `.npy` file contains a matrix, which is named `data`, or a table with named fields; an `.npz` file contains
+    several arrays. Python objects are refused."""
 
     def load(self, file: BinaryIO) -> Mapping[str, object]:
         if file.read(4) == b"PK\x03\x04":
@@ -241,13 +243,14 @@ class NumpyFile(_HeldArrays):
 
 
 def _array(file: IO[bytes], size: int) -> object:
-    """An array in NumPy's format. A header that announces more data than the file contains is an error."""
+    """Reads an array in NumPy's format from the file. A header that announces more data than the file contains is an error."""
     whole = io.BytesIO(file.read(size))
     return np.lib.format.read_array(whole, allow_pickle=False)
 
 
 class Hdf5File(ArraysFile):
-    """An HDF5 file, also as MATLAB 7.3 writes it. Only datasets in the file itself are read; links to other files are refused."""
+    """An HDF5 file, including those that MATLAB 7.3 writes. Only datasets in the file itself are read; links to other files are
+    refused."""
 
     @contextlib.contextmanager
     def _opened(self) -> Iterator[h5py.File]:
@@ -292,15 +295,17 @@ class Hdf5File(ArraysFile):
 
 
 def is_hdf5(path: Path, name: str) -> bool:
-    """Whether a file is HDF5, possibly after the header that MATLAB 7.3 writes. Raises `InstrumentError`."""
+    """True if a file is HDF5, possibly after the header that MATLAB 7.3 writes. Raises `InstrumentError` if the file cannot be
+    opened."""
     with open_samples(path, name) as file:
         start = file.read(512 + len(HDF5_MAGIC))
     return start.startswith(HDF5_MAGIC) or start[512:] == HDF5_MAGIC
 
 
 class UlogFile(_HeldArrays):
-    """A flight log of PX4: a field of a topic is `sensor_combined.gyro_rad[1]`, counted from 1; the second instance of a topic is
-    `sensor_accel.1.x`. Rows of different topics have their own times, so a recording takes its columns from one topic."""
+    """A flight log of PX4. The name of a column consists of a topic, a field and an index counted from 1, such as
+    `sensor_combined.gyro_rad[1]`; the second instance of a topic has a number, as in `sensor_accel.1.x`. Each topic has its own
+    times, so a recording takes all its columns from one topic."""
 
     def load(self, file: BinaryIO) -> Mapping[str, object]:
         try:

@@ -28,7 +28,7 @@ from planrunner.plan.span import Span
 
 
 class BinaryKeys(Record):
-    """Keys of binary records."""
+    """Keys of a file of binary records."""
 
     length: int = key(Number(1, LONGEST, integer=True), "Length of a record in bytes, including sync and checksum.", 56)
     fields: dict[str, ScaledNumber] = key(
@@ -55,7 +55,7 @@ class BinaryKeys(Record):
 
 
 def check_binary(keys: BinaryKeys, log: Findings) -> None:
-    """Adds an error for each contradiction: a number outside the record, or a checksum without frames."""
+    """Adds an error for each contradiction between the keys: a number outside the record, or a checksum without frames."""
     check = keys.length - len(bytes.fromhex(keys.sync or ""))
     if keys.checksum is not None:
         check -= CHECKSUMS[keys.checksum.type].width // 8
@@ -82,7 +82,7 @@ def check_binary(keys: BinaryKeys, log: Findings) -> None:
 
 
 class BinaryFile(FormatFile[BinaryKeys]):
-    """A file of binary records of numbers. The last record may be incomplete. Frames with a wrong checksum, and bytes between
+    """A file of binary records of numbers. An incomplete last record is left out. Frames with a wrong checksum, and bytes between
     frames, are skipped and counted."""
 
     Parameters = BinaryKeys
@@ -127,7 +127,7 @@ class BinaryFile(FormatFile[BinaryKeys]):
             )
 
     def _frames(self) -> Iterator[Frames]:
-        """The frames in pieces of at most the size of a batch."""
+        """The frames in pieces that are at most as large as a batch."""
         keys = self.parameters
         framing, length = keys.framing, keys.length
         with open_samples(self.path, self.name) as file:

@@ -47,7 +47,7 @@ ENDINGS = {
 
 
 class Format(Record):
-    """The format of a recording. The format has additional keys."""
+    """The format of a recording. Each format has additional keys (`parameters`)."""
 
     type: str = key(
         Choice(tuple(FORMATS)), "The format; by default, the extension of the file name determines it.", "text"
@@ -56,7 +56,7 @@ class Format(Record):
 
 
 def _kind(name: str) -> type[AnyFile]:
-    """Finds the format with a name. Raises `InputError` if there is no such format."""
+    """Finds the format with this name. Raises `InputError` if there is no such format."""
     if name not in FORMATS:
         raise InputError(())
     return FORMATS[name]
@@ -78,8 +78,8 @@ class FormatChoice:
 
 
 def open_file(path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], given: Format | None) -> AnyFile:
-    """Opens the file in its format. given: format as the bench states it, by default determined by the ending of the name. Raises
-    `InstrumentError`."""
+    """Opens a file of samples in its format. given: format from the bench file; None if the extension of the file name determines
+    it. Raises `InstrumentError` if the format is unknown or the file cannot be opened."""
     kind = ENDINGS.get(path.suffix.lower()) if given is None else given.type
     if kind is None:
         open_samples(path, name).close()  # a folder, or nothing at all, is named as what it is

@@ -29,7 +29,8 @@ class SqliteKeys(Record):
 
 
 class SqliteFile(FormatFile[SqliteKeys]):
-    """A table, in the order of its rows. The file is opened for reading only; views and virtual tables are refused."""
+    """A table of a SQLite file, read in the order of its rows. The file is opened for reading only; views and virtual tables are
+    refused."""
 
     Parameters = SqliteKeys
 
@@ -104,5 +105,5 @@ class SqliteFile(FormatFile[SqliteKeys]):
 
 
 def _quoted(name: str) -> str:
-    """A name in the quotes of SQL."""
+    """The name, quoted for SQL."""
     return '"' + name.replace('"', '""') + '"'

@@ -1,4 +1,4 @@
-"""Functions common to all formats of recordings: reading rows in batches, checking that times increase, limits of size."""
+"""Functions that all formats of recordings share: reading rows in batches, checking that times increase, and limiting sizes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ BATCH = 65_536  # rows
 
 
 def open_samples(path: Path, name: str) -> BinaryIO:
-    """Opens the file of a recording, positioned at its start. name: name for messages. Raises `InstrumentError`."""
+    """Opens the file of a recording, positioned at its start. name: name of the file, used in messages. Raises `InstrumentError` if
+    it is not a regular file or is too large."""
     try:
         return open_regular(path, MAX_BYTES)
     except RefusedFileError as refused:
@@ -36,7 +37,7 @@ def open_samples(path: Path, name: str) -> BinaryIO:
 
 
 def few_columns(count: int, name: str) -> None:
-    """Checks that a recording does not have too many columns. Raises `InstrumentError` otherwise."""
+    """Raises `InstrumentError` if a recording has more than `MAX_COLUMNS` columns."""
     if count > MAX_COLUMNS:
         message = f"it has more than {MAX_COLUMNS} columns"
         raise InstrumentError(f"{name}: {message}; keep time and the channels, one row for each time")
@@ -44,10 +45,10 @@ def few_columns(count: int, name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class TimeStamps:
-    """Source of the time of a row.
+    """Describes where the time of a row comes from.
 
-    column: the column with the time or the counter; None if rows are counted. scale: seconds per unit of the column. period: time
-    [s] between rows, if rows are counted. wraps: value at which the counter starts again from zero, None if it does not wrap.
+    column: the column with the time or with a counter; None if the rows are counted. scale: seconds per unit of the column. period:
+    time [s] between rows if the rows are counted. wraps: value at which the counter starts again from zero, None if it never does.
     """
 
     column: str | None
@@ -61,7 +62,7 @@ class TimeStamps:
 
     @property
     def in_file(self) -> bool:
-        """Whether the value in a row is its time, so that rows can be read without the preceding rows."""
+        """True if each row contains its time, so that rows can be read without the preceding rows."""
         return self.column is not None and self.wraps is None
 
 
@@ -72,7 +73,7 @@ class SampleRows(Protocol):
     def count(self) -> int: ...
 
     def numbers(self, column: str) -> Array:
-        """A column, (count,); a missing number is NaN. Raises `InstrumentError` for a value that is not a number."""
+        """The values (count,) of a column; a missing number is NaN. Raises `InstrumentError` for a value that is not a number."""
 
 
 @dataclass
@@ -97,18 +98,18 @@ class _Counter:
 
 
 class NoKeys(Record):
-    """The keys of a format that needs no keys, because the file describes itself."""
+    """Keys of a format that needs none, because its files describe themselves."""
 
 
 Keys = TypeVar("Keys", bound=Record, covariant=True)
 
 
 class FormatFile(ABC, Generic[Keys]):
-    """A file of samples. name: name for messages; stamps: source of the time of its rows; channels: channel → column; parameters:
-    the keys of the format in the bench file.
+    """A file of samples in some format. name: name of the file, used in messages; stamps: source of the time of a row; channels:
+    for each channel, the name of its column; parameters: the keys of the format in the bench file.
 
-    origin: time of the first row, s; interval: median time between the first rows, s, NaN for a single row; about: approximate
-    number of rows. `look` sets `origin`, `interval` and `about`.
+    origin: time of the first row, s; interval: median time between the first rows, s, NaN if there is only one row; about:
+    approximate number of rows. `look` sets `origin`, `interval` and `about`.
     """
 
     Parameters: type[Record] = NoKeys
@@ -120,36 +121,38 @@ class FormatFile(ABC, Generic[Keys]):
 
     @abstractmethod
     def columns(self) -> list[str]:
-        """Names of the columns. Raises `InstrumentError`."""
+        """Names of the columns. Raises `InstrumentError` if the file cannot be read."""
 
     @abstractmethod
     def rows_about(self) -> int:
-        """Approximate number of rows, without reading them."""
+        """Estimates the number of rows without reading them."""
 
     @abstractmethod
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
-        """Batches of rows as (number of the first row, counted from 1; rows). A batch may contain rows outside the span."""
+        """Yields batches of rows, each with the number of its first row, counted from 1. A batch may also contain rows outside the
+        span."""
 
     def faults(self) -> tuple[type[Exception], ...]:
         """Exceptions that indicate that the file cannot be read."""
         return (OSError, UnicodeDecodeError)
 
     def hint(self, column: str, known: list[str]) -> str:
-        """The remedy for a column that the file does not have. known: the columns that it has."""
+        """A hint about a column that the file does not have. known: names of the columns of the file."""
         return closest(column, known)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """The rows and bytes that were skipped, in words. The numbers are known after a pass over all rows."""
+        """Remarks about rows and bytes that were skipped, in words. The counts are complete after a pass over all rows."""
         return ()
 
     @property
     def wanted(self) -> list[str]:
-        """The columns of time and channels, each once."""
+        """The columns of the time and of the channels, each listed once."""
         return list(dict.fromkeys((*self.stamps.columns, *self.channels.values())))
 
     def look(self) -> None:
-        """Checks the columns and the first rows. Raises `InstrumentError`."""
+        """Checks the columns and the first rows of the file. Raises `InstrumentError` if a column is absent or ambiguous, or if the
+        file contains no samples."""
         known = self.columns()
         absent = [column for column in self.wanted if column not in known]
         if absent:
@@ -168,8 +171,8 @@ class FormatFile(ABC, Generic[Keys]):
         raise InstrumentError(f"{self.name} holds no samples")
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """Times [s], shape (n,), and channels, each (n,), of the samples in a span, in batches of at most `BATCH` rows. A missing number is
-        NaN. Raises `InstrumentError` where time does not increase."""
+        """Yields the samples in a span, in batches of at most `BATCH` rows: times (n,), in s, and the values (n,) of each channel.
+        A missing number is NaN. Raises `InstrumentError` where time does not increase."""
         before: float | None = None
         following: int | None = None
         for first, rows, time in self._timed(span):
@@ -182,13 +185,13 @@ class FormatFile(ABC, Generic[Keys]):
                 return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Every row unchanged, in batches: number of the first row, counted from 1; times [s], which may be missing or decrease;
-        channels. Raises `InstrumentError` if the file cannot be read."""
+        """Yields all rows unchanged, in batches: the number of the first row, counted from 1; times [s], which may be missing or
+        decrease; and the values of each channel. Raises `InstrumentError` if the file cannot be read."""
         for first, rows, time in self._timed(EVERYTHING):
             yield first, time, {name: rows.numbers(column) for name, column in self.channels.items()}
 
     def _timed(self, span: Span) -> Iterator[tuple[int, SampleRows, Array]]:
-        """The batches that contain rows, with their times."""
+        """Yields the batches that contain rows, with the times of their rows."""
         stamps = self.stamps
         counter = None if stamps.wraps is None else _Counter(stamps.wraps)
         try:
@@ -206,7 +209,8 @@ class FormatFile(ABC, Generic[Keys]):
             raise self.unreadable(error) from None
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
-        """Checks that every time is present and later than the time of the row before, also across batches."""
+        """Raises `InstrumentError` unless every time is present and later than the time of the previous row. before: time of the
+        last row of the previous batch."""
         if not np.all(np.isfinite(time)):
             row = first + int(np.flatnonzero(~np.isfinite(time))[0])
             raise InstrumentError(f"{self.name}, row {row}: the time is missing or not a number")
@@ -218,7 +222,7 @@ class FormatFile(ABC, Generic[Keys]):
             raise InstrumentError(f"{self.name}, row {first + index}: {message}; sort the recording or remove the row")
 
     def unreadable(self, error: Exception) -> InstrumentError:
-        """The message about a fault of the file."""
+        """Makes the `InstrumentError` that describes why the file cannot be read."""
         reason = (error.strerror if isinstance(error, OSError) else None) or (str(error).splitlines() or [""])[0][:200]
         if isinstance(error, UnicodeDecodeError):
             reason = "its header is not UTF-8 text; save it as UTF-8, or state its encoding in `format`"
@@ -231,7 +235,7 @@ AnyFile = FormatFile[Record]
 
 @dataclass(frozen=True, slots=True)
 class HeldRows:
-    """Rows that are in memory, by column, each (count,)."""
+    """Rows in memory. count: number of rows; values: the values (count,) of each column."""
 
     count: int
     values: Mapping[str, NDArray[np.generic]]

@@ -1,6 +1,6 @@
-"""Guesses the layout of a file: its format, its columns of numbers, its time, and the channel of each column.
+"""Guesses how a file is arranged: its format, its numeric columns, its column of time, and the channel of each column.
 
-Guesses are made from names and numbers alone. They are meant to be read and corrected by the person who knows the recording.
+Guesses use only names and numbers. A person who knows the recording should check and correct them.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ _MATRIX = re.compile(r"\[([123])\]$")
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """Guesses about a column that is perhaps a channel. sensed: gyro, accel, temperature or empty; axis: x, y, z or empty; unit:
-    unit according to the name of the column, or empty."""
+    """A guess about a column that may be a channel. sensed: gyro, accel, temperature, or empty if unknown; axis: x, y, z, or empty;
+    unit: the unit that the name of the column contains, or empty."""
 
     column: str
     sensed: str
@@ -66,7 +66,8 @@ class Guess:
 
 
 def guessed_format(path: Path, name: str) -> Format | None:
-    """The format of a file; None if the ending of its name determines it. Raises `InstrumentError` if no guess can be made."""
+    """Guesses the format of a file; None if the extension of the file name determines it. Raises `InstrumentError` if no guess can
+    be made."""
     kind = ENDINGS.get(path.suffix.lower())
     if kind not in (None, "text"):
         return None
@@ -90,8 +91,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
 
 
 def _text_keys(start: str, encoding: str) -> TextKeys | None:
-    """The layout of a text file from its first lines. The separator is the one that gives the most columns on the most lines. None
-    if there are no numbers."""
+    """Guesses the layout of a text file from its first lines. The chosen separator is the one for which most lines have the same
+    number of columns; among equals, the one with the most columns. Returns None if the lines contain no columns of numbers."""
     lines = start.splitlines()[:-1] or start.splitlines()
     best: tuple[int, int, TextKeys] | None = None
     for word, separator in SEPARATORS.items():
@@ -121,7 +122,7 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
 
 
 def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
-    """The first line after which most cells are numbers."""
+    """The index of the first line in which most cells are numbers."""
     for index, row in enumerate(cells):
         if len(row) == width and sum(_NUMBER.fullmatch(cell.strip()) is not None for cell in row) > width / 2:
             return index
@@ -129,7 +130,8 @@ def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
 
 
 def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]:
-    """The numeric columns of a file, without those whose number of rows differs from the most common one. Raises `InstrumentError`."""
+    """The numeric columns of a file. Columns whose number of rows differs from the most common one are left out. Raises
+    `InstrumentError` if there is no numeric column."""
     counts: dict[str, int] = {}
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()
     for column in dict.fromkeys(known[:MOST_COLUMNS]):
@@ -149,15 +151,16 @@ def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]
 
 
 def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) -> AnyFile:
-    """The file opened with these columns as channels. Its rows are one unit of time apart. Raises `InstrumentError`."""
+    """Opens a file with these columns as channels. As its time is not known yet, its rows count as one second apart. Raises
+    `InstrumentError` if the file cannot be read."""
     file = open_file(path, name, TimeStamps(None, period=1.0), {column: column for column in columns}, given)
     file.look()
     return file
 
 
 def guessed_time(first: Mapping[str, Array]) -> tuple[str, str, float] | None:
-    """The column of the time, its unit and the sample rate [Hz], guessed from the first rows of all columns; None if no column is a
-    time."""
+    """Guesses the column of the time, its unit and the sample rate [Hz] from the first rows of all columns; None if no column looks
+    like a time."""
     for pattern in (_TIME, re.compile("")):
         for column, values in first.items():
             if pattern.pattern and not pattern.search(column):
@@ -187,7 +190,7 @@ def _unit_of_time(column: str, step: float) -> str | None:
 
 
 def guessed_channel(column: str) -> Guess:
-    """The probable meaning of a column, from its name."""
+    """Guesses the meaning of a column from its name."""
     unit = next((unit for pattern, unit in _UNITS if pattern.search(column)), "")
     sensed = next((sensed for sensed, pattern in _SENSED if pattern.search(_MATRIX.sub("", column))), "")
     by_unit = {
@@ -207,8 +210,9 @@ def guessed_channel(column: str) -> Guess:
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
-    """The unit of a column whose name does not contain it. level: for a gyro, the largest absolute value of the column; for an
-    accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of the accelerometers."""
+    """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. level: for a gyro, the largest
+    absolute value of the column; for an accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of
+    the accelerometers."""
     if sensed == "accel":
         for unit, one_g in (("m/s^2", STANDARD_GRAVITY), ("g", 1.0), ("mg", 1000.0)):
             if abs(math.log(max(level, 1e-9) / one_g)) < 0.25:

@@ -1,4 +1,4 @@
-"""Parquet files. The directory, the columns and the row groups are checked against their bounds before they are read."""
+"""Parquet files. The directory, the columns and the row groups are checked against limits of size before they are read."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ _END = struct.Struct("<I4s")
 
 
 def check_directory(file: BinaryIO, name: str) -> None:
-    """Checks the size of the directory against its bound; afterwards the file is positioned at its start. Raises `InstrumentError`."""
+    """Checks that the directory of the file is not too large; afterwards the file is positioned at its start. Raises
+    `InstrumentError` if it is."""
     size = file.seek(0, 2)
     if size >= _END.size:
         file.seek(size - _END.size)
@@ -37,7 +38,8 @@ def check_directory(file: BinaryIO, name: str) -> None:
 
 
 def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str]) -> None:
-    """Checks the columns: their number, the types of the `wanted` columns, and their size in a row group. Raises `InstrumentError`."""
+    """Checks the columns of a file: their number, the types of the `wanted` columns, and their size in a row group. Raises
+    `InstrumentError` if a check fails."""
     from pyarrow import types
 
     few_columns(file.metadata.num_columns, name)
@@ -62,7 +64,7 @@ def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str]) -> Non
 
 
 class ParquetFile(FormatFile[NoKeys]):
-    """A Parquet file. Row groups that are outside the span according to their statistics are skipped."""
+    """A Parquet file. A row group is skipped if its statistics show that it is outside the requested span."""
 
     def faults(self) -> tuple[type[Exception], ...]:
         import pyarrow as pa
@@ -84,7 +86,7 @@ class ParquetFile(FormatFile[NoKeys]):
 
     @contextlib.contextmanager
     def _opened(self) -> Iterator[pq.ParquetFile]:
-        """The file, with its directory read and checked against its bounds; columns are read in small pieces."""
+        """Opens the file after its directory and its columns have been checked; columns are read in small pieces."""
         import pyarrow.parquet as pq
 
         with open_samples(self.path, self.name) as opened:
@@ -106,8 +108,8 @@ class ParquetFile(FormatFile[NoKeys]):
                 first += count
 
     def _outside(self, group: pq.RowGroupMetaData, span: Span) -> bool:
-        """Whether a row group is outside the span, according to its statistics. A group that may touch a boundary of the span after
-        rounding is read."""
+        """True if the statistics of a row group show that it is outside the span. A group that, after rounding, may touch a
+        boundary of the span is read."""
         if not self.stamps.in_file:
             return False
         scale = self.stamps.scale

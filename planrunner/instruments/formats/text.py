@@ -1,5 +1,5 @@
-"""Separated text: columns separated by commas, tabs or semicolons (with decimal commas), or aligned with blanks; the columns are
-named in a header line or in the bench file."""
+"""Separated text. Columns are separated by commas, tabs or semicolons (with decimal commas), or aligned with blanks. A header line
+or the bench file names the columns."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _EDGES = re.compile(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)")
 
 
 class TextKeys(Record):
-    """Keys of separated text."""
+    """Keys of a file of separated text."""
 
     separator: str = key(
         Choice(tuple(SEPARATORS)),
@@ -59,7 +59,7 @@ class TextKeys(Record):
 
     @property
     def delimiter(self) -> str:
-        """The separator between the columns in the text that is parsed."""
+        """The character that separates the columns when the text is parsed."""
         return SEPARATORS[self.separator]
 
     @property
@@ -69,7 +69,7 @@ class TextKeys(Record):
 
 
 class TextFile(FormatFile[TextKeys]):
-    """A header line, then numbers; an empty field is a missing number."""
+    """A text file: a header line, then numbers; an empty field is a missing number."""
 
     Parameters = TextKeys
 
@@ -114,7 +114,7 @@ class TextFile(FormatFile[TextKeys]):
         return super().unreadable(error) if other is None else InstrumentError(f"{self.name}: {other}")
 
     def _other_separator(self, header: str) -> str | None:
-        """A hint if a header line of a single column contains other separators."""
+        """A hint if the header line seems to have a single column but contains other separators; otherwise None."""
         for word, separator in SEPARATORS.items():
             if word != self.parameters.separator and separator in header.strip():
                 return (
@@ -125,7 +125,7 @@ class TextFile(FormatFile[TextKeys]):
 
     @contextlib.contextmanager
     def _opened(self, wanted: list[str] | None) -> Iterator[arrow_csv.CSVStreamingReader]:
-        """A reader of the columns `wanted`, by default all. Faults of the file become an `InstrumentError`."""
+        """Opens a reader of the columns `wanted`, by default all. A fault of the file becomes an `InstrumentError`."""
         import pyarrow as pa
         from pyarrow import csv as arrow_csv
 
@@ -150,14 +150,14 @@ class TextFile(FormatFile[TextKeys]):
             raise self._not_numbers(wanted or []) or self.unreadable(error) from None
 
     def _text(self, file: BinaryIO) -> BinaryIO | Blanks:
-        """The text in the form in which it is parsed, after a check of its first line."""
+        """Checks the first line; returns the text in the form in which it is parsed."""
         if self.parameters.separator == "blanks":
             return Blanks(file, self.parameters.skip)
         check_header(file, self.name, self.parameters)
         return file
 
     def _not_numbers(self, wanted: list[str]) -> InstrumentError | None:
-        """The message about the first line that is too long, or the first cell that is not a number; None if there is a different fault."""
+        """An error about the first line that is too long or the first cell that is not a number; None if neither exists."""
         layout = self.parameters
         encoding = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
         with contextlib.suppress(OSError, UnicodeDecodeError), open_samples(self.path, self.name) as opened:
@@ -183,7 +183,7 @@ class TextFile(FormatFile[TextKeys]):
 
 class Blanks(io.RawIOBase):
     """Text in which each sequence of blanks and tabs becomes one tab. Blanks and tabs at the ends of a line are removed. The first
-    `skip` lines are not changed, so that they remain lines."""
+    `skip` lines are not changed, because they must still count as lines."""
 
     def __init__(self, file: BinaryIO, skip: int = 0):
         self._file = file
@@ -211,7 +211,7 @@ class Blanks(io.RawIOBase):
 
 
 def check_header(file: BinaryIO, name: str, layout: TextKeys) -> None:
-    """Checks the first line against its bounds; afterwards the file is positioned at its start. Raises `InstrumentError`."""
+    """Checks that the first line is not too long; afterwards the file is positioned at its start. Raises `InstrumentError`."""
     for _ in range(layout.skip):
         file.readline(MAX_HEADER)
     start = file.read(MAX_HEADER + 1).removeprefix(b"\xef\xbb\xbf").lstrip(b"\r\n")

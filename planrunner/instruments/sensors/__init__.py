@@ -1,1 +1,1 @@
-"""Drivers of inertial sensors that stream frames over a serial line, one file for each family."""
+"""Drivers of inertial sensors that stream frames over a serial line, with one file for each family of sensors."""

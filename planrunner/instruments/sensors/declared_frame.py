@@ -1,4 +1,4 @@
-"""A sensor without its own driver: the bench file describes its frames field by field.
+"""A sensor for which there is no separate driver: the bench file describes its frames field by field.
 
 imu:
   driver: declared_frame
@@ -41,13 +41,14 @@ from planrunner.plan.kinds import Boolean, Choice, MapOf, Number, Record, Record
 
 
 class FieldOfFrame(ScaledNumber):
-    """A number in a frame that is a channel."""
+    """Keys of a number in a frame that becomes a channel."""
 
     unit: str = key(UnitText(), "Unit of the result.", "deg/s")
 
 
 class CounterOfFrame(Record):
-    """The counter of a frame, which runs through all values of its type, or below `modulus`."""
+    """Keys of the counter in a frame. It counts through all values of its type, or up to `modulus` − 1, and then starts again from
+    zero."""
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Position of its first byte.", 14, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
@@ -61,7 +62,7 @@ class CounterOfFrame(Record):
 
 
 class StatusOfFrame(Record):
-    """A status word of a frame; set bits mark the frame as doubtful."""
+    """Keys of a status word in a frame; its set bits mark the frame as doubtful."""
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Position of its first byte.", 15, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
@@ -80,7 +81,7 @@ PartOfFrame = FieldOfFrame | CounterOfFrame | StatusOfFrame
 
 
 class DeclaredFrameParameters(SerialSensorParameters):
-    """A sensor whose frames are described here."""
+    """Keys of a sensor whose frames the bench file describes."""
 
     sync: str = key(
         SYNC,
@@ -162,7 +163,7 @@ class DeclaredFrame(SerialSensor[DeclaredFrameParameters]):
 
 
 def _check(parameters: DeclaredFrameParameters) -> None:
-    """Checks that all fields are within the frame. Raises `InputError`."""
+    """Checks that all fields are within the frame. Raises `InputError` if one is not."""
     check = CHECKSUMS[parameters.checksum.type].width // 8 if parameters.checksum is not None else 0
     places: dict[str, tuple[PartOfFrame, int]] = {
         name: (item, TYPES[item.type][0]) for name, item in parameters.fields.items()

@@ -1,4 +1,4 @@
-"""Bench keys that are common to sensors on serial lines: port, rate, and declared noise and full scale."""
+"""Keys in the bench file that sensors on serial lines have in common: port, rate, and declared noise and full scale."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RATES, ACCELERATIONS = ("deg/s", "rad/s"), ("g", "m/s^2")
 
 
 class GyroKnowledge(Record):
-    """Declared properties of the gyros, the same for all axes."""
+    """Keys for declared properties of the gyros, which are the same for all axes."""
 
     full_scale: Quantity | None = optional(
         QuantityOf("angular rate", "positive"),
@@ -36,7 +36,7 @@ class GyroKnowledge(Record):
 
 
 class AccelerometerKnowledge(Record):
-    """Declared properties of the accelerometers, the same for all axes."""
+    """Keys for declared properties of the accelerometers, which are the same for all axes."""
 
     full_scale: Quantity | None = optional(
         QuantityOf("acceleration", "positive"), "Largest specific force, for both signs.", "10 g"
@@ -52,7 +52,7 @@ class AccelerometerKnowledge(Record):
 
 
 class SerialSensorParameters(Record):
-    """Keys of every sensor on a serial line."""
+    """The keys that every sensor on a serial line has."""
 
     port: str = key(
         Text(PORT, "a port's name"),
@@ -94,8 +94,8 @@ def sensor_model(
     resolutions: Mapping[str, float],
     inclinometers: Collection[str] = (),
 ) -> SensorModel:
-    """The model of a sensor with these channels (name → unit). resolutions: size of one count of each channel, in the unit of the
-    channel. inclinometers: channels in units of acceleration that are not accelerometers."""
+    """Makes the model of a sensor. channels: the unit of each channel, by name. resolutions: size of one count of each channel, in
+    the unit of the channel. inclinometers: channels in units of acceleration that are not accelerometers."""
     outputs = tuple(
         _output(name, text, resolutions.get(name, 0.0), parameters, name not in inclinometers)
         for name, text in channels.items()
@@ -114,7 +114,8 @@ def sensor_model(
 
 
 def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters, inertial: bool) -> OutputModel:
-    """The model of an output. inertial: whether the output is treated as that of a gyro or an accelerometer if its unit fits."""
+    """Makes the model of an output. inertial: False for the output of an inclinometer, to which the declared properties of the
+    accelerometers do not apply."""
     known: GyroKnowledge | AccelerometerKnowledge | None = None
     walk: Quantity | None = None
     if text in RATES and parameters.gyros is not None:
