@@ -1,8 +1,13 @@
-"""Estimates of all runs of an archive on two Dask workers against one, each a process of its own on this machine."""
+"""Estimates of all runs of an archive on two Dask workers against one, each a process of its own on this machine.
+
+A cluster with one worker and a cluster with two take turns: the speed of a machine may change by the minute, and is then the same for
+both.
+"""
 
 from __future__ import annotations
 
 import os
+import statistics
 import tempfile
 import time
 from dataclasses import dataclass
@@ -17,14 +22,14 @@ from tests.dask_cluster import Cluster, dask_cluster
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """turns: of which the fastest counts. dwell: of each of the ten segments of a run."""
+    """turns: of each cluster. dwell: of each of the ten segments of a run."""
 
     runs: int
     turns: int
     dwell: str
 
 
-FULL, SMALL = Size(200, 3, "2 min"), Size(4, 1, "1 s")
+FULL, SMALL = Size(200, 5, "2 min"), Size(4, 1, "1 s")
 
 
 def run(size: Size = FULL) -> Figures:
@@ -34,17 +39,25 @@ def run(size: Size = FULL) -> Figures:
         runs = sorted(archive.iterdir())
         estimated(runs[:1], ALONE)
         alone = estimated(runs, ALONE)
-        with dask_cluster(Path(folder), 1) as cluster:
-            one = fastest(runs, cluster, size)
-            cluster.add_worker()
-            two = fastest(runs, cluster, size)
-            memory = max(peak_of(worker.pid) for worker in cluster.workers)
+        with (
+            dask_cluster(_folder(folder, "one"), 1) as single,
+            dask_cluster(_folder(folder, "two"), 2) as double,
+        ):
+            for cluster in (single, double):
+                warm_up(runs, cluster)
+            pairs = [(turn(runs, single), turn(runs, double)) for _ in range(size.turns)]
+            memory = max(peak_of(worker.pid) for worker in double.workers)
+    ratios = sorted(one.seconds / two.seconds for one, two in pairs)
     return {
         f"{size.runs} runs in this process [runs/s]": size.runs / alone,
-        "on one worker [runs/s]": size.runs / one.seconds,
-        "on two workers [runs/s]": size.runs / two.seconds,
-        "two workers / one (target ≥ 1.8)": one.seconds / two.seconds,
-        "processor time of the one worker / of the busier of two": one.busiest / two.busiest if two.busiest else 0.0,
+        "on one worker [runs/s]": size.runs / statistics.median(one.seconds for one, _ in pairs),
+        "on two workers [runs/s]": size.runs / statistics.median(two.seconds for _, two in pairs),
+        f"two workers / one, median of {size.turns} turns (target ≥ 1.8)": statistics.median(ratios),
+        "the lowest of the turns": ratios[0],
+        "the highest": ratios[-1],
+        "processor time of scheduler and command / of two workers": statistics.median(
+            two.handing_over for _, two in pairs
+        ),
         "peak memory of a worker [MB]": memory,
         "peak memory of the command [MB]": peak_memory(),
     }
@@ -52,11 +65,17 @@ def run(size: Size = FULL) -> Figures:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """seconds: of the turn. busiest: processor time of the worker that used most [s]; unlike the first, it hardly depends on what else the
-    machine does."""
+    """seconds: of the turn. handing_over: processor time of the scheduler and of this process as a fraction of that of the workers."""
 
     seconds: float
-    busiest: float
+    handing_over: float
+
+
+def _folder(parent: str, name: str) -> Path:
+    """A new one."""
+    folder = Path(parent) / name
+    folder.mkdir()
+    return folder
 
 
 def estimated(runs: list[Path], workers: Workers) -> float:
@@ -67,19 +86,23 @@ def estimated(runs: list[Path], workers: Workers) -> float:
     return time.perf_counter() - began
 
 
-def fastest(runs: list[Path], cluster: Cluster, size: Size) -> Turn:
-    """Of the turns. Before them, every worker computes something: its imports and compiled kernels are then there."""
+def warm_up(runs: list[Path], cluster: Cluster) -> None:
+    """Every worker computes something: its imports and compiled kernels are then there."""
     workers = Workers(1, cluster.address)
     while len(set(results_of(process, range(4 * len(cluster.workers)), workers))) < len(cluster.workers):
         time.sleep(0.1)
     estimated([*runs] * (4 * len(cluster.workers) // len(runs) + 1), workers)
-    turns = []
-    for _ in range(size.turns):
-        before = [processor_time(worker.pid) for worker in cluster.workers]
-        seconds = estimated(runs, workers)
-        used = [processor_time(one.pid) - then for one, then in zip(cluster.workers, before, strict=True)]
-        turns.append(Turn(seconds, max(used)))
-    return Turn(min(turn.seconds for turn in turns), min(turn.busiest for turn in turns))
+
+
+def turn(runs: list[Path], cluster: Cluster) -> Turn:
+    def used() -> tuple[float, float]:
+        computing = sum(processor_time(worker.pid) for worker in cluster.workers)
+        return time.process_time() + processor_time(cluster.scheduler.pid), computing
+
+    before = used()
+    seconds = estimated(runs, Workers(1, cluster.address))
+    handing, computing = (now - then for now, then in zip(used(), before, strict=True))
+    return Turn(seconds, handing / computing if computing else 0.0)
 
 
 def process(_: int) -> int:

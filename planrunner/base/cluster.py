@@ -46,8 +46,9 @@ WORKERS_WITHIN = 30.0
 _AHEAD = 4
 """Tasks on the cluster for each thread of a worker."""
 _LEAST_AHEAD = 16
-_TASK_LASTS = 0.25
-"""Seconds that a task of several items should take: handing over a task takes the command and the scheduler some milliseconds."""
+_TASK_LASTS = 1.0
+"""Seconds that a task of several items should take: handing over a task takes the command and the scheduler some 10 ms of processor
+time, which the workers of the same machine lack."""
 _SHARES_LEFT = 2
 """Tasks for each thread of a worker into which the items that are left are divided at least, so that no worker waits long for the last."""
 _MOST_OF_A_TASK = 512
