@@ -1,4 +1,4 @@
-"""Predicts the results of the estimates of a plan from its schedule alone; nothing in this module reads samples."""
+"""Predicts the results of a plan's estimates from the schedule alone; nothing in this module reads samples."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def design_of(
 ) -> Design:
     """Checks how the planned segments determine the results of one estimate, and predicts the coefficients of a run.
 
-    designs: designs of the preceding estimates. Raises `EstimationError` if the segments are not suitable for the estimator.
+    designs: designs of the estimates that come before this one. Raises `EstimationError` if the segments are not suitable for the
+    estimator.
     """
     missing = [used for used in spec.uses if used not in designs]
     if missing:
@@ -54,8 +55,8 @@ def design_of(
 
 
 def detection_of(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection | None:
-    """The settings for detecting spans in the data; None if the plan names segments. Raises `EstimationError` if spans are to be
-    detected, but the estimator uses whole segments."""
+    """The settings with which spans are detected in the data; None if the plan names whole segments. Raises `EstimationError` if
+    spans are to be detected, but the estimator uses whole segments."""
     if not isinstance(spec.segments, Detection):
         return None
     if not (isinstance(estimator, FindsSpans) and estimator.finds_spans):
@@ -66,5 +67,5 @@ def detection_of(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection 
 
 
 def patterns_of(spec: EstimateSpec) -> tuple[str, ...]:
-    """Patterns of the labels of the segments that an estimate uses, or in which it detects spans."""
+    """The label patterns of the segments that an estimate uses, or in which it detects spans."""
     return spec.segments.within if isinstance(spec.segments, Detection) else tuple(spec.segments)

@@ -1,7 +1,7 @@
-"""Checks that planned rates act on the fitted outputs and stay within the full scale of these outputs.
+"""Checks that planned rates act on the fitted outputs and do not exceed the full scale of these outputs.
 
-If an output saturates, its readings no longer lie on the straight line that gives the scale factor. If an output has its input axis
-perpendicular to the rotation axis, it senses only its misalignment.
+If an output saturates, its readings no longer lie on the straight line that gives the scale factor. If the input axis of an output
+is perpendicular to the rotation axis, the output senses the rotation only through its misalignment.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ UP = (0.0, 0.0, 1.0)  # about which cycles turn
 def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
     """An error for each output whose declared full scale is below its reading at the fastest planned rate.
 
-    shares: (n, m), fraction of each segment's rate along each output's axis. An output whose unit is not a rate is checked only if a
-    scale factor K_… is declared; an output of specific force is not checked.
+    shares: (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's axis. An output of
+    specific force is not checked. Any other output whose unit is not a rate is checked only if a scale factor K_… is declared.
     """
     found = []
     rates = np.array([_rate(segment.motion) for segment in request.segments], dtype=float)
@@ -55,10 +55,11 @@ def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], sh
 
 
 def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
-    """A warning if the planned rates act on none of the outputs, for example because the table spins about an axis other than the fitted
-    one.
+    """A warning if the planned rates act on none of the outputs, for example because the table turns about an axis other than the
+    fitted one.
 
-    shares: (n, m), as in `beyond_full_scale`. Unknown orientations and outputs of specific force are not checked.
+    shares: (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's axis. Segments in
+    unknown orientations and outputs of specific force are not checked.
     """
     moving = [row for row, segment in enumerate(request.segments) if isinstance(segment.motion, Spin)]
     if not moving or any(request.segments[row].attitude is None for row in moving):
@@ -80,7 +81,7 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
 
 
 def _turns(request: DesignRequest[object], name: str) -> bool:
-    """Whether an output measures rotation, judged by its unit."""
+    """Whether an output measures rotation about a known axis, judged by its unit and its name."""
     model = request.sensor.output(name)
     rotation = (unit("rad/s").dimension, unit("pulse/s").dimension)
     return (
@@ -108,15 +109,15 @@ def _axis(motion: Motion) -> tuple[float, float, float] | None:
 
 
 def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAxis], outputs: Sequence[str]) -> Array:
-    """The fraction of the rate along each output's axis, (n, m). The axis is the sensor axis in the output's name (gyro_x: x), or
-    the direction that the plan's `mounting` gives for this axis. The fraction is one if the name contains no axis, and zero if the
-    orientation is unknown."""
+    """For each of n segments and m outputs, the fraction (n, m) of the rate that acts along the output's input axis. The input axis
+    is the sensor axis in the output's name (gyro_x: x), or the direction that the plan's `mounting` gives for this axis. The
+    fraction is one if the name contains no axis, and zero if the orientation is unknown."""
     return shares_along(segments, [input_direction(mounting, name) for name in outputs])
 
 
 def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]) -> Array:
-    """The fraction of the rate along input axes that are given in the sensor's frame, (3,) each; the fraction is one for an axis
-    that is None."""
+    """For each of n segments and m input axes, the fraction (n, m) of the rate that acts along the axis. directions: each axis in
+    the sensor's frame, (3,), or None; for None, the fraction is one."""
     shares = np.zeros((len(segments), len(directions)))
     for row, segment in enumerate(segments):
         about = _axis(segment.motion)
@@ -129,9 +130,9 @@ def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]
 
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
-    """The input axis of an output in the sensor's frame, (3,). It is the direction that `mounting` gives for the axis in the
-    output's name, or else the sensor axis itself. None if the name contains no axis. If the azimuth of the axis is not given, only
-    the component along z is returned, so that no valid rate is rejected."""
+    """The input axis (3,) of an output in the sensor's frame; None if the name of the output contains no axis. It is the direction
+    that `mounting` gives for the axis in the output's name, or this sensor axis itself if `mounting` does not contain it. If the
+    azimuth of the axis is not given, the other two components are set to zero, so that no valid rate is rejected."""
     axis = axis_of(output)
     if axis is None:
         return None

@@ -1,7 +1,7 @@
-"""Possible groups of repeats if the plan does not name groups: by the labels of the repeats, by long pauses, or by thirds of the
+"""Proposes groups of repeats if the plan does not name groups: by the labels of the repeats, by long pauses, or by thirds of the
 sequence.
 
-If a day, a switch-on or a mounting changed between the groups, repeats of one group have more in common than repeats of different
+If the day, the switch-on or the mounting changed between two groups, repeats of one group agree better than repeats of different
 groups.
 """
 
@@ -21,18 +21,19 @@ _LEAST = 4  # repeats in each third
 
 @dataclass(frozen=True, slots=True)
 class Grouping:
-    """A division of n repeats. group: (n,), index of the group of each repeat; names: names of the groups, for messages."""
+    """A division of n repeats into groups. group: (n,), index of the group of each repeat; names: names of the groups, for
+    messages."""
 
     group: Integers
     names: tuple[str, ...]
 
 
 def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
-    """The divisions that a test can use. The repeats are in order of time. A division has at least two groups, and more repeats
-    than twice the number of groups.
+    """The divisions into groups that a test can use. The repeats must be in the order of time. Every returned division has at least
+    two groups, and more repeats than twice the number of groups.
 
     labels: labels such as day1/r2 or startup-b-07, where the last number counts the repeats of a group. pauses: (n − 1,), time
-    between repeats, s; None if this is not known.
+    between successive repeats, s; None if this is not known.
     """
     stems = [re.sub(r"\d+$", "", label) for label in labels]
     found = [
@@ -52,7 +53,7 @@ def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
 
 
 def _ranges(labels: Sequence[str], group: Integers) -> Grouping:
-    """Groups of neighbouring repeats; each group is named by its first and last repeat."""
+    """Makes groups of neighbouring repeats, and names each group by its first and last repeat."""
     held = [
         [label for label, own in zip(labels, group, strict=True) if own == one] for one in range(int(group[-1]) + 1)
     ]

@@ -1,4 +1,4 @@
-"""Input and output of estimators.
+"""Defines the input and the output of estimators.
 
 An estimator is a class found through the entry-point group `planrunner.estimators`:
 
@@ -8,8 +8,8 @@ An estimator is a class found through the entry-point group `planrunner.estimato
         def design(self, request: DesignRequest[MyParameters]) -> Design | None      # before anything moves
         def estimate(self, request: EstimateRequest[MyParameters]) -> Estimate       # from the recording
 
-`planrunner.estimators.method` predicts the coefficients of `estimate` and their uncertainties with the estimator's own formula.
-Values in an `Estimate` are in the units that are usual in the field, and each value names its unit.
+`planrunner.estimators.method` predicts the coefficients that `estimate` will give, and their uncertainties, with the formula of the
+estimator. Values in an `Estimate` are in the units that are usual in the field, and the unit is stored with each value.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ R = TypeVar("R", bound=Record)
 @dataclass(frozen=True, slots=True)
 class Coefficient:
     """One estimated quantity with its standard uncertainty, both in `unit`. period: for a circular quantity, its period in `unit`,
-    such as 360 for a heading in deg; values that differ by the period are equivalent. The period of other quantities is infinite."""
+    such as 360 for a heading in deg; values that differ by the period are equivalent. For any other quantity, the period is
+    infinite."""
 
     name: str
     value: float
@@ -69,7 +70,8 @@ class Coefficient:
 
 @dataclass(frozen=True, slots=True)
 class Unpredicted:
-    """A coefficient that a run will give, or may give, whose uncertainty cannot be predicted. why: the reason."""
+    """A coefficient that a run will or may give, but whose uncertainty cannot be predicted. why: the reason why it cannot be
+    predicted."""
 
     name: str
     unit: str
@@ -80,22 +82,23 @@ class Unpredicted:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients, their covariance (m, m) in the products of their units, and the information needed to judge them.
+    """The result of an estimate: coefficients, their covariance (m, m) in the products of their units, and the information needed
+    to judge them.
 
-    An estimator gives the covariance of its data (type A) and the `influences`, which the data cannot show. The analysis adds both to get
-    the covariance of the coefficients, and writes the `budgets`.
+    An estimator gives the covariance that comes from the data (type A), and the `influences`, which the data do not show. The
+    analysis adds the influences to the covariance of the coefficients, and computes the `budgets`.
 
-    headline: names of the coefficients that the terminal shows first. settings: choices made (such as the basis of the uncertainties).
-    extra: plain data for estimates that use this one. Coefficients that are known at several temperatures, or at the common temperature
-    of all segments, are in extra["by_temperature"], where `temperature_model` reads them, as {name: {"temperature_degC": [...], "value":
-    [...], "standard_uncertainty": [...], "unit": "..."}}. The uncertainties there are of type A. The mean times of the data may be added
-    as "time_s": [...].
+    headline: names of the coefficients that the terminal shows first. settings: choices that were made, such as the kind of
+    uncertainty. extra: plain data for other estimates that use this one. Coefficients that are known at several temperatures, or at
+    one temperature that all segments have in common, are in extra["by_temperature"], where `temperature_model` reads them, as
+    {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}. These standard uncertainties
+    are of type A. The mean times of the data may be added as "time_s": [...].
 
-    data_covariance: the part of the covariance that is of type A. The analysis keeps this part when it adds the influences. An
-    estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`). An input that
-    acts on an estimate and on another estimate that uses it is therefore counted only once, with its sign. expected: True if the
-    estimate comes from a schedule instead of a recording. unstated: flicker for which the bench file gives no size, as it acts on
-    the coefficients; the analysis warns of this flicker.
+    data_covariance: the part of the covariance that is of type A. The analysis keeps this part unchanged when it adds the
+    influences. An estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`). If
+    an input acts on two estimates of which one uses the other, it is therefore counted only once, with its sign. expected: True if
+    the estimate comes from a schedule instead of a recording. unstated: the effect on the coefficients of flicker for which the
+    bench file gives no size; the analysis warns about this flicker.
     """
 
     name: str
@@ -129,8 +132,8 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The test set-up without site and sensor: the table, the fixture of the sensor, the stated uncertainties, the information on this
-    run (name → text), and whether the bench plays back a recording."""
+    """The test set-up apart from site and sensor: the table, the mounting of the sensor, the stated uncertainties, information on
+    this run (name → text), and whether the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)
@@ -141,9 +144,9 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class EstimateRequest(Generic[P]):
-    """The request to estimate from a recording. name: name of the requested estimate in the plan. parameters: the record of the
-    estimator's keys. uses: the estimates that the requested estimate uses, by their names in the plan. detection: given if the plan
-    requires spans to be found in the data (`planrunner.plan.selection.Detection`)."""
+    """A request to compute an estimate from a recording. name: name of the requested estimate in the plan. parameters: the values
+    of the estimator's keys. uses: the estimates that this estimate uses, by their names in the plan. detection: the settings for
+    detecting spans in the data (`planrunner.plan.selection.Detection`); None if the plan does not require this."""
 
     name: str
     segments: tuple[RecordedSegment, ...]
@@ -157,8 +160,8 @@ class EstimateRequest(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest(Generic[P]):
-    """The request to check an estimate before anything is recorded. If `detection` is given, the spans in the data are not known
-    yet. uses: designs of the estimates that the requested estimate uses, by their names in the plan."""
+    """A request to check an estimate before anything is recorded. If `detection` is given, spans will be detected in the data, so
+    they are not known yet. uses: designs of the estimates that this estimate uses, by their names in the plan."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -174,9 +177,9 @@ class DesignRequest(Generic[P]):
 class DesignBlock:
     """The linear model of one output at the planned stimulus.
 
-    matrix: (n, p), SI; terms: the p names of the columns; magnitudes: (p,), declared size of each column (Earth rate, g …), by
-    which the column is divided before rank and condition are judged; sigma: (n,), predicted standard uncertainty of each
-    observation, in the output's unit.
+    matrix: (n, p), design matrix, SI; terms: the p names of the columns; magnitudes: (p,), declared size of each column (Earth
+    rate, g …), by which the column is divided before rank and condition are judged; sigma: (n,), predicted standard uncertainty of
+    each observation, in the output's unit.
     """
 
     output: str
@@ -189,11 +192,12 @@ class DesignBlock:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """An error or warning of an estimator about planned segments. `check` prints it as a finding at `key` of the estimate.
+    """An error, a warning or a note of an estimator about planned segments. The command `check` prints it as a finding at the key
+    `key` of the estimate.
 
-    code: code of the finding, such as `physics-release`, listed in docs/findings.md. error: True if the plan must not run. note:
-    True if the remark only informs, so that nothing has to be changed. conditions: True if the remark explains why the fit is
-    ill-conditioned, so that the general message is not repeated.
+    code: code of the finding, such as `physics-release`; docs/findings.md lists all codes. error: True if the plan must not run.
+    note: True if the remark only informs, so that the plan need not be changed. conditions: True if the remark explains why the fit
+    is ill-conditioned, so that the general message about this is not printed.
     """
 
     code: str
@@ -207,10 +211,10 @@ class Remark:
 
 @dataclass(frozen=True, slots=True)
 class Foresight:
-    """Prediction of a run. predicted: coefficients with nominal values and expected uncertainties; unpredicted: coefficients whose
-    uncertainties cannot be predicted. Both tuples are empty if the coefficients of a run are not known. expected: estimates from
-    the expected observations, one for each set of assumed values, for the prediction of estimates that use this one. notes: remarks
-    on the prediction."""
+    """The prediction of a run. predicted: coefficients with nominal values and expected uncertainties; unpredicted: coefficients
+    whose uncertainties cannot be predicted. Both tuples are empty if the coefficients of a run are not known. expected: estimates
+    computed from the expected observations, one for each set of assumed values; other estimates that use this one are predicted
+    from them. notes: remarks about the prediction."""
 
     predicted: tuple[Coefficient, ...] = ()
     unpredicted: tuple[Unpredicted, ...] = ()
@@ -225,11 +229,12 @@ class Foresight:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What an estimator states about planned segments. blocks: one block per output; empty without a linear model. notes: notes on
-    the planned segments. extra: plain data for the designs of estimates that use this one. An estimator that gives coefficients at
-    certain temperatures adds these `temperatures` [K] to `extra` (an empty list if there are none), and `names_by_temperature` if
-    the names of the coefficients are known. foresight: computes the prediction of a run. The prediction takes longer than the rest
-    of a design, so it is computed only when a limit, an estimate that uses this one, or a reader needs it.
+    """What an estimator states about the planned segments. blocks: one block per output; empty if the estimator has no linear
+    model. notes: notes on the planned segments. extra: plain data for the designs of other estimates that use this one. An
+    estimator that gives coefficients at certain temperatures adds these `temperatures` [K] to `extra` (an empty list if there are
+    none), and `names_by_temperature` if the names of the coefficients are known. foresight: a function that computes the prediction
+    of a run. The prediction takes longer than the rest of a design, so it is computed only when a limit, an estimate that uses this
+    one, or a reader needs it.
     """
 
     blocks: tuple[DesignBlock, ...]
@@ -256,25 +261,26 @@ class Design:
 
     @property
     def foreseen(self) -> Mapping[str, Coefficient | Unpredicted]:
-        """The coefficients of a run, by name; empty if they are not known."""
+        """The predicted and the unpredicted coefficients of a run, by name; empty if the coefficients are not known."""
         predicted: dict[str, Coefficient | Unpredicted] = {item.name: item for item in self.predicted}
         return predicted | {item.name: item for item in self.unpredicted}
 
     @property
     def all_notes(self) -> tuple[str, ...]:
-        """Notes on the planned segments and on the prediction."""
+        """The notes on the planned segments, and the notes on the prediction."""
         return (*self.notes, *self.foresight().notes)
 
 
 @runtime_checkable
 class FindsSpans(Protocol):
-    """An estimator that can search for spans in the data if a plan has `{detect: …}`; other estimators use whole segments."""
+    """An estimator that can search for spans in the data if a plan contains `{detect: …}`; estimators without `finds_spans` use
+    whole segments."""
 
     finds_spans: bool
 
 
 class Estimator(Protocol[R]):
-    """An estimator plug-in. R: the type of the record of its keys."""
+    """An estimator plug-in. R: the type of the record that contains the values of its keys."""
 
     summary: str
     Parameters: type[R]
@@ -284,6 +290,6 @@ class Estimator(Protocol[R]):
 
 
 def estimator_of(spec: EstimateSpec) -> Estimator[Record]:
-    """Finds the plug-in that an estimate in a plan names. Raises `InputError`."""
+    """Finds the plug-in that an estimate in a plan names. Raises `InputError` if it is not installed or cannot be loaded."""
     estimator: Estimator[Record] = plugins.load(plugins.ESTIMATORS, spec.estimator)()
     return estimator

@@ -1,8 +1,8 @@
-"""Weighted linear least squares: one kernel with full covariance for all estimators.
+"""Weighted linear least squares with full covariance, used by all estimators.
 
-Columns are divided by their declared magnitudes, the augmented matrix [A | y] is reduced by QR, and rank, solution and covariance come
-from its small triangle (Golub and Van Loan, Matrix Computations, 5.3). If the data cannot separate some terms, an error names these
-terms; no minimum-norm solution is returned.
+The columns are divided by their declared magnitudes, and the augmented matrix [A | y] is reduced by QR. Rank, solution and
+covariance follow from the small triangular matrix (Golub and Van Loan, Matrix Computations, 5.3). If the data cannot separate some
+terms, an error names these terms. A minimum-norm solution is never returned.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from planrunner.observation.refusals import EstimationError, UnfitDataError
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """A fit of n observations by p coefficients.
+    """The fit of n observations with p coefficients.
 
-    coefficients: (p,). cofactor: (p, p), the covariance of the coefficients if `sigma` is the true standard uncertainty of the
-    observations. If only the proportions of `sigma` are right, the covariance is `cofactor` times `variance_factor`. residuals:
-    (n,), observed minus fitted. chi_squared: the weighted sum of squared residuals. condition: condition number of the scaled and
-    weighted columns.
+    coefficients: (p,), fitted values. cofactor: (p, p), the covariance of the coefficients if `sigma` is the true standard
+    uncertainty of the observations. If `sigma` is only proportional to the true standard uncertainty, the covariance is `cofactor`
+    times `variance_factor`. residuals: (n,), observed values minus fitted values. chi_squared: the weighted sum of squared
+    residuals. condition: condition number of the matrix of scaled and weighted columns.
     """
 
     coefficients: Array
@@ -36,7 +36,7 @@ class LinearFit:
 
     @property
     def variance_factor(self) -> float:
-        """chi²/dof: about 1 if `sigma` describes all errors; NaN without degrees of freedom."""
+        """The ratio of χ² to the degrees of freedom: about 1 if `sigma` describes all errors; NaN without degrees of freedom."""
         return self.chi_squared / self.degrees_of_freedom if self.degrees_of_freedom else float("nan")
 
 
@@ -48,7 +48,8 @@ def fit(
     names: Sequence[str] = (),
     covariance: Array | None = None,
 ) -> LinearFit:
-    """Least-squares coefficients of one output from `matrix` (n, p) and `observed` (n,). See `fit_each` for the other arguments."""
+    """Least-squares coefficients of one output from `matrix` (n, p) and `observed` (n,). The other arguments are described in
+    `fit_each`."""
     spread = None if sigma is None else np.asarray(sigma)[None]
     whitening = None if covariance is None else whitener(covariance[None])
     return fit_each(matrix, observed[None], spread, magnitudes, names, whitening)[0]
@@ -62,12 +63,12 @@ def fit_each(
     names: Sequence[str] = (),
     whitening: Array | None = None,
 ) -> tuple[LinearFit, ...]:
-    """Least-squares coefficients of m outputs from `matrix` (n, p) and `observed` (m, n), for each output separately.
+    """Least-squares coefficients of m outputs from `matrix` (n, p) and `observed` (m, n). Each output is fitted separately.
 
-    sigma: (m, n) standard uncertainties, by default all 1. magnitudes: (p,) declared column sizes, by default the root mean squares
-    of the columns. whitening: (m, n, n), matrices from `whitener` for correlated observations, used instead of `sigma`. names:
-    names of the terms, for messages. Raises `EstimationError` for too few observations, for values that are not finite, and for
-    terms that cannot be identified.
+    sigma: (m, n) standard uncertainties, by default all 1. magnitudes: (p,), declared magnitudes of the columns, by default the
+    root mean squares of the columns. whitening: (m, n, n), matrices from `whitener` for correlated observations, used instead of
+    `sigma`. names: names of the terms, which are used in error messages. Raises `EstimationError` for too few observations, for
+    values that are not finite, and for terms that cannot be identified.
     """
     n, p = matrix.shape
     names = names or [f"coefficient {k + 1}" for k in range(p)]
@@ -108,7 +109,8 @@ def whitener(covariance: Array) -> Array:
 
 
 def _triangular_inverse(lower: Array) -> Array:
-    """Inverses of lower triangular matrices (…, n, n) by recursive halving. This takes a small part of the time of a general inverse."""
+    """The inverses of lower triangular matrices (…, n, n), computed by recursive halving. This is much faster than a general
+    inverse."""
     n = lower.shape[-1]
     if n <= _SMALL:
         return np.asarray(np.linalg.inv(lower))
@@ -124,8 +126,8 @@ _SMALL = 64  # rows of a matrix that is inverted as a whole
 
 
 def _triangles(matrix: Array, observed: Array, weight: Array | None, whitening: Array | None, scale: Array) -> Array:
-    """The matrix R of the QR factorisation of the weighted [matrix·scale | observed] for each of m outputs, shape (m, p + 1, p +
-    1), or with fewer rows if there are fewer observations."""
+    """For each of m outputs, the matrix R of the QR factorisation of the weighted matrix [matrix·scale | observed]. The shape is
+    (m, p + 1, p + 1), with fewer rows if there are fewer observations."""
     if whitening is None and len(matrix) >= 2 * _CHUNK:
         weights = [None] * len(observed) if weight is None else list(weight)
         return np.array([_triangle(matrix, one, own, scale) for one, own in zip(observed, weights, strict=True)])
@@ -143,9 +145,10 @@ _BATCH = 4  # chunks scaled and reduced at a time, so that all of it stays in th
 
 
 def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array) -> Array:
-    """The matrix R of the QR factorisation of weight·[matrix·scale | observed] with many rows, shape (p + 1, p + 1).
+    """The matrix R (p + 1, p + 1) of the QR factorisation of the matrix weight·[matrix·scale | observed], if it has many rows.
 
-    Chunks of rows are reduced first, then their triangles together (Demmel et al., SIAM J. Sci. Comput. 34, 2012).
+    Chunks of rows are reduced first, and then the resulting triangular matrices together (Demmel et al., SIAM J. Sci. Comput. 34,
+    2012).
     """
     n, p = matrix.shape
     widened = np.append(scale, 1.0)

@@ -1,4 +1,4 @@
-"""Applies limits to coefficients: conversion of units, decision rule and verdict."""
+"""Applies limits to coefficients: converts units, applies the decision rule and gives the verdict."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from planrunner.uncertainty.global_risk import GlobalRisk, Prior, global_risk
 
 @dataclass(frozen=True, slots=True)
 class LimitVerdict:
-    """One limit and its verdict. value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
+    """A limit and its verdict. The fields value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
 
-    quantity: `estimate.coefficient`; requirement: the limit in words, such as `within ±5 deg/h`; probability: probability that the
-    true value conforms. guard_band: required distance of the value from the limits; guard_factor: guard band divided by U;
-    coverage: coverage probability of U; false_decision: the specific risk that this verdict is wrong. consumer_risk, producer_risk:
-    the global risks of the decision rule if the limit states a prior.
+    quantity: name of the form `estimate.coefficient`; requirement: the limit in words, such as `within ±5 deg/h`; probability:
+    probability that the true value conforms. guard_band: required distance of the value from the limits; guard_factor: guard band
+    divided by the expanded uncertainty U; coverage: coverage probability of U; false_decision: specific risk that this verdict is
+    wrong. consumer_risk, producer_risk: the global risks of the decision rule if the limit states a prior.
     """
 
     quantity: str
@@ -52,7 +52,7 @@ VerdictKind = Literal["pass", "warned", "fail", "none"]
 
 
 def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> VerdictKind:
-    """The overall verdict on all limits. failures: messages about estimates and limits that have no result; warnings: number of
+    """The verdict on all limits together. failures: messages about estimates and limits without a result; warnings: number of
     warnings that may invalidate the verdict."""
     if failures:
         return "fail"
@@ -66,7 +66,7 @@ def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], wa
 def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
     """The verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns until it is as near as
     possible to the middle between the two bounds of the limit. Raises `EstimationError` if the quantity of the limit is missing or
-    has another dimension."""
+    has another dimension than the limit."""
     coefficient = _coefficient(limit.quantity, estimates)
     lower, upper = bounds(limit, coefficient)
     u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom
@@ -101,7 +101,7 @@ def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
 def _global(
     limit: Limit, coefficient: Coefficient, tolerance: tuple[float, float], acceptance: tuple[float, float]
 ) -> GlobalRisk:
-    """Global risks of the decision rule; NaN without a prior, or if the uncertainty is not known."""
+    """The global risks of the decision rule; NaN if the limit states no prior, or if the uncertainty is not known."""
     if limit.prior is None or not math.isfinite(coefficient.standard_uncertainty):
         return GlobalRisk(math.nan, math.nan)
     if not limit.prior.standard_uncertainty:
@@ -123,9 +123,9 @@ def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficien
 
 
 def bounds(limit: Limit, coefficient: Coefficient) -> tuple[float, float]:
-    """Lower and upper bound of a `plan.model.Limit` in the coefficient's unit; infinite for a bound that is not given.
+    """The lower and the upper bound of a `plan.model.Limit`, in the coefficient's unit; infinite for a bound that is not given.
 
-    Raises `EstimationError` for a limit that has another dimension, that has no bound, or that no value can meet.
+    Raises `EstimationError` for a limit of another dimension, for a limit without bounds, and for a limit that no value can meet.
     """
     if limit.within is not None:
         bound = parse_symmetric(limit.within)

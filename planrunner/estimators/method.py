@@ -1,12 +1,13 @@
-"""The common method of estimators: a result is a function of observations, and the same function predicts the results of a run.
+"""The method that most estimators share: a result is a function of observations, and the same function predicts the results of a
+run.
 
     found = method.quantities(request)      the formula: coefficients, their covariance and their influences
     words = method.words(request, found)    tables, plots and notes for readers
 
 `estimate` calls both functions. The prediction of a run calls only the first function, with the observations expected from the
-schedule. A check of a plan therefore gives every coefficient of the run and its uncertainty, computed with the same formula. If
-this takes too long, or if the samples themselves are needed, an estimator has a separate prediction (`ForeseesResults`). Tests
-compare this prediction with a run.
+schedule. The check of a plan therefore gives every coefficient that the run will give, with its uncertainty, computed by the same
+formula. If this takes too long, or if the formula needs samples, the estimator has a separate prediction (`ForeseesResults`). Tests
+compare such a prediction with a run.
 """
 
 from __future__ import annotations
@@ -49,9 +50,9 @@ _ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantities:
-    """Result of a formula. covariance: (m, m), contribution of the data, in the products of the coefficients' units; influences:
-    contributions that the data do not show; unstated: flicker whose size the bench file does not state. extra: plain data for
-    estimates that use this one; see `interface.Estimate`."""
+    """The result of an estimator's formula. covariance: (m, m), contribution of the data, in the products of the coefficients'
+    units; influences: contributions of inputs that the data do not show; unstated: flicker whose size the bench file does not
+    state. extra: plain data for other estimates that use this one; see `interface.Estimate`."""
 
     coefficients: tuple[Coefficient, ...]
     covariance: Array
@@ -62,7 +63,7 @@ class Quantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
-    """Tables, plots and notes of an estimate for readers. The fields are as in `interface.Estimate`."""
+    """Tables, plots and notes of an estimate for readers. The fields are described in `interface.Estimate`."""
 
     headline: tuple[str, ...] = ()
     settings: Mapping[str, Json] = field(default_factory=dict)
@@ -78,8 +79,8 @@ Q = TypeVar("Q", bound=Quantities)
 
 
 class Method(ABC, Generic[P, Q]):
-    """An estimator that consists of a formula and of explanations for readers. P: type of the record of its keys; Q: type of the
-    result of its formula."""
+    """An estimator that consists of a formula and of explanations for readers. P: type of the record that contains the values of
+    its keys; Q: type of the result of its formula."""
 
     summary: str
     Parameters: type[P]
@@ -96,8 +97,8 @@ class Method(ABC, Generic[P, Q]):
         """Makes tables, plots and notes for readers."""
 
     def known(self, request: DesignRequest[P]) -> Known:
-        """What this method knows about the outputs. Everything else follows from the names and units of the outputs. This method
-        does not reject unsuitable segments; `design` does."""
+        """What this estimator knows about the outputs. Everything else is derived from the names and units of the outputs. This
+        function does not reject unsuitable segments; `design` does."""
         return Known()
 
     def estimate(self, request: EstimateRequest[P]) -> Estimate:
@@ -127,7 +128,7 @@ F = TypeVar("F", bound=Record, contravariant=True)
 
 @runtime_checkable
 class ForeseesResults(Protocol[F]):
-    """An estimator that predicts the results of a run by a separate method, instead of by its formula."""
+    """An estimator that predicts the results of a run by a separate method instead of by its formula."""
 
     def foresee(self, request: DesignRequest[F]) -> Foresight: ...
 
@@ -154,12 +155,13 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
 
 @cache
 def _foresees(estimator: type) -> bool:
-    """Whether an estimator class has a separate prediction. The answer is cached, because a protocol check inspects every attribute."""
+    """Whether an estimator class has its own method for predictions. The answer is cached, because a protocol check inspects every
+    attribute."""
     return issubclass(estimator, ForeseesResults)
 
 
 def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
-    """The general prediction, for any estimator: its formula applied to the expected recording."""
+    """The general prediction for any estimator: its formula is applied to the expected recording."""
     used = channels_of(request.parameters) or tuple(one.name for one in request.sensor.outputs if not one.constant)
     known = estimator.known(request) if isinstance(estimator, Method) else Known()
     first, *others = ASSUMPTIONS
@@ -195,7 +197,7 @@ def _alike(one: Coefficient, others: Sequence[Coefficient]) -> bool:
 
 
 def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Expected, number: int) -> Estimate | None:
-    """The estimate from an expected recording, with its complete uncertainty; None if the estimator cannot compute an estimate."""
+    """The estimate from an expected recording, with its complete uncertainty; None if the formula fails."""
     uses = {
         name: design.expected[min(number, len(design.expected) - 1)]
         for name, design in request.uses.items()
@@ -237,8 +239,8 @@ def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Exp
 
 
 def _whole(made: Estimate) -> Estimate:
-    """The estimate with the influences added to the contribution of the data. The degrees of freedom are infinite, because the
-    noise is declared."""
+    """The estimate with a covariance that includes the contribution of the data and all influences. The degrees of freedom are
+    infinite, because the noise is declared."""
     covariance = np.array(made.covariance, dtype=float)
     for item in merged(one for one in made.influences if not one.in_scatter):
         covariance += item.covariance

@@ -1,12 +1,12 @@
-"""Comparison of an estimate's intervals with Monte Carlo draws, if the plan requests it (`validate: monte_carlo`).
+"""Compares an estimate's intervals with Monte Carlo draws, if the plan requests this (`validate: monte_carlo`).
 
-An estimator may define how draws of its data and of the declared inputs become coefficients, with the method
+An estimator may define how draws of its data and of the declared inputs become coefficients, by a method
 
     def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
-including all nonlinearity. Without this method, the draws use the covariance and sensitivities of the estimate. The draws then test
-the distributions and the effective degrees of freedom, but not the linearity. Worker processes share the draws, so they must be
-able to pickle the function that draws.
+that includes all nonlinearity. Without this method, the draws are computed from the covariance and the sensitivities of the
+estimate. Such draws test the distributions and the effective degrees of freedom, but not the linearity. Worker processes share the
+draws, so the function that makes the draws must support pickling.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Chains(Protocol[R]):
 
 
 def linear_chain(estimate: Estimate) -> Draws:
-    """Draws of all coefficients of a combined estimate, with everything approximated to first order."""
+    """Draws of all coefficients of an estimate that includes its influences. Every dependence is approximated to first order."""
     data = estimate.covariance if estimate.data_covariance is None else estimate.data_covariance
     scatter = t_draws(data, [budget.lines[0].degrees_of_freedom for budget in estimate.budgets])
     stated = influence_draws(estimate.influences, len(estimate.coefficients))
@@ -74,10 +74,10 @@ def _rows_of(rows: Sequence[int], draws: Draws, rng: np.random.Generator, n: int
 def validated(
     estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_order: bool, workers: Workers = ALONE
 ) -> Estimate:
-    """The estimate with an additional table: Monte Carlo results for its headline coefficients, or for all coefficients if there is no
-    headline.
+    """The estimate with an additional table of Monte Carlo results. The table contains the headline coefficients, or all
+    coefficients if the estimate has no headline.
 
-    first_order: True if `draws` are those of `linear_chain`. workers: processes that share the draws.
+    first_order: True if `draws` come from `linear_chain`. workers: processes that share the work of drawing.
     """
     names = estimate.headline or tuple(item.name for item in estimate.coefficients)
     rows = [k for k, item in enumerate(estimate.coefficients) if item.name in names and item.standard_uncertainty > 0]

@@ -1,4 +1,5 @@
-"""Warns about flicker noise that neither the bench file nor the data limit, so that the intervals of an estimate may be too narrow."""
+"""Warns about flicker noise whose size neither the bench file nor the data limit, so that the intervals of an estimate may be too
+narrow."""
 
 from __future__ import annotations
 
@@ -20,9 +21,9 @@ SUFFICIENT = 0.90
 
 @dataclass(frozen=True, slots=True)
 class OpenFlicker:
-    """Flicker of a channel that may be larger than an estimate assumes. bound: the largest bias instability B that the data do not
-    exclude, in `unit`. coefficient: name of the coefficient whose interval is most affected; widening: factor by which this
-    interval would have to be wider if B were `bound`."""
+    """The flicker of a channel, if it may be larger than an estimate assumes. bound: the largest bias instability B that the data
+    do not exclude, in `unit`. coefficient: name of the coefficient whose interval would have to be widened most; widening: factor
+    by which this interval would have to be wider if B were `bound`."""
 
     channel: str
     unit: str
@@ -32,9 +33,9 @@ class OpenFlicker:
 
 
 def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
-    """The flicker that may make an interval of an estimate too narrow, one entry for each channel. estimate: the estimate, whose
-    standard uncertainties and degrees of freedom include the whole budget. Coefficients that are a measure of scatter or a largest
-    value are not examined, because they contain the flicker."""
+    """The flicker that may make an interval of an estimate too narrow, with at most one entry for each unstated flicker. estimate:
+    an estimate whose standard uncertainties and degrees of freedom include the whole budget. Coefficients that measure scatter or
+    that are a largest value are not examined, because they already contain the flicker."""
     found = []
     spreads = np.array([item.standard_uncertainty for item in estimate.coefficients])
     located = np.array([item.role is CoefficientRole.LOCATION for item in estimate.coefficients], dtype=bool)
@@ -56,7 +57,7 @@ def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
 
 
 def with_flicker_words(estimate: Estimate) -> Estimate:
-    """The estimate with a warning about the flicker that may make its intervals too narrow, and with a note about other channels
+    """The estimate with a warning about flicker that may make its intervals too narrow, and with a note about the other channels
     for which the bench file gives no flicker."""
     if not estimate.unstated:
         return estimate

@@ -6,8 +6,8 @@ in Regression, 1982, 2.2.2; for correlated observations Baarda, A Testing Proced
 t value of all segments is tested with Bonferroni's bound. If the largest t value is significant, the search is repeated among the
 other segments, so that two wrong labels do not hide each other.
 
-The redundancy of a segment is the share of its error that appears in its residual. If the redundancy is small, the segment alone
-determines a coefficient: the error of the segment enters the result without a trace in the residuals (Baarda, ibid.).
+The redundancy of a segment is the fraction of its error that appears in its residual. If the redundancy is small, this segment
+alone determines a coefficient: an error of the segment enters the coefficient but does not show in the residuals (Baarda, ibid.).
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are tho
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A segment that does not agree with the others. error: difference between the segment's mean and the value expected from the
-    other segments, in the output's unit. deviations: this difference in standard deviations; probability: chance of a value at
-    least this large among all segments and outputs. changes: (p,), change of the output's coefficients if the segment is left out."""
+    """A segment that does not agree with the other segments. error: difference between the segment's mean and the value that the
+    other segments lead one to expect, in the output's unit. deviations: this difference in standard deviations; probability:
+    probability that chance alone gives a difference at least this large in any of the segments and outputs. changes: (p,), change
+    of the output's coefficients if the segment is left out."""
 
     output: str
     label: str
@@ -44,9 +45,9 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Agreement of the segments of a fit. outliers: outliers of all outputs, the least probable first; empty if the residuals have
-    fewer than two degrees of freedom. unchecked: labels of the segments whose error would hardly appear in the residuals of at
-    least one output; empty if there are no residuals at all."""
+    """States how well the segments of a fit agree. outliers: outliers of all outputs, the least probable first; empty if the
+    residuals have fewer than two degrees of freedom. unchecked: labels of the segments whose error would hardly appear in the
+    residuals of at least one output; empty if the fit has no residuals."""
 
     outliers: tuple[Outlier, ...] = ()
     unchecked: tuple[str, ...] = ()
@@ -69,7 +70,7 @@ def agreement(fit: OutputsFit, basis: str) -> Agreement:
 
 
 def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
-    """Outliers of one output. whole: the shifts before any segment has an additional column."""
+    """Finds the outliers of one output. whole: the effects of an additional column for each segment, while no segment has one yet."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []
@@ -96,9 +97,9 @@ def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> li
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """The effect of one additional column for each segment. errors: (n,), δ of each segment; drops: (n,), the decrease of χ²; both
-    arrays are 0 for a segment that the model fits whatever the reading of the segment is. redundancy: (n,), redundancy of each
-    segment; chi_squared: χ² without the additional column."""
+    """The effects of one additional column, computed for each segment separately. errors: (n,), the error δ of each segment; drops:
+    (n,), the decrease of χ² due to the additional column. For a segment that the model fits regardless of its reading, both are 0.
+    redundancy: (n,), redundancy of each segment; chi_squared: χ² without the additional columns."""
 
     errors: Array
     drops: Array
@@ -108,8 +109,8 @@ class _Shifts:
 
 @dataclass(frozen=True, slots=True)
 class _Weighed:
-    """Weighted observations of an output. covariance, weights: (n, n), each matrix the inverse of the other; columns: (n, P),
-    scaled; residuals: (n,)."""
+    """The weighted observations of one output. covariance: (n, n), covariance of the observations; weights: (n, n), the inverse of
+    `covariance`; columns: (n, P), scaled columns of the fit; residuals: (n,)."""
 
     covariance: Array
     weights: Array
@@ -125,7 +126,8 @@ class _Weighed:
         return cls(covariance, whitening.T @ whitening, columns, fit.fits[k].residuals)
 
     def shifts(self, taken: tuple[int, ...]) -> _Shifts:
-        """The shifts of all segments. taken: segments that already have an additional column."""
+        """The effects of one additional column, for each segment. taken: indices of the segments that already have an additional
+        column."""
         n = len(self.residuals)
         columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])
         weighted = self.weights @ columns

@@ -1,9 +1,9 @@
-"""Several outputs fitted with one design: coefficients with joint covariance and degrees of freedom, on each of two bases of
-uncertainty.
+"""Fits several outputs with the same design matrix, and gives the coefficients with their joint covariance and degrees of freedom,
+on each of two bases of uncertainty.
 
-The prior knowledge about the observations is one covariance V for each output: the noise observed within the segments, and the
-declared correlated errors (`correlated_errors`). The fit is generalised least squares with V. There are two bases for the
-uncertainty, which answer different questions:
+The prior knowledge about the observations of an output is a covariance V. It contains the noise observed within the segments and
+the declared correlated errors (`correlated_errors`). The fit is generalised least squares with V. The two bases of uncertainty
+answer different questions:
 
     within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences.
                      Unstated changes from segment to segment (switch-on, an incomplete model) are not included.
@@ -38,20 +38,24 @@ _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the m
 
 @dataclass(frozen=True, slots=True)
 class OutputsFit:
-    """m outputs fitted by p terms each from n segments. units: units of the outputs; labels: labels of the segments; matrix: (n,
-    p), the columns of the terms.
+    """The fit of m outputs with p terms each, from n segments. The fit may also contain a drift with q columns.
 
-    noises: for each output, the noise within the segments. spreads: (m, n), standard uncertainties from which the weights are
-    computed, without the effects: noise within the segments and, where needed, an added standard deviation between segments
-    (`between_segments`). between: (m,), the added standard deviation; 0 if it is not needed. ratios: (m,), residual variance
-    divided by the variance expected from noise and effects. effects: the effects that the weights include; unweighted: the other
-    effects, which exist only if the noise of an output is not known. pooled: True if one variance factor applies to all outputs,
-    which requires that the proportions of the outputs' noise are known beforehand; pooled_freedom: degrees of freedom of this
-    factor. drift: the courses of a drift that are fitted together with the terms, with q columns; `fits` and the degrees of freedom
-    refer to all P = p + q columns. all_gains: (m, P, n), derivatives of the coefficients of all P columns with respect to the
-    observations. all_cofactors: basis → (m, P, m, P), covariance of these coefficients before the variance factors. within: number
-    of observations at the end that are not means of segments (`Observations`). unstated: effects of unknown size, each given for
-    the size of one unit; these effects are not in the fit. names: (p,), names of the terms.
+    units: units of the outputs; labels: labels of the segments; matrix: (n, p), columns of the terms; names: (p,), names of the terms.
+    fits: for each output, the fit with all P = p + q columns.
+    noises: for each output, the noise within the segments.
+    spreads: (m, n), standard uncertainties for the weights, without the effects. They contain the noise within the segments and, where
+        it is needed, an added standard deviation between segments (`between_segments`).
+    between: (m,), the added standard deviation between segments; 0 if it is not needed.
+    ratios: (m,), residual variance divided by the variance expected from noise and effects.
+    effects: the effects that the weights include. unweighted: effects that the weights do not include, because the noise of an output
+        is not known.
+    pooled: True if one variance factor applies to all outputs, which requires that the proportions of the outputs' noise are known
+        beforehand; pooled_freedom: degrees of freedom of this factor.
+    drift: the drift functions (powers of the time or recorded temperatures) that are fitted together with the terms.
+    all_gains: (m, P, n), derivatives of the coefficients of all P columns with respect to the observations.
+    all_cofactors: for each basis, (m, P, m, P), covariance of these coefficients before the variance factors.
+    within: number of observations at the end that are not means of segments (`Observations`).
+    unstated: effects of unknown size, each given for the size of one unit; these effects are not in the fit.
     """
 
     outputs: tuple[str, ...]
@@ -76,40 +80,40 @@ class OutputsFit:
 
     @property
     def columns(self) -> Array:
-        """The columns (n, P) of the terms and of the drift."""
+        """The columns (n, P) of the terms and of the fitted drift."""
         return joined(self.matrix, self.drift.courses)
 
     @property
     def all_coefficients(self) -> Array:
-        """Coefficients of the terms and of the drift, shape (m, P)."""
+        """The coefficients (m, P) of the terms and of the fitted drift."""
         return np.array([fit.coefficients for fit in self.fits])
 
     @property
     def coefficients(self) -> Array:
-        """Coefficients of the terms, shape (m, p)."""
+        """The coefficients (m, p) of the terms."""
         return self.all_coefficients[:, : self.matrix.shape[1]]
 
     @property
     def gains(self) -> Array:
-        """Factors from observations to the coefficients of the terms, shape (m, p, n)."""
+        """The derivatives (m, p, n) of the coefficients of the terms with respect to the observations."""
         return self.all_gains[:, : self.matrix.shape[1]]
 
     @property
     def drift_spreads(self) -> Array:
-        """Standard uncertainties of the amplitudes of the drift, shape (m, q), if the weights include the noise and all effects. On
-        the residual basis, they are to be multiplied by the square roots of the variance factors."""
+        """The standard uncertainties (m, q) of the amplitudes of the fitted drift, for weights that include the noise and all
+        effects. For the basis `residual`, they must be multiplied by the square roots of the variance factors."""
         variances = np.einsum("apap->ap", self.all_cofactors["residual"])
         return np.asarray(np.sqrt(variances[:, self.matrix.shape[1] :]))
 
     def drift_freedom(self, output: int, basis: str) -> float:
-        """Degrees of freedom of the amplitudes of an output's drift."""
+        """The degrees of freedom of the drift amplitudes of one output."""
         if basis == "residual":
             return self.pooled_freedom if self.pooled else float(self.freedom)
         return self.noises[output].degrees_of_freedom
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of each output's residuals."""
+        """The number of degrees of freedom of each output's residuals."""
         return self.fits[0].degrees_of_freedom
 
     def available(self, basis: str) -> bool:
@@ -117,19 +121,19 @@ class OutputsFit:
 
     @property
     def variance_factors(self) -> Array:
-        """Residual variance divided by the variance expected from the weights, shape (m,): a factor for each output or, if pooled,
-        the mean of these factors for all outputs."""
+        """The variance factor (m,) of each output: residual variance divided by the variance expected from the weights. If the
+        outputs are pooled, all have the mean of these factors."""
         factors = np.array([fit.variance_factor for fit in self.fits])
         return np.full_like(factors, factors.mean()) if self.pooled else factors
 
     def observed(self, output: int, basis: str) -> Array:
-        """Covariance (n, n) of an output's observations on the given basis, before the variance factor is applied."""
+        """The covariance (n, n) of an output's observations on the given basis, without the variance factor."""
         if basis == "within_segment":
             return np.diag(self.noises[output].sigma ** 2)
         return mixed(self.spreads[output], stacked_roots(self.effects, len(self.outputs), len(self.labels))[output])
 
     def covariance(self, basis: str) -> Array:
-        """Covariance of all coefficients, output after output, shape (m·p, m·p)."""
+        """The covariance (m·p, m·p) of all coefficients, output after output."""
         m, p = self.coefficients.shape
         size = np.sqrt(self.variance_factors) if basis == "residual" else np.ones(m)
         cofactors = self.all_cofactors[basis][:, :p, :, :p]
@@ -137,16 +141,17 @@ class OutputsFit:
         return covariance
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
-        """Influences of the effects on the coefficients, output after output. If functionals (q, m, n) are given, the influences
-        are those on these linear functions of the observations. On the residual basis, the covariance already includes the effects
-        that the weights include."""
+        """The influences of the effects on the coefficients, output after output. If functionals (q, m, n) are given, the function
+        returns the influences on these linear functions of the observations instead. On the basis `residual`, the covariance
+        already includes the effects that the weights include."""
         acting = functionals_of(self.gains) if functionals is None else functionals
         doubted = tuple(one.through(acting) for one in self._doubted_drift())
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
         return (*weighted, *(one.through(acting) for one in self.unweighted), *doubted)
 
     def _doubted_drift(self) -> Iterator[CorrelatedError]:
-        """Courses of a drift that are not fitted, as errors whose size follows from the amplitude that a fit of the course gives."""
+        """Drift functions that are not fitted although there is some evidence for them, as errors of the observations. The size of
+        such an error comes from the amplitude that a fit of the drift function gives."""
         for one in self.drift.doubted:
             for output, (name, own) in enumerate(zip(self.outputs, one.amplitudes, strict=True)):
                 for part, amplitude, column in zip(one.course.parts, own.tolist(), one.course.columns.T, strict=True):
@@ -157,8 +162,8 @@ class OutputsFit:
                     yield CorrelatedError(quantity, {output: column[:, None]})
 
     def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
-        """The flicker of unknown size, as it acts on the coefficients, output after output. If functionals (q, m, n) are given, the
-        flicker as it acts on these linear functions of the observations."""
+        """The effect on the coefficients of flicker whose size is not stated, output after output. If functionals (q, m, n) are
+        given, the function returns the effect on these linear functions of the observations instead."""
         if not self.unstated:
             return ()
         acting = functionals_of(self.gains) if functionals is None else functionals
@@ -169,7 +174,7 @@ class OutputsFit:
         )
 
     def _evidence(self, output: int, error: CorrelatedError) -> FlickerEvidence | None:
-        """What the observations of an output show about the size of the flicker."""
+        """The information in an output's observations about the size of the flicker; None if the noise of an output is not known."""
         noise = self.noises[output]
         if not all(one.known for one in self.noises):
             return None
@@ -184,10 +189,10 @@ class OutputsFit:
         )
 
     def degrees_of_freedom(self, gradients: Array, basis: str) -> Array:
-        """Effective degrees of freedom (q,) of q quantities with the given gradients (q, m·p).
+        """The effective degrees of freedom (q,) of q quantities, whose gradients with respect to all coefficients are (q, m·p).
 
-        The Welch–Satterthwaite formula (JCGM 100:2008, G.4.1) combines the contributions of the outputs. A pooled variance has the
-        degrees of freedom of all outputs together, or fewer if their residuals are correlated.
+        The Welch–Satterthwaite formula (JCGM 100:2008, G.4.1) combines the contributions of the outputs. If the variance is pooled,
+        it has the degrees of freedom of all outputs together, or fewer if their residuals are correlated.
         """
         m, p = self.coefficients.shape
         if basis == "residual" and self.pooled:
@@ -200,7 +205,8 @@ class OutputsFit:
 
 
 def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
-    """The coefficients (m, p) of every observed channel, weighted only by the noise within the segments. Raises `EstimationError`."""
+    """The coefficients (m, p) of every observed channel from a fit that is weighted only by the noise within the segments. Raises
+    `EstimationError`."""
     sigma = np.array([within_segment_noise(observations, k).sigma for k in range(len(observations.channels))])
     return _coefficients(
         matrix, observations.mean.T, sigma / sigma.max(axis=1, keepdims=True), magnitudes, tuple(names)
@@ -226,14 +232,16 @@ def fit_outputs(
     drift: DriftCourses = NO_DRIFT,
     unstated: Sequence[CorrelatedError] = (),
 ) -> OutputsFit:
-    """Fits every observed channel with the same terms. Raises `EstimationError`.
+    """Fits every observed channel with the same terms. Raises `EstimationError` if the observations do not determine the
+    coefficients.
 
-    The weights come from the noise within the segments and from the effects. On the residual basis, a standard deviation between
-    segments is added to the noise in this case: the noise differs between segments or there are effects, and noise and effects
-    together do not explain the residuals. Without this addition, the segment with the least noise would dominate the fit, although
-    its error is as large as the errors of the other segments. Outputs can be pooled only if their noise is known and nothing is
-    added to the noise. equal: True gives all segments the same weight. drift: courses of a drift that are fitted too: always, or
-    only if the data show them. unstated: as in `OutputsFit`.
+    The weights come from the noise within the segments and from the effects. On the basis `residual`, a standard deviation between
+    segments is added to the noise of an output under two conditions: noise and effects together do not explain its residuals, and
+    either the noise differs between segments or there are effects. Without this addition, the segment with the least noise would
+    dominate the fit, although its actual error is as large as the errors of the other segments. Outputs are pooled only if `pooled`
+    is True, their noise is known and nothing is added to the noise. equal: True gives all segments the same weight. drift: the
+    drift functions (powers of the time or recorded temperatures) that are fitted too, either always or only if the data show them.
+    unstated: effects of unknown size, which are not fitted.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
@@ -289,8 +297,8 @@ def fit_outputs(
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """The m fitted outputs; see `OutputsFit`. whitening: (m, n, n), whitening of the observations of each output; None for noise
-    alone."""
+    """The fits of m outputs; the fields are described in `OutputsFit`. whitening: (m, n, n), for each output, the matrix that makes
+    its observations uncorrelated with variance one; None without effects."""
 
     fits: tuple[LinearFit, ...]
     gains: Array
@@ -302,11 +310,12 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True)
 class _Weighting:
-    """The observations (m, n) of the outputs, their noise, and the effects on them. roots: (m, n, r), roots of the effects
-    (`stacked_roots`); sigma: (m, n), standard deviations of the noise; whitening: (m, n, n), whitening of noise and effects
-    together, or None without effects. The whitening takes n³ operations, so all fits with these weights share it. expected: True if
-    the means have no noise; chi² is then replaced by its expectation. within: number of observations at the end that are not means
-    of segments, and in which nothing varies between segments."""
+    """The observations (m, n) of the outputs, with their noise and the effects on them, from which all fits take their weights.
+    roots: (m, n, r), matrices R for which R·Rᵀ is the covariance due to the effects (`stacked_roots`); sigma: (m, n), standard
+    deviations of the noise; whitening: (m, n, n), matrices that make observations with noise and effects uncorrelated with variance
+    one; None without effects. The computation of `whitening` takes n³ operations, so all fits with the same weights share it.
+    expected: True if the observations are expected values without noise; then χ² is replaced by its expectation. within: number of
+    observations at the end that are not means of segments; no scatter between segments is added to them."""
 
     matrix: Array
     observed: Array
@@ -319,12 +328,12 @@ class _Weighting:
     within: int = 0
 
     def plain(self) -> list[LinearFit]:
-        """Fits weighted by noise and effects."""
+        """The fits that are weighted by noise and effects."""
         return self._fits(self.sigma, self.whitening)
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
-        """Fit weighted by noise and effects. residual: True allows a standard deviation between segments to be added to the noise
-        if the residuals require it."""
+        """The fits that are weighted by noise and effects, with all information that `OutputsFit` needs. residual: True allows a
+        standard deviation between segments to be added to the noise if the residuals require it."""
         spreads, between, whitening = self.sigma.copy(), np.zeros(len(noises)), self.whitening
         found = self.plain()
         ratios = _factors(found)
@@ -343,8 +352,8 @@ class _Weighting:
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
     def equal(self) -> _Fitted:
-        """Fit with equal weights. Residuals and noise are compared in a second fit, which is weighted by the noise, because with
-        equal weights a few large residuals would decide the comparison."""
+        """The fits in which all segments have equal weights. The residuals are compared with the noise in a second fit, which is
+        weighted by noise and effects. With equal weights, a few large residuals would decide this comparison."""
         spreads = np.broadcast_to(np.sqrt(np.mean(self.sigma**2, axis=1, keepdims=True)), self.sigma.shape)
         whitening = _whitening(spreads, self.roots)
         found = self._fits(spreads, None)
@@ -354,7 +363,7 @@ class _Weighting:
         return _Fitted(fits, gains, spreads, np.zeros(len(fits)), _factors(self.plain()), whitening)
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
-        """Degrees of freedom of the mean of the outputs' variance factors: those of the chi-squared variable that has the same mean
+        """The degrees of freedom of the mean of the outputs' variance factors. They are those of a χ² variable with the same mean
         and variance (Satterthwaite)."""
         m, p, n = found.gains.shape
         if found.whitening is None:
@@ -368,7 +377,7 @@ class _Weighting:
         return (m * (n - p)) ** 2 / common if common else 0.0
 
     def _fit_of(self, output: int, spread: Array) -> LinearFit:
-        """The fit of one output with a different spread (n,)."""
+        """The fit of one output whose noise has the standard deviations `spread` (n,)."""
         one = slice(output, output + 1)
         return self._fits(spread[None], _whitening(spread[None], self.roots[one]), one)[0]
 
@@ -379,8 +388,8 @@ class _Weighting:
 
 
 def _whitening(spreads: Array, roots: Array) -> Array | None:
-    """The whitening (m, n, n) for noise with the standard deviations `spreads` (m, n) and for effects with the roots `roots` (m, n,
-    r); None without effects."""
+    """The matrices (m, n, n) that make observations uncorrelated with variance one, for noise with the standard deviations
+    `spreads` (m, n) and effects with the roots `roots` (m, n, r). None without effects."""
     return least_squares.whitener(mixed(spreads, roots)) if roots.size else None
 
 
@@ -389,16 +398,16 @@ def _factors(fits: Sequence[LinearFit]) -> Array:
 
 
 def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
-    """Computes (AᵀV⁻¹A)⁻¹·AᵀV⁻¹, (m, p, n). weighted: V⁻¹A, (m, n, p)."""
+    """The matrices (AᵀV⁻¹A)⁻¹·AᵀV⁻¹ (m, p, n), which compute the coefficients from the observations. weighted: V⁻¹A, (m, n, p)."""
     return np.asarray(np.array([one.cofactor for one in fits]) @ weighted.swapaxes(1, 2))
 
 
 def _cofactors(
     found: _Fitted, noises: Sequence[WithinSegmentNoise], correlation: Array, effects: Array
 ) -> dict[str, Array]:
-    """Cofactors of the coefficients for each basis of the uncertainties. On each basis, the correlation of the noise between
-    outputs comes from the samples, because the residuals of a few segments do not determine it. effects: (m, n, r), roots of the
-    effects."""
+    """The covariances of the coefficients before the variance factors, for each basis of uncertainty. The correlation of the noise
+    between outputs always comes from the samples, because the residuals of a few segments do not determine it. effects: (m, n, r),
+    matrices R for which R·Rᵀ is the covariance of the observations due to the effects."""
     m, p, _ = found.gains.shape
 
     def products(roots: Array) -> Array:
@@ -414,7 +423,7 @@ def _cofactors(
 
 
 def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
-    """Whether the residuals are larger than the noise within the segments can explain (F-test)."""
+    """Whether the residuals are larger than the noise within the segments explains (F-test)."""
     if not (found.degrees_of_freedom and noise.known and found.variance_factor > 1):
         return False
     from scipy.special import fdtrc
@@ -425,12 +434,12 @@ def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
 def between_segments(
     fitted: Callable[[Array], LinearFit], spread: Array, means: NDArray[np.bool_] | bool = True
 ) -> float:
-    """The standard deviation between segments that, together with `spread` (n,), makes chi²/dof equal to one (Mandel and Paule, Anal.
-    Chem. 54, 1982).
+    """The standard deviation between segments that must be added to the noise `spread` (n,) to make χ²/dof equal to one (Mandel and
+    Paule, Anal. Chem. 54, 1982).
 
-    fitted: computes the fit for a given spread. means: (n,), marks the observations to which the deviation is added. chi²/dof
-    decreases as the deviation grows, so the deviation is found by a search for the root. The result is zero if chi²/dof is at most
-    one without an added deviation, or if no deviation makes it one.
+    fitted: a function that computes the fit for a given spread. means: (n,), True for the observations to which the standard
+    deviation is added. χ²/dof decreases as the added deviation grows, so a root search finds the deviation. The result is zero if
+    χ²/dof is at most one without an addition, or if no addition makes it one.
     """
     from scipy.optimize import brentq
 

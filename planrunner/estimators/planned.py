@@ -1,5 +1,5 @@
-"""What estimators need to know about planned segments, before anything is recorded: design matrices at rest, and the expected
-noise."""
+"""Computes what estimators need to know about planned segments before anything is recorded: design matrices for segments at rest,
+and the expected noise."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from planrunner.plan.schedule import Rest, Segment
 def matrix_at_rest(
     model: ErrorModel, segments: Sequence[Segment], site: Site, needed: str, otherwise: str = ""
 ) -> Array:
-    """The design matrix of positions at rest, shape (n, p), SI.
+    """The design matrix (n, p), SI, for segments at rest.
 
-    needed: the reason why segments must be at rest, for the message about a segment that moves; otherwise: a text for the message
-    about an unknown orientation. Raises `EstimationError` in both cases.
+    needed: the reason why segments must be at rest, which is part of the message about a segment that moves; otherwise: a text that
+    is part of the message about an unknown orientation. Raises `EstimationError` in either case.
     """
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:
@@ -37,7 +37,8 @@ def matrix_at_rest(
 def planned_blocks(
     request: DesignRequest[object], outputs: Sequence[str], terms: tuple[str, ...], matrix: Array, magnitudes: Array
 ) -> tuple[DesignBlock, ...]:
-    """The matrix (n, p) of `matrix_at_rest`, SI, for each output, with the noise that the sensor declares for the planned dwells.
+    """For each output, the design matrix (n, p) of segments at rest, SI, with the noise that the sensor declares for the planned
+    dwells.
 
     A dwell of unknown length counts as one second. Raises `EstimationError` for an output that the sensor does not have.
     """

@@ -1,7 +1,7 @@
-"""Analysis of a design matrix: its rank, its condition, and the terms that it cannot separate.
+"""Analyses a design matrix: its rank, its condition, and the terms that it cannot separate.
 
-All results are computed for columns divided by their declared magnitudes (Earth rate, g …): the raw SI columns of a sound
-eight-position plan differ by five orders of magnitude and would look ill-conditioned.
+All results refer to columns divided by their declared magnitudes (Earth rate, g …). The raw SI columns of a good eight-position
+plan differ by five orders of magnitude and would look ill-conditioned.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ TOLERANCE = (
 
 @dataclass(frozen=True, slots=True)
 class MatrixRank:
-    """Result of an analysis. singular: singular values of the scaled matrix, largest first. null: orthonormal rows, shape (columns −
-    rank, columns)."""
+    """The rank and the null space of a design matrix. singular: singular values of the scaled matrix, largest first. null:
+    orthonormal rows that span the null space, shape (columns − rank, columns)."""
 
     rank: int
     singular: Array
@@ -30,12 +30,12 @@ class MatrixRank:
 
     @property
     def determinant(self) -> float:
-        """Determinant of the information matrix AᵀA of the scaled matrix A; zero if the matrix does not have full rank."""
+        """The determinant of AᵀA for the scaled matrix A (the information matrix); zero if A does not have full rank."""
         return 0.0 if len(self.null) else float(np.prod(self.singular**2))
 
     @property
     def condition(self) -> float:
-        """Largest divided by smallest singular value; infinite if the matrix does not have full rank."""
+        """The ratio of the largest to the smallest singular value; infinite if the matrix does not have full rank."""
         if len(self.null):
             return float("inf")
         return float(self.singular[0] / self.singular[-1])
@@ -52,10 +52,10 @@ def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
 
 
 def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
-    """The null space as a few short linear combinations of named columns, each of which is zero. The combinations are found by
-    Gauss–Jordan elimination.
+    """Writes the null space as a few short linear combinations of columns, given by their names; each of these combinations is
+    zero. The combinations are found by Gauss–Jordan elimination.
 
-    A combination of a single name means that its column is zero.
+    A combination with only one name means that this column is zero.
     """
     rows = null.copy()
     done = 0
@@ -78,14 +78,15 @@ def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, fl
 
 
 def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """The names of the terms in the null space, in their original order. The data determine none of these terms."""
+    """The names of the terms that occur in the null space, in their original order. The data determine none of these terms on its
+    own."""
     return tuple(
         name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6
     )
 
 
 def explain(null: Array, names: Sequence[str]) -> str:
-    """Explains the null space to a quality engineer, in words; empty if every term can be identified."""
+    """Explains the null space to a quality engineer in a sentence; empty if every term can be identified."""
     if not len(null):
         return ""
     sentences = []

@@ -1,18 +1,18 @@
-"""Repeatability: how coefficients or means scatter from run to run, and between days or switch-ons. Each standard deviation is
-given with its degrees of freedom.
+"""Determines repeatability: how coefficients or means scatter from run to run, and between days or switch-ons. Each standard
+deviation is given with its degrees of freedom.
 
     one level     s(K_q)/mean(K_q) over q repeats (IEEE Std 952 and 1431: repeatability)
     two levels    one-way analysis of variance of groups (ISO 5725-2, JCGM 100:2008, H.5): within groups, between groups, and both together,
                   the intermediate precision
 
-Intervals of standard deviations are χ² intervals. The interval for the sum of the two variances is that of Graybill and Wang (J.
-Am. Stat. Assoc. 75, 1980, 869), because the χ² interval with Satterthwaite's degrees of freedom contains the true value in only 91
-% instead of 95 % of tests of five days.
+The intervals of standard deviations are χ² intervals. The interval for the sum of the variances within and between groups is from
+Graybill and Wang (J. Am. Stat. Assoc. 75, 1980, 869), because the χ² interval with Satterthwaite's degrees of freedom contains the
+true value in only 91 % instead of 95 % of tests of five days.
 
-Warnings: repeats that scatter more than their own standard uncertainties allow (χ²); repeats that form different groups by their
-labels, by pauses or by thirds of their sequence (`groups_in_time`, F test) although the plan names no groups; repeats whose scatter
-is not random in their sequence (von Neumann, Ann. Math. Stat. 12, 1941, 367), as after a drift; and groups whose scatter differs
-(Bartlett).
+There are four warnings: about repeats that scatter more than their own standard uncertainties allow (χ²); about repeats that form
+different groups by their labels, by pauses or by thirds of their sequence (`groups_in_time`, F test) although the plan names no
+groups; about repeats whose sequence is not random, as after a drift (von Neumann, Ann. Math. Stat. 12, 1941, 367); and about groups
+whose scatter differs (Bartlett).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _TO_COMPARE = 3  # repeats of a group whose scatter is compared with that of oth
 
 
 class RepeatabilityParameters(Record):
-    """Keys of the estimator repeatability."""
+    """The keys of the estimator `repeatability`."""
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
@@ -79,9 +79,9 @@ class RepeatabilityParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """n values of one quantity. group: (n,), index of the group of each value; own: (n,), standard uncertainties of the values, NaN
-    if not known. expected: for expected values, the variance that noise alone causes; NaN for measured values. pauses: (n − 1,),
-    time between the repeats, s; None if this is not known."""
+    """The n repeated values of one quantity. group: (n,), index of the group of each value; own: (n,), standard uncertainty of each
+    value, NaN if it is not known. expected: the variance that noise alone causes, if the values are expected values; NaN for
+    measured values. pauses: (n − 1,), time between successive repeats, s; None if this is not known."""
 
     name: str
     unit: str
@@ -94,7 +94,7 @@ class Repeats:
     pauses: Array | None = None
 
     def on_circle(self, value: float) -> float:
-        """The value, reduced to the range from 0 to `period`; unchanged for a quantity without a period."""
+        """For a circular quantity, the equivalent value in the range from 0 to `period`; for any other quantity, the value itself."""
         if math.isinf(self.period):
             return value
         return 0.0 if abs(math.remainder(value, self.period)) < 1e-9 * self.period else value % self.period
@@ -102,12 +102,13 @@ class Repeats:
 
 @dataclass(frozen=True, slots=True)
 class Variance:
-    """One-way analysis of variance of n values in k groups.
+    """The result of a one-way analysis of variance of n values in k groups.
 
-    mean: mean of the group means, with `mean_uncertainty` and `mean_freedom` degrees of freedom. within: variance within groups;
-    between: component of variance between groups, which can be negative; total: their sum. A field with one of these names as
-    prefix gives the degrees of freedom or the standard uncertainty. terms: (2,), the contributions to the total of the mean square
-    between groups and of the mean square within groups. ratio: F, mean square between groups divided by mean square within groups.
+    mean: mean of the group means. within: variance within groups; between: component of variance between groups, which can be
+    negative; total: sum of `within` and `between`. Fields such as `mean_uncertainty` or `within_freedom` are the standard
+    uncertainty and the degrees of freedom of these values. terms: (2,), the contributions to `total` of the mean square between
+    groups and of the mean square within groups. ratio: the statistic F, which is the mean square between groups divided by the mean
+    square within groups.
     """
 
     mean: float
@@ -124,12 +125,12 @@ class Variance:
 
     @property
     def total_interval(self) -> tuple[float, float]:
-        """Confidence interval of the total variance at `PROBABILITY`."""
+        """The confidence interval of the total variance, with the confidence level `PROBABILITY`."""
         return _interval_of_sum(self.terms, (self.mean_freedom, self.within_freedom))
 
     @property
     def probability(self) -> float:
-        """The probability of an F at least this large if the groups do not differ."""
+        """The probability of an F at least as large as `ratio` if the groups do not differ."""
         from scipy.special import fdtrc
 
         return float(fdtrc(self.mean_freedom, self.within_freedom, self.ratio))
@@ -143,14 +144,14 @@ class ScatterQuantities(Quantities):
 
 
 class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
-    """The estimator `repeatability`."""
+    """The estimator with the name `repeatability`."""
 
     name = "repeatability"
     summary = "Scatter of coefficients or means between repeats, and between days or switch-ons"
     Parameters = RepeatabilityParameters
 
     def design(self, request: DesignRequest[RepeatabilityParameters]) -> Design:
-        """Checks that the plan repeats something. Raises `EstimationError`."""
+        """Checks that the plan repeats something. Raises `EstimationError` if there is nothing to compare or the groups do not fit."""
         parameters = request.parameters
         names = _items(parameters, [segment.label for segment in request.segments], list(request.uses))
         _grouped(names, parameters.groups, bool(parameters.channels))
@@ -168,7 +169,7 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
         return ScatterQuantities(coefficients=coefficients, covariance=np.diag(spread**2), splits=splits)
 
     def words(self, request: EstimateRequest[RepeatabilityParameters], found: ScatterQuantities) -> Words:
-        """Makes the tables of the values and their variances."""
+        """Makes the tables of the repeated values and of their variances."""
         groups: Mapping[str, Sequence[str]] = request.parameters.groups
         tables = [(_values(one, list(groups)), _variances(one, split)) for one, split in found.splits]
         notes = [note for pair in found.splits for note in _notes(*pair)]
@@ -201,7 +202,7 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
 
 
 def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: bool) -> NDArray[np.int64]:
-    """The index of the group to which each name belongs. Raises `EstimationError` for a name that belongs to no group or to two
+    """The indices of the groups to which the names belong. Raises `EstimationError` for a name that belongs to no group or to two
     groups, and for an empty group."""
     number = np.zeros(len(names), dtype=np.int64)
     if not groups:
@@ -285,7 +286,7 @@ def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDAr
 
 
 def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
-    """The variance that noise alone causes in a coefficient of expected estimates; NaN for measured estimates."""
+    """The variance that noise alone causes in a coefficient of expected estimates; NaN for estimates from a recording."""
     found = []
     for used in uses:
         if not used.expected or used.data_covariance is None:
@@ -296,7 +297,7 @@ def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
 
 
 def together(repeats: Sequence[Coefficient]) -> Array:
-    """The values of a repeated coefficient, (n,). For a circular quantity, these are the equivalent values nearest to the circular
+    """The values (n,) of a repeated coefficient. For a circular quantity, these are the equivalent values nearest to the circular
     mean (Mardia and Jupp, Directional Statistics, 2.2)."""
     period = repeats[0].period
     if math.isinf(period) or not all(math.isfinite(one.value) for one in repeats):
@@ -309,11 +310,11 @@ def together(repeats: Sequence[Coefficient]) -> Array:
 
 
 def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float = math.nan) -> Variance:
-    """One-way analysis of variance; for a single group, only the mean and the scatter.
+    """A one-way analysis of variance of values in groups. For a single group, it gives only the mean and the scatter.
 
-    The mean of the values is the mean of the group means. The component between groups is (M_b − M_w)/n₀, where M_b and M_w are the
-    mean squares between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. expected: a variance that
-    is used instead of the scatter of the values about their mean.
+    The overall mean is the mean of the group means. The variance component between groups is (M_b − M_w)/n₀, where M_b and M_w are
+    the mean squares between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. expected: a variance
+    that is used instead of the scatter of the values about their mean.
     """
     numbers = np.unique(group)
     n, k = len(value), len(numbers)
@@ -347,8 +348,8 @@ def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float
 
 
 def _interval_of_sum(terms: Sequence[float], freedom: Sequence[float]) -> tuple[float, float]:
-    """The confidence interval at `PROBABILITY` of a sum of independent mean squares, each multiplied by a positive factor (Graybill and
-    Wang)."""
+    """The confidence interval, with the confidence level `PROBABILITY`, of a sum of independent mean squares, each multiplied by a
+    positive factor (Graybill and Wang)."""
     low, high = 0.0, 0.0
     for term, own in zip(terms, freedom, strict=True):
         below, above = deviation_interval(1.0, own)
@@ -358,7 +359,7 @@ def _interval_of_sum(terms: Sequence[float], freedom: Sequence[float]) -> tuple[
 
 
 def deviation_interval(variance: float, freedom: float) -> tuple[float, float]:
-    """The confidence interval of a standard deviation by χ², at `PROBABILITY`."""
+    """The χ² confidence interval of a standard deviation, with the confidence level `PROBABILITY`."""
     from scipy.special import chdtri
 
     low = math.sqrt(variance * freedom / float(chdtri(freedom, (1 - PROBABILITY) / 2)))
@@ -366,7 +367,7 @@ def deviation_interval(variance: float, freedom: float) -> tuple[float, float]:
 
 
 def _of_deviation(variance: float, freedom: float) -> tuple[float, float]:
-    """A standard deviation and its standard uncertainty, s/√(2ν) (JCGM 100:2008, E.4.3)."""
+    """The standard deviation s and its standard uncertainty, s/√(2ν) for ν degrees of freedom (JCGM 100:2008, E.4.3)."""
     value = math.sqrt(variance)
     return value, value / math.sqrt(2 * freedom)
 
@@ -493,7 +494,7 @@ def _notes(one: Repeats, split: Variance) -> list[Said]:
 
 
 def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
-    """The probability that random values would be at least as similar from one value to the next as these values are within their
+    """The probability that, in a random sequence, successive values would be at least as similar as these values are within their
     groups; NaN for fewer than eight values within groups.
 
     The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1)
@@ -555,8 +556,8 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
 
 
 def _unnamed_groups(one: Repeats) -> Said | None:
-    """The warning about repeats that form different groups although the plan treats them as one group; None if there are no such
-    groups. If m divisions into groups are tried, each division is tested at 1/m of the significance level."""
+    """A warning about repeats that form different groups although the plan treats them as one group; None if they do not. If m
+    divisions into groups are tried, each division is tested at 1/m of the significance level."""
     if len(np.unique(one.group)) > 1 or not math.isnan(one.expected):
         return None
     tried = groupings(one.labels, one.pauses)
@@ -581,7 +582,7 @@ def _unnamed_groups(one: Repeats) -> Said | None:
 
 
 def _scatter_differs(one: Repeats) -> bool:
-    """Whether the scatter within groups, of at least three repeats each, differs from group to group."""
+    """Whether the scatter within groups differs from group to group; only groups of at least three repeats are compared."""
     held = [one.value[one.group == number] for number in np.unique(one.group)]
     held = [values for values in held if len(values) >= _TO_COMPARE]
     variances = np.array([float(np.var(values, ddof=1)) for values in held])

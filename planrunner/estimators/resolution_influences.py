@@ -1,7 +1,8 @@
-"""Influence of the resolution of outputs on coefficients.
+"""Computes the influence of the resolution of outputs on coefficients.
 
-The influence is listed in budgets but never added. If the noise does not dither the counts, the standard errors of the means
-include the rounding (see `observations`). If the noise dithers the counts, the scatter of the samples includes the rounding.
+Budgets list this influence but never add it, because other contributions already include it. If the noise does not dither the
+counts, the standard errors of the means include the rounding (see `observations`). If the noise dithers the counts, the scatter of
+the samples includes the rounding errors.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def resolution_influences(
     request: EstimateRequest[object], outputs: Sequence[str], functionals: Array
 ) -> tuple[Influence, ...]:
-    """One influence for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k
-    over segment n); observations after the means are ignored.
+    """One influence for each of the m outputs whose resolution is stated. functionals: (q, m, n), ∂coefficient/∂(mean of output k
+    over segment n); functionals of observations that are not means are ignored.
 
-    If the noise is too small to dither the count, a mean has the rounding error of a single sample. Otherwise the rounding errors
+    If the noise is too small to dither the counts, a mean has the rounding error of a single sample. Otherwise the rounding errors
     of its samples average out: the error decreases with the square root of the number of samples.
     """
     found = []
@@ -42,7 +43,7 @@ def resolution_influences(
 
 
 def _left(segments: Sequence[RecordedSegment], name: str, sensor: SensorModel) -> Array:
-    """The share of the rounding error of one sample that remains in each mean, (n,)."""
+    """The fraction (n,) of a single sample's rounding error that remains in the mean of each segment."""
     held = [one.statistics for one in segments]
     places = [one.of(name) for one in held]
     counts = np.array([one.count for one in held])

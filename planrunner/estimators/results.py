@@ -1,7 +1,7 @@
-"""Results of an analysis, and their form as JSON (schemas/results.schema.json). Numbers have full precision, so that floats are
-restored exactly.
+"""Defines the results of an analysis, and writes and reads them as JSON (schemas/results.schema.json). Numbers are written with
+full precision, so that reading gives exactly the same floats.
 
-JSON has no infinity and no NaN: these are always written as the texts "inf", "-inf" and "nan".
+JSON has no infinity and no NaN. They are always written as the texts "inf", "-inf" and "nan".
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Results of an analysis.
+    """The results of an analysis.
 
-    estimates: name → estimate, in the plan's order. limits: the verdicts on the limits. failures: name of an estimate or limit that
-    has no result → message. segments: statistics of each recorded segment, from `segment_statistics`. origin: source of the
-    samples; None in results of versions that did not record the source. unfit: names in `failures` that failed because of the
-    recorded data, not because of the plan.
+    estimates: the estimates by name, in the plan's order. limits: the verdicts on the limits. failures: maps the name of an
+    estimate or limit without a result to a message. segments: for each recorded segment, the statistics from `segment_statistics`.
+    origin: source of the samples; None in results from versions that did not record the source. unfit: names in `failures` that
+    failed because of the recorded data, not because of the plan.
     """
 
     estimates: Mapping[str, Estimate]
@@ -54,7 +54,7 @@ class Results:
     unfit: tuple[str, ...] = ()
 
     def to_json(self) -> JsonObject:
-        """Plain JSON data without NaN or infinities."""
+        """The results as plain JSON data without NaN or infinities."""
         found: JsonObject = _plain(
             {
                 "planrunner_results": FORMAT,
@@ -94,7 +94,8 @@ class Results:
 
 
 def segment_statistics(recorded: RecordedSegment) -> JsonObject:
-    """Statistics of one recorded segment as plain data. Means and other values are given for each channel, in the channel's unit."""
+    """The statistics of one recorded segment as plain data. Means and other values are given by channel, in the unit of the
+    channel."""
     statistics = recorded.statistics
     deviation = np.sqrt(np.diag(np.atleast_2d(statistics.covariance)))
     channels = {
@@ -124,8 +125,8 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
 
 
 def comparable(data: Json) -> Json:
-    """Results as JSON data, so that results of formats 2 and 3 can be compared. The format, the versions that computed the results,
-    and data that only translations need are omitted."""
+    """The results as JSON data in a form in which results of formats 2 and 3 can be compared. The format, the versions that
+    computed the results, and data that only translations need are omitted."""
     if isinstance(data, list):
         return [comparable(item) for item in data]
     if not isinstance(data, dict):
@@ -237,8 +238,8 @@ def _estimate_from(data: Mapping[str, Json]) -> Estimate:
 
 
 def _plain(value: Json) -> Json:
-    """Converts to plain JSON data: numpy scalars and arrays, tuples and mappings become plain values; numbers that JSON does not
-    have become texts."""
+    """Converts a value to plain JSON data: numpy scalars and arrays, tuples and mappings become plain values, and numbers that JSON
+    cannot represent become texts."""
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""Results of an IMU calibration from the fitted responses of its triads: names, units and one formula.
+"""Computes the results of an IMU calibration from the fitted responses of its triads: names, units and one common formula.
 
     measured = S·M·true + b + G·f
 
@@ -35,8 +35,8 @@ _DIMENSION = {"gyro": DIMENSIONS["angular rate"], "accel": DIMENSIONS["accelerat
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """Responses of the three outputs of a triad. kind: gyro or accel. units: (3,), the units in which the outputs are recorded.
-    values: (3, p), coefficients of the model's terms, in these units per SI unit of each column."""
+    """The responses of the three outputs of a triad. kind: gyro or accel. units: (3,), the units in which the outputs are recorded.
+    values: (3, p), for each output, the coefficients of the model's terms, in the unit of the output per SI unit of the term."""
 
     kind: str
     units: tuple[Unit, ...]
@@ -44,7 +44,7 @@ class Response:
     values: Array
 
     def places(self, quantity: str) -> dict[int, int]:
-        """Maps each direction of the quantity `rate` or `accel` to the index of its term."""
+        """Maps each axis of the quantity `rate` or `accel` to the index of its term in the model."""
         names = self.model.names
         return {k: names.index(f"{quantity}_{axis}") for k, axis in enumerate(AXES) if f"{quantity}_{axis}" in names}
 
@@ -53,7 +53,7 @@ class Response:
         return self.places(_SENSED[self.kind])
 
     def rows(self, channels: Sequence[str]) -> list[AxisResponse]:
-        """The responses of those outputs whose unit is that of the sensed quantity."""
+        """The responses of those outputs that are recorded in a unit of the sensed quantity."""
         return [
             AxisResponse(
                 channels[axis],
@@ -68,7 +68,8 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class Framed:
-    """The responses in the reported frame. reference: the kind of the triad that defines the frame; empty for the frame of the fixture."""
+    """The responses of all triads in the frame in which they are reported. reference: the kind of the triad that defines the frame;
+    empty for the frame of the fixture."""
 
     responses: tuple[Response, ...]
     reference: str = ""
@@ -76,8 +77,8 @@ class Framed:
 
 @dataclass(frozen=True, slots=True)
 class ImuResults:
-    """All reported quantities, as a formula of the fitted responses, triad after triad. frame: the fitted responses in the reported
-    frame."""
+    """All reported quantities, triad after triad, with the formula that computes them from the fitted responses. frame: the fitted
+    responses in the reported frame."""
 
     frame: Framed
     quantities: tuple[Reported, ...]
@@ -85,8 +86,9 @@ class ImuResults:
 
 
 def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResults:
-    """The responses in the frame of the fixture, or in the frame of the accelerometers (of the gyros if there are no accelerometers).
-    Raises `EstimationError`, for example for an output that does not respond."""
+    """The results in the frame of the fixture, or in the frame of the accelerometers if `lower_triangular` is True (in the frame of
+    the gyros if there are no accelerometers). Raises `EstimationError` if no frame can be defined or a term cannot be transformed,
+    and `UnfitDataError` for an output that does not respond."""
     reference = fitted[-1] if lower_triangular else None  # the accelerometers, if there are any
     if lower_triangular:
         _must_turn(fitted)
@@ -125,14 +127,14 @@ def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResult
 
 
 def _split(fitted: Sequence[Response], flat: Array) -> list[Array]:
-    """The responses (3, p, n) of each triad."""
+    """Splits a sequence of all fitted coefficients into the responses (3, p, n) of each triad."""
     ends = np.cumsum([one.values.size for one in fitted])
     parts = np.split(flat, ends[:-1])
     return [part.reshape(3, -1, flat.shape[1]) for part in parts]
 
 
 def _rotation(reference: Response, values: Array) -> Array:
-    """Rotations (3, 3, n) from the frame of the fixture to the frame of a triad with the responses (3, p, n)."""
+    """The rotations (3, 3, n) from the frame of the fixture to a triad's own frame, for responses of the triad (3, p, n)."""
     factors = np.array([own.factor for own in reference.units])[:, None, None]
     try:
         return own_frame(values[:, [reference.sensed[k] for k in range(3)]] * factors)
@@ -141,7 +143,8 @@ def _rotation(reference: Response, values: Array) -> Array:
 
 
 def _turned(one: Response, values: Array, rotation: Array) -> Array:
-    """The responses (3, p, n) to rates and specific forces in the frame after the rotation (3, 3, n)."""
+    """Transforms the responses (3, p, n) to rates and specific forces to another frame, which follows from the old frame by the
+    rotation (3, 3, n)."""
     turned = np.array(values)
     for places in (one.places("rate"), one.places("accel")):
         if places:
@@ -151,7 +154,7 @@ def _turned(one: Response, values: Array, rotation: Array) -> Array:
 
 
 def _must_turn(responses: Sequence[Response]) -> None:
-    """Raises `EstimationError` if a model has terms whose transformation to another frame is not known."""
+    """Raises `EstimationError` if the responses of a model cannot be transformed to another frame."""
     for one in responses:
         rates, forces = one.places("rate"), one.places("accel")
         known = {"bias", *(f"{name}_{axis}" for name in ("rate", "accel") for axis in AXES)}
@@ -168,8 +171,8 @@ def _must_turn(responses: Sequence[Response]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """One reported quantity of one output: factor × the value that `of` computes from the row of the output's responses, which are
-    in the output's unit per SI unit of each column."""
+    """One reported quantity of one output: `factor` times the value that `of` computes from the output's responses, which are in
+    the output's unit per SI unit of the term."""
 
     reported: Reported
     of: RowFormula
@@ -177,7 +180,7 @@ class _Part:
 
 
 def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
-    """Reported quantities of one output."""
+    """The reported quantities of one output."""
     own, letter = one.units[axis], AXES[axis]
     direct = own.dimension == _DIMENSION[one.kind]
     plain = _BIAS[one.kind] if direct else f"({own.text})"
@@ -185,7 +188,8 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     found: list[_Part] = []
 
     def add(name: str, text: str, of: RowFormula, words: Said, si: float = own.factor) -> None:
-        """Adds a quantity. text: unit of the reported quantity; si: SI value of the unit of the result of `of`."""
+        """Adds a reported quantity of the output. text: unit of the reported quantity; si: SI value of the unit of the result of
+        `of`."""
         try:
             factor = si / unit(text).factor
         except UnknownUnitError as error:

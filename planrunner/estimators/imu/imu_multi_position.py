@@ -1,10 +1,12 @@
-"""Bias, scale factor, misalignment and g-sensitivity of an IMU's triads from positions at rest and rates about each axis.
+"""Estimates bias, scale factor, misalignment and g-sensitivity of an IMU's triads from positions at rest and from rates about each
+axis.
 
-Each output is fitted by a linear model of named terms at the mean stimulus of every segment, the Earth's rotation included (IEEE Std 1431,
-IEEE Std 1293; Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). Gyros use all segments. Accelerometers use only
-segments at rest, because away from the rotation axis they sense the centripetal acceleration of a spin.
+Each output is fitted by a linear model of named terms at the mean stimulus of every segment, which includes the Earth's rotation
+(IEEE Std 1431, IEEE Std 1293; Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). Gyros use all segments.
+Accelerometers use only segments at rest, because they sense centripetal acceleration during a spin unless they are on the rotation
+axis.
 
-Tables give the matrices and their inverses, and how to apply them.
+The resulting tables give the matrices and their inverses, and notes explain how to apply them.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ _TRIADS = {"gyro": said("Gyros"), "accel": said("Accelerometers")}
 
 
 class ImuMultiPositionParameters(Record):
-    """Keys of the estimator imu_multi_position."""
+    """The keys of the estimator `imu_multi_position`."""
 
     gyros: tuple[str, ...] = key(
         ListOf(CHANNEL),
@@ -103,7 +105,7 @@ class ImuMultiPositionParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Triad:
-    """The data of one triad. kind: gyro or accel."""
+    """The observations and the fit of one triad. kind: gyro or accel."""
 
     kind: str
     design: PositionsDesign
@@ -113,7 +115,7 @@ class Triad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuQuantities(Quantities):
-    """Quantities of a multi-position test of an IMU. frame: the responses in the reported frame; found: the reported quantities."""
+    """The results of a multi-position test of an IMU. frame: the responses in the reported frame; found: the reported quantities."""
 
     triads: tuple[Triad, ...]
     frame: Framed
@@ -121,7 +123,7 @@ class ImuQuantities(Quantities):
 
 
 class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
-    """The estimator `imu_multi_position`."""
+    """The estimator with the name `imu_multi_position`."""
 
     name = "imu_multi_position"
     summary = "Bias, scale factor, misalignment and g-sensitivity of IMU triads from positions and rates"
@@ -144,7 +146,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         return Design(tuple(blocks), remarks=tuple(remarks))
 
     def known(self, request: DesignRequest[ImuMultiPositionParameters]) -> Known:
-        """The axes of the channels. They are x, y and z in the order in which the plan names the channels."""
+        """The input axes of the outputs, which are x, y and z in the order in which the plan names the outputs."""
         triads = _triads(request.parameters)
         return Known(directions={name: np.eye(3)[axis] for _, names, _ in triads for axis, name in enumerate(names)})
 
@@ -216,7 +218,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
 
 
 def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
-    """(kind, channels, terms) of the given triads. Raises `EstimationError`."""
+    """The kind, the channels and the terms of each triad that the plan gives. Raises `EstimationError`."""
     stated = (
         ("gyro", parameters.gyros, parameters.gyro_terms, _RATES),
         ("accel", parameters.accelerometers, parameters.accelerometer_terms, _FORCES),
@@ -261,8 +263,8 @@ def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: 
 
 
 def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
-    """Declared sizes of the columns, (p,). For the columns of all three rates, the size is the largest planned rate, so that an
-    axis without rotation is detected."""
+    """The declared magnitudes (p,) of the columns. The three columns of the rates have the largest planned rate as magnitude, so
+    that an axis without rotation is detected."""
     rates = [k for k, term in enumerate(model.terms) if term.unit == "rad/s"]
     sizes = model.magnitudes
     if rates:
@@ -297,14 +299,15 @@ def _response(one: Triad) -> Response:
 
 
 def _stated(request: EstimateRequest[ImuMultiPositionParameters], one: Triad) -> tuple[Influence, ...]:
-    """Influences on the coefficients of one triad."""
+    """The influences of declared inputs on the coefficients of one triad."""
     return (*site_influences(request, one.design, one.fit), *one.fit.influences(request.parameters.uncertainty))
 
 
 def _earth_rate_alone(
     request: DesignRequest[ImuMultiPositionParameters], blocks: Sequence[DesignBlock]
 ) -> list[Remark]:
-    """Warnings about scale factors that only the Earth's rotation determines. The rank of the design does not reveal this."""
+    """Warnings about scale factors that are determined by the Earth's rotation alone. The rank of the design matrix does not show
+    this."""
     terms = blocks[0].terms
     alone = [
         name
@@ -328,7 +331,7 @@ def _earth_rate_alone(
 def _extra(
     request: EstimateRequest[ImuMultiPositionParameters], frame: Framed, found: Sequence[Coefficient]
 ) -> dict[str, object]:
-    """The matrices, for estimates that use this estimate, and the coefficients with their temperature if all segments had the same
+    """Data for estimates that use this one: the matrices, and the coefficients with their temperature if all segments had the same
     temperature."""
     extra: dict[str, object] = {
         one.kind: {
@@ -346,7 +349,7 @@ def _extra(
 
 
 def _held(planned: set[float | None]) -> float | None:
-    """The common temperature [K] of all segments; None if there is none."""
+    """The temperature [K] that all segments have in common; None if there is none."""
     return next(iter(planned)) if len(planned) == 1 else None
 
 
@@ -355,8 +358,8 @@ def _inverse(one: Response) -> Array | None:
 
 
 def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) -> Mapping[str, object]:
-    """The coefficients at one temperature, in the form of `extra` that `interface.Estimate` describes. time: mean time of the test,
-    s."""
+    """The coefficients at one temperature, in the form that `interface.Estimate` describes for its field `extra`. time: mean time
+    of the test, s."""
     return {
         one.name: {
             "temperature_degC": [celsius],
@@ -373,7 +376,7 @@ _WORDS = {"gyro": ("ω", "deg/s"), "accel": ("f", "g")}
 
 
 def formula(frame: Framed) -> Said:
-    """Explains how to apply the coefficients."""
+    """A note that explains how to apply the coefficients."""
     known = {one.kind for one in frame.responses}
     formulas = {
         "gyro": said("gyros: ω = (S·M)⁻¹·(output − b − G·f)"),
@@ -396,7 +399,7 @@ def formula(frame: Framed) -> Said:
 
 
 def matrices(one: Response) -> tuple[Table, ...]:
-    """Tables of S·M with b (and G), and of the inverse if all three axes were excited."""
+    """Tables of the matrix S·M with the bias b (and with G for gyros), and of the inverse matrix if all three axes were excited."""
     sensed = one.sensed
     if len(sensed) < 3:
         return ()
@@ -427,7 +430,7 @@ def matrices(one: Response) -> tuple[Table, ...]:
 
 
 def inverse_matrix(one: Response) -> Array | None:
-    """The matrix (S·M)⁻¹, (3, 3), in deg/s or g per recorded unit; None if the input axes of the outputs are linearly dependent."""
+    """The matrix (S·M)⁻¹ (3, 3), in deg/s or g per recorded unit; None if the input axes of the outputs are linearly dependent."""
     matrix = one.values[:, [one.sensed[k] for k in range(3)]] * unit(_WORDS[one.kind][1]).factor
     lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
     if (lengths == 0).any() or np.linalg.cond(matrix / lengths) > 1e6:

@@ -1,1 +1,1 @@
-"""How much of constant sensor errors remains in a navigation with a rotation cycle."""
+"""Estimators that compare navigations with and without rotation cycles."""

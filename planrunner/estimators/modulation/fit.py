@@ -1,8 +1,9 @@
-"""The part of a navigation's velocity error that repeats with the rotation cycle, separated from Schuler and 24-hour oscillations.
+"""Separates the part of a navigation's velocity error that repeats with the rotation cycle from the Schuler and 24-hour
+oscillations.
 
-Horizontal velocity is written as a complex number, east + i·north. Over a whole number of cycles, the velocity is fitted by least
-squares with a straight line, with the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and with the harmonics of the cycle at positive
-and negative rates.
+The horizontal velocity is written as a complex number, east + i·north. Over a whole number of cycles, the velocity is fitted by
+least squares with three parts: a straight line, the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and the harmonics of the cycle at
+positive and negative rates.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ class TooLittleError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PeriodicPart:
-    """The periodic part of a velocity error. orders: (m,), positive and negative harmonics; velocities: (m,), coefficients of the
-    harmonics [m/s]; noise: (m,), standard uncertainty of each coefficient [m/s], from the residuals; hidden: harmonics that are too
-    close to a free oscillation; period: period of the cycle, s."""
+    """The part of a velocity error that repeats with the rotation cycle. orders: (m,), orders of the harmonics, positive and
+    negative; velocities: (m,), coefficients of the harmonics [m/s]; noise: (m,), standard uncertainty of each coefficient [m/s],
+    from the residuals; hidden: orders of harmonics that are too close to a free oscillation; period: period of the cycle, s."""
 
     orders: NDArray[np.int_]
     velocities: Complex
@@ -44,16 +45,17 @@ class PeriodicPart:
         return largest(self.orders, self.velocities)
 
     def largest_position(self) -> float:
-        """Amplitude of the position error [m] that repeats with the cycle."""
+        """The amplitude [m] of the position error that repeats with the cycle."""
         return largest(self.orders, self.velocities * self.period / (2j * math.pi * self.orders))
 
     def position_noise(self) -> float:
-        """Upper bound of the standard uncertainty of `largest_position` [m], which assumes that the peaks of all harmonics coincide."""
+        """An upper bound [m] of the standard uncertainty of `largest_position`. It assumes that the peaks of all harmonics
+        coincide."""
         return float(np.hypot.reduce(self.noise * self.period / (2 * math.pi * np.abs(self.orders))))
 
 
 def largest(orders: NDArray[np.int_], parts: Complex) -> float:
-    """The largest absolute value of Σ parts·exp(i·order·ω·t) over a cycle."""
+    """The largest absolute value of Σ parts·exp(i·order·ω·t) during a cycle."""
     if not len(orders):
         return 0.0
     phase = np.linspace(0, 2 * math.pi, 64 * int(np.abs(orders).max()), endpoint=False)
@@ -61,10 +63,10 @@ def largest(orders: NDArray[np.int_], parts: Complex) -> float:
 
 
 def periodic_part(time: Array, velocity: Complex, period: float, highest: int, site: Site) -> PeriodicPart:
-    """Separates the periodic part of a velocity error. time: (n,), s, evenly spaced, starting when a cycle starts; velocity: (n,),
-    m/s; highest: the highest harmonic to fit.
+    """Separates the part of a velocity error that repeats with the rotation cycle. time: (n,), s, evenly spaced, starting when a
+    cycle starts; velocity: (n,), m/s; highest: the highest harmonic to fit.
 
-    Raises `TooLittleError`.
+    Raises `TooLittleError` if the record does not determine this part.
     """
     step = float(time[1] - time[0]) if len(time) > 1 else math.inf
     if len(time) > 1 and np.ptp(np.diff(time)) > 1e-3 * step:
@@ -105,6 +107,7 @@ def periodic_part(time: Array, velocity: Complex, period: float, highest: int, s
 
 
 def free_rates(site: Site) -> tuple[float, float, float, float]:
-    """Rates of the free oscillations of a navigator's error [rad/s]: Schuler, split by the Earth's rotation, and 24 hours."""
+    """The rates [rad/s] of the free oscillations of a navigator's error: the Schuler oscillation, split by the Earth's rotation,
+    and the 24-hour oscillation."""
     natural, turning = schuler_rate(site), site.earth_rate * math.sin(site.latitude)
     return natural - turning, -natural - turning, site.earth_rate, -site.earth_rate

@@ -1,9 +1,10 @@
-"""The effect of rotating the sensor on its navigation: a comparison of two or more navigations, of which one is without rotation.
+"""Determines the effect of rotating the sensor on its navigation, by comparing a navigation without rotation with one or more
+navigations with rotation.
 
-Each navigation is a `strapdown_navigation` estimate. Over the time common to all navigations, their errors give the ratio of CEP
-rates and the suppression of the position error. Over whole cycles, the periodic part of the error is separated and compared with a
-prediction, which follows from the declared constant errors and from the residual and the harmonics of the cycle.
-docs/rotation-cycles.md gives the theory and figures.
+Each navigation is a `strapdown_navigation` estimate. The errors of the navigations over their common time give the ratio of CEP
+rates and the suppression of the position error. Over whole cycles, the part of the error that repeats with the cycle is separated
+and compared with a prediction. The prediction follows from the declared constant errors and from the residual and the harmonics of
+the cycle. docs/rotation-cycles.md gives the theory and results.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ LONGEST = 4 * 86400.0  # s, of a planned navigation that errors are predicted fo
 
 
 class ModulationResidualParameters(Record):
-    """Keys of the estimator modulation_residual."""
+    """The keys of the estimator `modulation_residual`."""
 
     gyro_errors: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("angular rate"), minimum=3, maximum=3),
@@ -57,7 +58,7 @@ class ModulationResidualParameters(Record):
 
     @property
     def declared(self) -> Array | None:
-        """Declared constant errors (6,), rad/s and m/s²; None if the plan states no constant errors."""
+        """The declared constant errors (6,) of gyros [rad/s] and accelerometers [m/s²]; None if the plan states no constant errors."""
         if not self.gyro_errors and not self.accelerometer_errors:
             return None
         parts = (self.gyro_errors, self.accelerometer_errors)
@@ -65,14 +66,14 @@ class ModulationResidualParameters(Record):
 
 
 class ModulationResidual:
-    """The estimator `modulation_residual`."""
+    """The estimator with the name `modulation_residual`."""
 
     summary = "Navigation errors with and without rotation of the sensor: suppression, CEP rates, residual modulation"
     Parameters = ModulationResidualParameters
 
     def design(self, request: DesignRequest[ModulationResidualParameters]) -> Design:
-        """Makes a design without coefficients. Its notes give the residuals of the cycles. If the comparison is not possible, a
-        remark gives the reason."""
+        """Returns a design without coefficients. Its notes give the residuals of the cycles. If the navigations cannot be compared,
+        a remark gives the reason."""
         moving = [segment for segment in request.segments if rotation(segment.motion, request.setup.table) is not None]
         if not moving or len(request.uses) < 2:
             message = (
@@ -135,7 +136,8 @@ class ModulationResidual:
 
 
 def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | None:
-    """The navigations that are missing, as far as the designs of the used estimates show this."""
+    """An error if `segments` lacks the segment of a navigation; None if none is missing, or if the designs of the used estimates do
+    not show this."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
         return None
@@ -163,7 +165,7 @@ def _amplitude(name: str) -> Said:
 
 
 def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, str, Said]]:
-    """Name, unit and description of the two ratios of a navigation with rotation."""
+    """Name, unit and description of two results of a navigation with rotation: the ratio of CEP rates and the suppression."""
     return (
         (
             f"cep_rate_ratio_{name}",
@@ -179,8 +181,8 @@ def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, 
 
 
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
-    """The ratios of CEP rates and the suppressions, with their covariance. The results are correlated, because all of them contain
-    the navigation without rotation."""
+    """The ratios of CEP rates and the suppressions, with their covariance. These results are correlated, because all of them
+    contain the navigation without rotation."""
     if still.rms == 0.0:
         raise UnfitDataError(f"'{still.name}' has no position error at all, so nothing can be compared with it")
     coefficients, rows = [], []
@@ -260,7 +262,7 @@ def _cycles(
     periodic: Mapping[str, PeriodicPart],
     request: EstimateRequest[ModulationResidualParameters],
 ) -> list[Table]:
-    """The residual of each cycle, and the periodic part of the error, predicted and measured."""
+    """Tables of the residual of each cycle, and of the predicted and the measured error that repeats with the cycle."""
     declared = request.parameters.declared
     columns = (
         TableColumn("Navigation"),
@@ -294,8 +296,8 @@ def _cycles(
 def _predicted(
     navigations: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
 ) -> list[Table]:
-    """Errors predicted from the declared constant errors by the linear error equations. A cycle does not modulate the error about
-    the vertical, so the prediction for the horizontal errors alone shows the benefit of the cycle."""
+    """Tables of the errors that the linear error equations predict for the declared constant errors. A cycle does not modulate the
+    error about the vertical, so a prediction for the horizontal errors alone shows the benefit of the cycle."""
     declared = request.parameters.declared
     if declared is None:
         return []
@@ -341,8 +343,8 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
 
 
 def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]) -> str:
-    """The residual of the cycle of a planned segment, and the position error that this residual leaves of the declared horizontal
-    errors."""
+    """A sentence about the residual of a planned cycle, and about the position error that the declared horizontal errors cause
+    because of this residual."""
     table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)
     assert cycle is not None

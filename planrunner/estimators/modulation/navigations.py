@@ -1,4 +1,5 @@
-"""The navigations that `modulation_residual` compares: their errors over the common time, and the rotation of each navigation."""
+"""Reads the navigations that `modulation_residual` compares: their errors over the common time, and the rotation of each
+navigation."""
 
 from __future__ import annotations
 
@@ -26,9 +27,10 @@ _NO_REFERENCE = (
 
 @dataclass(frozen=True, slots=True)
 class Navigation:
-    """One navigation over the time that all navigations cover. course: (5, n), time [s], east and north position error [m], east
-    and north velocity error [m/s]; cycle: the cycle during navigation, None at rest; aligned: the cycle during alignment, None at
-    rest; highest: the highest harmonic of interest; spread: relative standard uncertainty of the radial error rate."""
+    """One navigation over the time that all navigations cover. course: (5, n), with the rows time [s], east and north position
+    error [m], east and north velocity error [m/s]; cycle: the cycle during navigation, None at rest; aligned: the cycle during the
+    alignment, None at rest; highest: the order of the highest harmonic of interest; spread: relative standard uncertainty of the
+    radial error rate."""
 
     name: str
     attitude: Array | None
@@ -60,7 +62,8 @@ class Navigation:
 
 
 def rotation(motion: Motion, table: TableModel | None) -> RotationCycle | None:
-    """The cycle of a motion, including the table's ramps. A constant rate is a cycle of one turn. None for other motions."""
+    """The rotation cycle of a motion, including the table's ramps; None for a motion that is neither a cycle nor a spin. A constant
+    rate counts as a cycle of one turn."""
     if isinstance(motion, Cycle):
         return RotationCycle.of(motion, table.axes[0].max_acceleration if table else math.inf)
     if isinstance(motion, Spin):
@@ -69,7 +72,8 @@ def rotation(motion: Motion, table: TableModel | None) -> RotationCycle | None:
 
 
 def compared(request: EstimateRequest[object]) -> list[Navigation]:
-    """Reads the navigations of `uses`, in their order, over the time that all of them cover. Raises `EstimationError`."""
+    """Reads the navigations of `uses`, in their order, over the time that all of them cover. Raises `EstimationError` if they
+    cannot be compared."""
     segments = {recorded.label: recorded.segment for recorded in request.segments}
     table = request.setup.table
     courses = {name: _course(name, used) for name, used in request.uses.items()}

@@ -1,10 +1,10 @@
-"""Predicted errors of a navigation on a turning table, caused by declared constant sensor errors. One prediction uses the linear
+"""Predicts the errors of a navigation on a turning table that declared constant sensor errors cause. One prediction uses the linear
 error equations, the other uses harmonics.
 
-An alignment at rest adjusts tilt and azimuth so that they compensate the sensor errors that it cannot observe
-(`ErrorEquations.levelled`). As long as the unit then stays at rest, these errors mostly cancel. An alignment through a cycle
-compensates only the residual of the cycle. After the alignment, the errors of gyros and accelerometers, rotated with the table, are
-the input of the equations.
+An alignment at rest adjusts tilt and azimuth so that they compensate those sensor errors which the alignment cannot observe
+(`ErrorEquations.levelled`). As long as the sensor then stays at rest, these sensor errors mostly cancel. An alignment through a
+cycle compensates only the residual of the cycle. After the alignment, the errors of gyros and accelerometers rotate with the table.
+They are the input of the equations.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ def errors_over_time(
     seconds: float,
     site: Site,
 ) -> tuple[Array, Array]:
-    """Position errors as a function of time: times (n,) [s] and errors (n, 2) [m], east and north.
+    """The position error as a function of time: times (n,) [s] and errors (n, 2) [m], east and north.
 
     errors: (6,), constant errors of gyros [rad/s] and accelerometers [m/s²] along x, y, z; attitude: (3, 3), rows are the sensor's
-    axes in East-North-Up at the first position; cycle, aligned: rotation cycle of the navigation, and of the alignment before it;
-    None at rest.
+    axes in East-North-Up at the first position; cycle: rotation cycle during navigation, None at rest; aligned: rotation cycle
+    during the alignment, None at rest.
     """
     equations = ErrorEquations.at(site)
     level = attitude.T @ errors.reshape(2, 3).T  # columns: gyros, accelerometers, in East-North-Up
@@ -65,7 +65,7 @@ def errors_over_time(
 
 
 def horizontal(errors: Array, attitude: Array) -> Array:
-    """Constant errors (6,) without their vertical part, because rotation about the vertical does not modulate this part."""
+    """The constant errors (6,) without their vertical part, which a rotation about the vertical does not modulate."""
     up = attitude[:, 2]
     across: Array = errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
     return across
@@ -74,8 +74,8 @@ def horizontal(errors: Array, attitude: Array) -> Array:
 def periodic_amplitudes(
     errors: Array, attitude: Array, cycle: RotationCycle, orders: NDArray[np.int_], site: Site
 ) -> tuple[float, float]:
-    """Amplitudes of the velocity error [m/s] and the position error [m] that repeat with the cycle, computed from the harmonics
-    `orders` of the cycle."""
+    """The amplitudes of the velocity error [m/s] and of the position error [m] that repeat with the cycle, computed from the
+    harmonics `orders` of the cycle."""
     level = attitude.T @ errors.reshape(2, 3).T
     gyro, accelerometer = (complex(level[0, column], level[1, column]) for column in (0, 1))
     forced = {

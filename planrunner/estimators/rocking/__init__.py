@@ -1,1 +1,1 @@
-"""A platform's drift while it rocks, from gravity and from gimbal angles."""
+"""Estimates a platform's drift while it rocks, from gravity and from gimbal angles."""

@@ -1,7 +1,8 @@
-"""Curves of the drift angle over each whole run, for readers. The two windows of the method are parts of these curves.
+"""Computes curves of the drift angle over each whole run, for readers. The two time windows from which the method computes the
+drift are parts of these curves.
 
-Accelerometers are averaged over bins of whole rocking periods, which removes the rocking; one pass over the samples gives a few hundred
-numbers per run.
+Accelerometer samples are averaged over bins of whole rocking periods, so that the rocking cancels. One pass over the samples gives
+a few hundred numbers per run.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ ARCSEC = math.radians(1 / 3600)
 
 @dataclass(frozen=True, slots=True)
 class StateCurves:
-    """Curves of one state, averaged over the quadruples of this state. time: (n,), s from the beginning of a record. angles: (4, n,
-    2), rad: angles about the two `level` axes in the runs static 1, dynamic 1, dynamic 2 and static 2; zero at t0, NaN if samples
-    are missing."""
+    """The curves of one level state, averaged over the quadruples of runs in this state. time: (n,), s since the start of a record.
+    angles: (4, n, 2), rad, angles about the two `level` axes in the runs static 1, dynamic 1, dynamic 2 and static 2; the mean
+    angle in the first window is zero; NaN if samples are missing."""
 
     name: str
     level: tuple[int, int]
@@ -44,7 +45,7 @@ class StateCurves:
 def drift_curves(
     runs: Runs, recorded: Sequence[RecordedSegment], conditions: RockingConditions, parameters: RockingDriftParameters
 ) -> list[StateCurves]:
-    """Computes the curves of each state. recorded: all chosen segments. The runs refer to these segments by index. Raises
+    """Computes the curves of each level state. recorded: all chosen segments, to which the runs refer by index. Raises
     `EstimationError` for channels that are missing."""
     every = [reduced.run for state in runs for four in state for reduced in four]
     lasting = min(recorded[run.place].statistics.end - recorded[run.place].statistics.start for run in every)
@@ -73,7 +74,8 @@ def _curve(
     width: float,
     count: int,
 ) -> Array:
-    """Drift angles (count, 2) [rad], computed from means over bins of `width` [s], minus their mean in the first window."""
+    """The drift angles (count, 2) [rad] of one run, computed from means over bins of `width` [s], minus the mean drift angles in
+    the first window."""
     channels = parameters.accelerometers
     scales = np.array([scale(recorded, name) for name in channels])
     totals, counts = np.zeros((count, 4)), np.zeros(count)
@@ -92,7 +94,7 @@ def _curve(
 
 
 def curve_plots(curves: Sequence[StateCurves]) -> list[Plot]:
-    """Plots of the curves, one for each state and level axis."""
+    """Makes one plot of the curves for each state and level axis."""
     return [
         Plot(
             f"Drift angle about {AXES[axis]} (state: {state.name})"

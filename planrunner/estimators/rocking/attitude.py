@@ -1,8 +1,8 @@
-"""Attitudes and tilts of a stabilised element: how gravity shows a tilt, and how an inertially fixed element moves relative to the
-rotating Earth.
+"""Computes attitudes and tilts of a stabilised element: the tilt that gravity shows, and the motion of an inertially fixed element
+relative to the rotating Earth.
 
-All matrices transform components to components (v_element = C @ v_site, site axes East-North-Up). R_k(a) is the rotation of a frame by
-`a` about its axis k: R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
+All matrices transform vector components to another frame (v_element = C @ v_site, where the site axes are East-North-Up). R_k(a) is
+the rotation of a frame by `a` about its axis k: R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SINE = {"xzy": (1, 2, 1), "zxy": (2, 0, 0)}
 
 
 def turned(axis: int, angle: Array | float) -> Array:
-    """The rotation matrix R_axis(angle): shape (3, 3), or (n, 3, 3) for angles (n,)."""
+    """The rotation matrix R_axis(angle), shape (3, 3); for angles (n,), shape (n, 3, 3)."""
     angle = np.asarray(angle, dtype=float)
     first, second = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.zeros((*angle.shape, 3, 3))
@@ -36,7 +36,7 @@ def earth_turn(earth: Array, seconds: Array) -> Array:
     """The matrices R(Ω_ie·t), shape (…, n, 3, 3), for times (n,) in s. They transform site components at time t to site components at
     time zero.
 
-    earth: (…, 3) rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in inertial space.
+    earth: (…, 3), rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in inertial space.
     """
     rate = np.linalg.norm(earth, axis=-1)[..., None]
     a, b, c = np.moveaxis(earth / rate, -1, 0)
@@ -47,8 +47,8 @@ def earth_turn(earth: Array, seconds: Array) -> Array:
 
 
 def rotation_vector(between: Array) -> Array:
-    """The rotation vector θ with exp(−[θ×]) = `between`, shape (…, 3) for (…, 3, 3). The formula is valid for frame rotations well
-    below 180°."""
+    """The rotation vector θ for which exp(−[θ×]) equals `between`, shape (…, 3) for matrices (…, 3, 3). The formula is valid for
+    frame rotations that are clearly smaller than 180°."""
     m = between
     vector = 0.5 * np.stack(
         [m[..., 1, 2] - m[..., 2, 1], m[..., 2, 0] - m[..., 0, 2], m[..., 0, 1] - m[..., 1, 0]], axis=-1
@@ -60,7 +60,7 @@ def rotation_vector(between: Array) -> Array:
 
 
 def turned_by(vector: Array) -> Array:
-    """The frame rotation exp(−[θ×]) by a rotation vector, shape (…, 3, 3) for (…, 3). The function is the inverse of
+    """The frame rotation exp(−[θ×]) for a rotation vector θ, shape (…, 3, 3) for vectors (…, 3). The function is the inverse of
     `rotation_vector`."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector, -1, 0)
@@ -77,11 +77,11 @@ def encoder_attitude(
     gimbals: Sequence[Array],
     axes: Sequence[int],
 ) -> Array:
-    """The element's attitude from ring and gimbal angles, shape (n, 3, 3).
+    """The attitude (n, 3, 3) of the element, computed from ring and gimbal angles.
 
-    rings, gimbals: angles, (n,) each, the outermost first. directions: direction of each ring's axis when all rings are at zero,
-    before the table's `azimuth` is applied. axes: for each gimbal, the axis of the part that carries it about which the gimbal
-    turns.
+    rings, gimbals: sequences of angles, (n,) each, the outermost ring or gimbal first. directions: the direction of each ring's
+    axis if all rings are at zero, before the table's `azimuth` is applied. axes: for each gimbal, the axis about which it turns, as
+    an axis of the part that carries the gimbal.
     """
     found = np.broadcast_to(turned(2, -azimuth), (len(rings[0]), 3, 3))
     for angle, direction in zip(rings, directions, strict=True):
@@ -93,11 +93,12 @@ def encoder_attitude(
 
 @dataclass(frozen=True, slots=True)
 class LevelState:
-    """A state in which two axes are level.
+    """A state of the element in which two of its axes are level.
 
-    nominal: (3, 3), the planned attitude. vertical: the vertical axis of the element; sign: +1 if this axis points up, −1 if it
-    points down. sine: the level axis whose tilt is computed by an arc sine, and about which the last rotation but one takes place;
-    other: the other level axis, about which the last rotation takes place: C = R_other·R_sine·R_vertical·nominal.
+    nominal: (3, 3), the planned attitude C of the element. vertical: the vertical axis of the element; sign: +1 if this axis points
+    up, −1 if it points down. sine: the level axis whose tilt is computed by an arc sine, and about which the second-to-last
+    rotation takes place; other: the other level axis, about which the last rotation takes place: C =
+    R_other·R_sine·R_vertical·nominal.
     """
 
     nominal: Array
@@ -113,13 +114,13 @@ class LevelState:
 
     @property
     def hand(self) -> float:
-        """+1 if (vertical, sine, other) is a cyclic permutation of x, y, z; −1 otherwise."""
+        """The value +1 if (vertical, sine, other) is a cyclic permutation of x, y, z; otherwise −1."""
         return 1.0 if self.sine == (self.vertical + 1) % 3 else -1.0
 
     def tilts(self, force: Array, gravity: Array | float) -> Array:
-        """Tilts about the level axes, shape (…, 2), from the specific force in element axes (…, 3) [m/s^2].
+        """The tilts (…, 2) about the level axes, computed from the specific force in element axes (…, 3) [m/s^2].
 
-        With y up: d_z = asin(f_x/g) and d_x = −atan2(f_z, f_y) for C = R_x·R_z·R_y; d_z = atan2(f_x, f_y) and d_x = −asin(f_z/g)
+        If y is up: d_z = asin(f_x/g) and d_x = −atan2(f_z, f_y) for C = R_x·R_z·R_y; d_z = atan2(f_x, f_y) and d_x = −asin(f_z/g)
         for C = R_z·R_x·R_y.
         """
         force = self.sign * force
@@ -129,7 +130,7 @@ class LevelState:
         return np.stack(pair, axis=-1)
 
     def attitude(self, tilts: Array, heading: Array | float) -> Array:
-        """The matrix C (…, 3, 3) for tilts (…, 2) about the level axes and a rotation `heading` (…) about the vertical axis."""
+        """The attitude C (…, 3, 3) for tilts (…, 2) about the level axes and a rotation `heading` (…) about the vertical axis."""
         about = dict(zip(self.level, np.moveaxis(tilts, -1, 0), strict=True))
         turns = (
             turned(self.other, about[self.other]) @ turned(self.sine, about[self.sine]) @ turned(self.vertical, heading)
@@ -137,14 +138,13 @@ class LevelState:
         return np.asarray(turns @ self.nominal)
 
     def heading(self, attitude: Array) -> Array:
-        """The rotation (…) about the vertical axis in `attitude` (…, 3, 3)."""
+        """The rotation (…) about the vertical axis that the attitude `attitude` (…, 3, 3) contains."""
         turns = attitude @ self.nominal.T
         return np.arctan2(-self.hand * turns[..., self.other, self.sine], turns[..., self.other, self.other])
 
 
 def level_state(nominal: Array, order: str) -> LevelState | None:
-    """The level state of a planned attitude; None if no axis is vertical. order: `xzy` or `zxy`, the order of rotations for a state
-    with y up."""
+    """The level state of a planned attitude; None if no axis is vertical. order: order of the rotations if y is up, `xzy` or `zxy`."""
     cosines = nominal @ UP
     vertical = int(np.argmax(np.abs(cosines)))
     if abs(cosines[vertical]) < 1 - UPRIGHT:

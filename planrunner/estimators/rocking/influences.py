@@ -1,8 +1,9 @@
-"""Type B influences on rocking drifts.
+"""Computes the Type B influences on the drifts of a rocking test.
 
 Effects that differ from run to run (accelerometer stability and noise, drift, azimuth after caging, counts) are part of the scatter
-between repeated runs. The budget lists these effects for comparison but does not add them. The prediction uses these effects.
-Effects that are common to all runs (site, installation angles) are added; they almost cancel between static and dynamic runs.
+between repeated runs, so the budget lists them for comparison but does not add them. The prediction of a run uses these effects.
+Effects that all runs have in common (site, installation angles) are added to the budget; they almost cancel between static and
+dynamic runs.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ def conditions_of(site: Site, parameters: RockingDriftParameters) -> RockingCond
 
 
 def drifts_of(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drifts of one run [deg/h] about the two level axes, shape (…, 2) or (…, 4): first the drifts by the accelerometers, then the
-    drifts by the gimbals if there are encoders."""
+    """The drifts of one run [deg/h] about the two level axes, shape (…, 2), or (…, 4) if there are encoders: first the drifts
+    computed from the accelerometers, then the drifts computed from the gimbals."""
     parts = [accelerometer_drift(reduced, conditions)]
     if reduced.first.turn is not None:
         parts.append(gimbal_drift(reduced, conditions))
@@ -76,7 +77,7 @@ def influences_of(
 
 
 def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request: Request) -> Array:
-    """Covariance of the drifts of one run about their mean over all runs, (k, k) deg²/h², from the declared effects."""
+    """The covariance (k, k) [deg²/h²] of the drifts of one run about their mean over all runs, computed from the declared effects."""
     own = influences_on_several(partial(_drifts_of_variants, conditions), _of_one_run(reduced, request))
     count = len(drifts_of(reduced, conditions))
     return np.asarray(sum((one.covariance for one in own), np.zeros((count, count))))
@@ -85,7 +86,7 @@ def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request
 def _of_all_runs(
     conditions: RockingConditions, request: EstimateRequest[RockingDriftParameters]
 ) -> Iterator[StatedCondition[RockingConditions]]:
-    """The inputs whose errors are common to all runs: latitude, gravity, azimuth and installation angles."""
+    """The inputs whose errors all runs have in common: latitude, gravity, azimuth and installation angles."""
     inputs = request.setup.inputs
     for stated in stated_site(inputs, request.site):
         yield stated.seen_by(lambda site: replace(conditions, earth=site.earth_rate_enu, gravity=site.gravity))
