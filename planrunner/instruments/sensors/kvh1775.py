@@ -1,7 +1,8 @@
-"""KVH 1775 and DSP-1760: rotations and accelerations as floats, in the binary output formats A, B and C.
+"""KVH 1775 and DSP-1760: rotations and accelerations as floating-point numbers, in the binary output formats A, B and C.
 
-All formats consist of a sync, six numbers, a status, a sequence number and a CRC-32. Format B has a time stamp before the status.
-Format C sends the temperature and the magnetic field alternately, according to the sequence number.
+In all formats, a frame consists of a sync, six numbers, a status, a sequence number and a CRC-32. In format B, a time stamp
+precedes the status. In format C, the sequence number determines whether a frame contains the temperature or a component of the
+magnetic field.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ BIT_SYNC, BIT_LENGTH = bytes.fromhex("fe8100aa"), 11
 
 
 class Kvh1775Parameters(SerialSensorParameters):
-    """A KVH 1775 or DSP-1760 on a serial line."""
+    """Keys of a KVH 1775 or DSP-1760 on a serial line."""
 
     format: str = key(Choice(("A", "B", "C")), "Output format.", "A", default="A")
     rotation: str = key(
@@ -102,7 +103,7 @@ class Kvh1775(SerialSensor[Kvh1775Parameters]):
 
 
 def layout(parameters: Kvh1775Parameters) -> FrameLayout:
-    """Positions of the fields in a frame."""
+    """The positions of the fields in a frame."""
     rate, name = parameters.sample_rate.value, parameters.format
     scale = 1.0 if parameters.rotation == "rate" else rate
     fields = {f"gyro_{axis}": Field(4 + 4 * place, 4, FLOAT, scale) for place, axis in enumerate(AXES)}
@@ -128,8 +129,8 @@ def layout(parameters: Kvh1775Parameters) -> FrameLayout:
 
 @dataclass
 class MultiplexedTemperature:
-    """The decoder of format C: every fourth frame, by its sequence number, contains the temperature. The other frames keep the last
-    temperature."""
+    """The decoder of format C, in which only every fourth frame, by its sequence number, contains the temperature. The other frames
+    get the last temperature received."""
 
     plain: FrameLayout
     _last: float = data_field(default=np.nan)
@@ -158,7 +159,7 @@ class MultiplexedTemperature:
 
 
 def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
-    """The result of the built-in test, for the journal; empty if the sensor does not answer."""
+    """Requests the result of the built-in test, as text for the journal; empty if the sensor does not answer."""
     link.write(b"?bit\r\n")
     heard, until = b"", clock.now() + PATIENCE
     while clock.now() < until:
@@ -171,8 +172,8 @@ def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
 
 
 def built_in_test(reply: bytes) -> tuple[int, ...]:
-    """Reads the six status bytes of a reply to `?bit`. Seven bits of each byte are used; a cleared bit is a fault. Raises
-    `InstrumentError`."""
+    """Decodes the six status bytes of a reply to `?bit`. Seven bits of each byte are used; a cleared bit means a fault. Raises
+    `InstrumentError` if the reply is not valid."""
     if len(reply) != BIT_LENGTH or not reply.startswith(BIT_SYNC) or SUM8.of(reply[:-1]) != reply[-1]:
         raise InstrumentError(f"no result of a built-in test: {reply[:16].hex(' ')}")
     return tuple(reply[4:10])

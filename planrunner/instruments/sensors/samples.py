@@ -1,4 +1,4 @@
-"""Decoded frames of a sensor: columns of samples with the counter, the latency reported by the sensor, and doubts."""
+"""Decoded frames of a sensor: samples in columns, with the counter, the latency that the sensor reports, and doubts."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ Whole = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """One row per frame. received: time of reception, s; counter: as sent; latency: s, as reported by the sensor; channels: name →
-    (n,); doubtful: whether a status bit marks the frame as doubtful; doubts: meaning of those bits; refused: number of frames that
-    cannot be decoded although their checksum is correct."""
+    """Samples of several frames, one element per frame in every array. received: time of reception, s; counter: counter of the
+    frame, as sent; latency: s, as reported by the sensor; channels: values (n,) by name; doubtful: True for frames that a status
+    bit marks as doubtful; doubts: meanings of the status bits that did so; refused: number of frames that cannot be decoded
+    although their checksum is correct."""
 
     received: Array
     counter: Whole
@@ -36,14 +37,14 @@ class Samples:
         return int(self.received.size)
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
-        """Selected rows, without the fields that describe the whole set of frames (`doubts`, `refused`)."""
+        """The selected frames. `doubts` and `refused`, which describe all frames together, are left out."""
         channels = {name: values[chosen] for name, values in self.channels.items()}
         return Samples(
             self.received[chosen], self.counter[chosen], self.latency[chosen], channels, self.doubtful[chosen]
         )
 
     def and_then(self, later: Samples) -> Samples:
-        """These rows followed by later rows."""
+        """These samples followed by later samples; `doubts` and `refused` are left out."""
         channels = {name: np.concatenate([values, later.channels[name]]) for name, values in self.channels.items()}
         columns = ("received", "counter", "latency", "doubtful")
         received, counter, latency, doubtful = (
@@ -53,22 +54,22 @@ class Samples:
 
 
 class Decoder(Protocol):
-    """Decoder of the stream of one sensor."""
+    """Decodes the frames of one sensor."""
 
     @property
     def framing(self) -> Framing: ...
     @property
     def counter(self) -> FrameCounter: ...
     def channels(self) -> Mapping[str, str]:
-        """Channel name → unit."""
+        """The unit of each channel, by name."""
 
     def decode(self, frames: Frames) -> Samples: ...
 
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits in the field `item` of a frame. words: bit → its meaning, for bits that mark the frame as doubtful. A frame is
-    doubtful if such a bit is set, or, with `set_is_good`, if such a bit is clear."""
+    """Status bits of a frame, in the field `item`. words: for each bit that can mark a frame as doubtful, its meaning. A frame is
+    doubtful if one of these bits is set or, with `set_is_good`, if one of them is clear."""
 
     item: Field
     name: str
@@ -78,11 +79,11 @@ class Status:
 
 @dataclass(frozen=True)
 class FrameLayout:
-    """The decoder of frames with a fixed layout.
+    """Decodes frames with a fixed layout.
 
-    fields: channel → its position; units: channel → unit; counts: position of the counter, None if there is none; latency: position
-    of the latency, whose `scale` converts to seconds; means: channel → channels that it averages; zeros: channel → value added to
-    it.
+    fields: position of each number, by channel; units: unit of each channel; counts: position of the counter, None if there is
+    none; latency: position of the latency, whose `scale` converts it to seconds; means: channels that are the mean of other
+    channels, with the names of those; zeros: offset that is added to a channel.
     """
 
     framing: Framing
@@ -99,7 +100,7 @@ class FrameLayout:
         return self.units
 
     def decode(self, frames: Frames) -> Samples:
-        """Decodes frames. Frames with a NaN or an infinite number are refused."""
+        """Decodes frames. Frames that contain a NaN or an infinite number are refused."""
         rows = numbers(frames, list(self.fields.values()))
         finite: NDArray[np.bool_] = np.isfinite(rows.sum(axis=0)) if rows.size else np.ones(len(frames), bool)
         refused = int(finite.size - np.count_nonzero(finite))
@@ -135,5 +136,5 @@ class FrameLayout:
 
 
 def byte(offset: int) -> Field:
-    """The position of an unsigned byte, for counters and status words."""
+    """The position of an unsigned byte, such as a counter or a status word."""
     return Field(offset, 1, UNSIGNED)

@@ -1,4 +1,4 @@
-"""The samples of one segment, from bytes to time-stamped blocks, with the count of losses."""
+"""The samples of one segment: converts bytes to blocks with time stamps, and counts losses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FIRST = 0.25
 
 
 class Arriving(Protocol):
-    """Source of a sensor's bytes. ring: buffer of bytes that are not yet taken."""
+    """A source of bytes from a sensor. ring: buffer of the bytes that have not been taken."""
 
     @property
     def ring(self) -> Ring: ...
@@ -31,10 +31,10 @@ class Arriving(Protocol):
 
 
 class SegmentStream:
-    """The stream of one segment: `wanted` samples after `start` (s, by the bench's clock). byte_time: s per byte on the line; skew:
-    relative skew of the sensor's clock, as determined from earlier frames; haste: seconds of the bench's clock per second of real
-    time. over: whether all samples have been returned. heard: number of good frames in the last call; fresh: number of those that
-    are later than all earlier frames."""
+    """The stream of one segment: `wanted` samples after the time `start` [s by the bench's clock]. byte_time: time per byte on the
+    line, s; skew: relative skew of the sensor's clock, as determined from earlier frames; haste: seconds of the bench's clock per
+    second of real time. over: True after all samples have been returned. heard: number of good frames in the last call of
+    `advance`; fresh: number of those that are later than all earlier frames."""
 
     def __init__(
         self,
@@ -62,16 +62,17 @@ class SegmentStream:
 
     @property
     def skew(self) -> float:
-        """Relative skew of the sensor's clock, positive if this clock is slow."""
+        """Relative skew of the sensor's clock; positive if this clock is slow."""
         return self._clock.skew
 
     def take_doubts(self) -> tuple[str, ...]:
-        """Doubts from status bits since the last call."""
+        """The doubts that status bits have raised since the last call."""
         doubts, self._doubts = tuple(self._doubts), {}
         return doubts
 
     def advance(self) -> Block:
-        """The samples that have arrived; there may be none. Raises `InstrumentError` if the port no longer exists."""
+        """Returns the samples that have arrived since the last call; there may be none. Raises `InstrumentError` if the port no
+        longer exists."""
         samples = self._decoder.decode(self._framer.push(self._link.take()))
         self.heard = len(samples)
         self._refused += samples.refused
@@ -110,7 +111,8 @@ class SegmentStream:
         )
 
     def _onwards(self, index: Whole) -> NDArray[np.bool_]:
-        """Mask of the frames that are later than all frames before them. The other frames arrived twice or too late."""
+        """A mask of the frames that are later than all earlier frames. All other frames were sent twice or arrived out of order;
+        they are counted."""
         before = np.maximum.accumulate(np.concatenate([[self._last], index]))
         onwards: NDArray[np.bool_] = index > before[:-1]
         again = int(np.count_nonzero(index == before[:-1]))
@@ -120,8 +122,7 @@ class SegmentStream:
         return onwards
 
     def _within(self, time: Array, index: Whole, ready: Samples) -> Block:
-        """Selects the samples of the dwell: the requested number of sampling times, beginning with the first frame after the start
-        of the dwell."""
+        """Selects the samples of the dwell: as many sampling times as requested, from the first frame after the start of the dwell."""
         inside = time > self._start
         if math.isnan(self._first) and inside.any():
             self._first = float(index[inside][0])

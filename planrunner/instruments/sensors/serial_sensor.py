@@ -1,9 +1,9 @@
-"""Functions common to sensors on serial lines: reading, streaming a segment, counting lost frames, reporting doubts.
+"""Functions that sensors on serial lines share: reading, streaming a segment, counting lost frames, reporting doubts.
 
-Samples are stamped with the bench's clock through the sensor's counter (`host_clock`); lost frames appear as gaps in time. A driver
-adds its keys, its decoder and, if it configures the sensor, its commands.
+The sensor's counter determines the times of the samples, on the bench's clock (`host_clock`); lost frames appear as gaps in time. A
+driver adds its keys, its decoder and, if it configures the sensor, the commands for this.
 
-After connecting, the first frames are checked for validity and for the rate declared in the bench file.
+After connecting, the first frames are checked: they must be valid, and must arrive at the rate that the bench file declares.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ BACKLOG = 0.1
 
 
 class FirstFrames:
-    """The first frames after connecting. seconds: time between the first good frame and the last, without frames from buffers.
-    heard: time of the last good frame. haste: seconds of the bench's clock per second of real time; buffers follow real time."""
+    """The first frames after connecting, and what they show. seconds: time between the first and the last good frame, not counting
+    frames that waited in buffers. heard: time of the last good frame. haste: seconds of the bench's clock per second of real time;
+    buffers follow real time."""
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
         self._decoder, self._rate, self._backlog = decoder, rate, BACKLOG * haste
@@ -65,8 +66,8 @@ class FirstFrames:
             self._counted += fresh.size
 
     def judge(self, port: str, baud: int) -> None:
-        """Checks the first frames. Raises `InstrumentError` for silence, bytes that are not frames, frames without the declared
-        content, and a different rate."""
+        """Judges the first frames. Raises `InstrumentError` if no bytes arrive, if they contain no frames, if the frames lack
+        declared content, or if the rate differs from the declared one."""
         if self._bytes == 0:
             raise InstrumentError(
                 f"no data arrive from {port}: check that the sensor is switched on and connected to this port"
@@ -104,8 +105,8 @@ P = TypeVar("P", bound=SerialSensorParameters)
 
 
 class SerialSensor(Generic[P]):
-    """A sensor that streams frames; P: the record of its keys. Derived drivers define `Parameters`, `manufacturer`, `product`,
-    `model`, `decoder_of` and perhaps `configure`."""
+    """A sensor that streams frames. P is the record with the keys of the sensor. Derived drivers define `Parameters`,
+    `manufacturer`, `product`, `model`, `decoder_of` and, if they configure the sensor, `configure`."""
 
     role = "sensor"
     manufacturer: ClassVar[str] = ""
@@ -134,17 +135,18 @@ class SerialSensor(Generic[P]):
 
     @classmethod
     def decoder_of(cls, parameters: P) -> Decoder:
-        """The decoder for the frames of a sensor with these keys."""
+        """Makes the decoder for the frames of a sensor with these keys."""
         raise NotImplementedError
 
     @classmethod
     def configure(cls, parameters: P, link: SerialStream, clock: Clock) -> Mapping[str, str]:
-        """Configures the sensor and queries its identity, if possible. Raises `InstrumentError`."""
+        """Configures the sensor and returns what it reports about its identity; both only if the driver supports it. Raises
+        `InstrumentError` if the sensor does not accept the configuration."""
         return {}
 
     @classmethod
     def lasting_doubts(cls, identity: Mapping[str, str]) -> tuple[str, ...]:
-        """Findings of `configure` that make all samples doubtful, such as a failed self-test."""
+        """Doubts about all samples that result from `configure`, such as a failed self-test."""
         return ()
 
     @classmethod
@@ -184,7 +186,7 @@ class SerialSensor(Generic[P]):
                 raise InstrumentError(f"'{segment.label}': {refused}: {hint}")
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """Yields the samples from now until the end of the dwell."""
+        """Yields the samples from now to the end of the segment's dwell."""
         self.foresee([segment])
         assert segment.dwell is not None
         self.link.ring.follow(True)
@@ -212,7 +214,7 @@ class SerialSensor(Generic[P]):
         return FrameCounts() if self._current is None else self._current.counts()
 
     def watch(self) -> Condition:
-        """The doubts since the last query, and permanent doubts. Silence is a fault."""
+        """The doubts since the last query, and the lasting doubts. Silence of the sensor is a fault."""
         if not self._streaming:
             self._overhear()
         doubts, self._doubts = (*self._lasting, *self._doubts), {}
@@ -224,7 +226,7 @@ class SerialSensor(Generic[P]):
         return {"manufacturer": self.manufacturer, "model": self.product, "port": self.parameters.port, **self.identity}
 
     def make_safe(self) -> None:
-        """Does nothing: a sensor that is only read is always safe."""
+        """Does nothing, because a sensor that is only read is always safe."""
 
     def close(self) -> None:
         self.link.close()
@@ -232,12 +234,12 @@ class SerialSensor(Generic[P]):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _patience(self) -> float:
-        """Longest permitted silence in seconds of the bench's clock. It is converted from real time, because delays of cables and
-        computers follow real time."""
+        """The longest permitted silence, in seconds of the bench's clock. The key states it in real time, because delays in cables
+        and computers do not depend on the bench's clock."""
         return self.parameters.silence.value * self._speed
 
     def _byte_time(self) -> float:
-        """Time [s] per byte on the line: ten bits; negligible on a network."""
+        """Time [s] per byte on the line, for ten bits; zero on a network."""
         return 0.0 if "://" in self.parameters.port else 10.0 / self.parameters.baud
 
     def _hear(self, frames: int, doubts: tuple[str, ...]) -> None:
@@ -268,15 +270,16 @@ class SerialSensor(Generic[P]):
             raise InstrumentError(f"{message}: correct `sample_rate`, or the sensor's setting")
 
     def _overhear(self) -> None:
-        """Processes bytes that were received without a consumer. An incomplete first frame does not count as lost."""
+        """Processes bytes that arrived while no segment was streamed. If the first frame is incomplete, it does not count as lost."""
         samples = self.decoder.decode(Framer(self.decoder.framing).push(self.link.take()))
         self._doubts |= dict.fromkeys(samples.doubts)
         if len(samples):
             self._heard = self.clock.now()
 
     def _listen(self) -> None:
-        """Waits for good frames at the declared rate. Raises `InstrumentError` with a description of the received data. A different
-        rate must be found repeatedly, because after a pause of the computer the waiting frames arrive together."""
+        """Waits for good frames that arrive at the declared rate. If there are none, raises `InstrumentError` with a description of
+        what was received. A different rate is reported only if it is found repeatedly: after a pause of the computer, frames that
+        waited arrive together."""
         self.link.ring.follow(True)
         try:
             for left in reversed(range(LISTENINGS)):

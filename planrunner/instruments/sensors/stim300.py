@@ -1,8 +1,8 @@
 """STIM300: gyros, accelerometers and inclinometers in datagrams of normal mode (Safran TS1524).
 
-A datagram consists of its identifier, three axes of 24 bits and a status byte for each cluster, the temperatures of the clusters,
-PPS or AUX, a counter of internal samples at 2000 Hz, the latency in µs, and a CRC-32 over all of this, filled up with zeros to
-whole words.
+A datagram consists of its identifier; for each cluster, three axes of 24 bits and a status byte; the temperatures of the clusters;
+PPS or AUX; a counter of internal samples at 2000 Hz; the latency in µs; and a CRC-32 over all of this, padded with zeros to whole
+words.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ INCLINOMETERS = tuple(f"inclination_{axis}" for axis in AXES)
 
 
 class Datagram:
-    """An identifier of a datagram, as a hexadecimal number."""
+    """The identifier of a datagram, written as a hexadecimal number."""
 
     def read(self, node: Node, log: Findings) -> int | None:
         value = node.value if isinstance(node, Scalar) else None
@@ -63,7 +63,7 @@ class Datagram:
 
 
 class Stim300Parameters(SerialSensorParameters):
-    """A STIM300 on a serial line."""
+    """Keys of a STIM300 on a serial line."""
 
     datagram: int = key(Datagram(), "Identifier of the datagram that the sensor is set to send.", 0xA7, default=0xA7)
     acceleration_range: str = key(
@@ -106,7 +106,7 @@ class Stim300(SerialSensor[Stim300Parameters]):
 
 
 def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: float) -> FrameLayout:
-    """Positions of the fields in a datagram. Scales are in deg/s and g per count; rate: Hz."""
+    """The positions of the fields in a datagram. Scales are in deg/s and g per count. rate: sample rate, Hz."""
     contents = DATAGRAMS[datagram]
     clusters = [("gyro", gyro_scale, "deg/s")]
     clusters += [("accel", acceleration_scale, "g")] if "a" in contents else []

@@ -1,7 +1,8 @@
 """VectorNav VN-100: binary outputs of the common group, or lines of text such as $VNYMR.
 
-A binary message consists of FA, the groups, a word for each group that names its fields, the fields with low bytes first, and a
-CRC-16 with the high byte first. A line ends with `*` and the exclusive-or of all bytes between `$` and `*`, in hexadecimal.
+A binary message consists of the byte FA, a byte for the groups, a word for each group that names its fields, the fields (low byte
+first), and a CRC-16 (high byte first). A line of text ends with `*` and, in hexadecimal, the exclusive-or of all bytes between `$`
+and `*`.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ LINES: Mapping[str, Mapping[str, str]] = {
 
 
 class VectorNavParameters(SerialSensorParameters):
-    """A VectorNav VN-100 on a serial line."""
+    """Keys of a VectorNav VN-100 on a serial line."""
 
     output: str = key(
         Choice(("binary", *LINES)),
@@ -127,12 +128,12 @@ class VectorNav(SerialSensor[VectorNavParameters]):
 
 
 def line(body: str) -> bytes:
-    """The bytes of a command such as `VNRRG,8`."""
+    """The bytes that send a command such as `VNRRG,8`."""
     return f"${body}*{XOR8.of(body.encode('ascii')):02X}\r\n".encode("ascii")
 
 
 def body_of(reply: bytes) -> str:
-    """The text between `$` and `*` of a line. Raises `InstrumentError` for a wrong checksum and for an error reported by the sensor."""
+    """The text of a line between `$` and `*`. Raises `InstrumentError` if the checksum is wrong or if the sensor reports an error."""
     body, star, check = reply.strip(b"\r\n").removeprefix(b"$").partition(b"*")
     if not star or not body or check.upper() != f"{XOR8.of(body):02X}".encode("ascii"):
         raise InstrumentError(f"the VN-100 answers with an incomplete line: {reply[:60]!r}")
@@ -145,7 +146,7 @@ def body_of(reply: bytes) -> str:
 
 
 def ask(link: SerialStream, clock: Clock, body: str, patience: float = 1.0) -> str:
-    """Sends a command and waits for its echo. Raises `InstrumentError`."""
+    """Sends a command and waits for its echo. Raises `InstrumentError` if the sensor does not echo the command."""
     head, heard = body.partition(",")[0].encode("ascii"), b""
     link.write(line(body))
     until = clock.now() + patience
@@ -164,12 +165,12 @@ def ask(link: SerialStream, clock: Clock, body: str, patience: float = 1.0) -> s
 
 
 def word(fields: tuple[str, ...]) -> int:
-    """The field word of the common group."""
+    """The word that names these fields of the common group."""
     return sum(1 << FIELDS[name][0] for name in set(fields))
 
 
 def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
-    """Positions of these fields in a binary message that contains them. rate: Hz."""
+    """The layout of a binary message that contains these fields of the common group. rate: sample rate, Hz."""
     found: dict[str, Field] = {}
     units: dict[str, str] = {}
     counts, counter = None, FrameCounter(1 / rate)
@@ -189,7 +190,7 @@ def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
 
 @dataclass(frozen=True)
 class LineDecoder:
-    """The decoder of one kind of line. rate: Hz."""
+    """Decodes lines of text of one kind. rate: sample rate, Hz."""
 
     name: str
     rate: float

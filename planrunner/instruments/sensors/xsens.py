@@ -1,7 +1,8 @@
-"""Xsens MTi: messages of the Xbus protocol, and MTData2, whose packets differ from frame to frame.
+"""Xsens MTi: messages of the Xbus protocol, in particular MTData2, whose packets can differ from frame to frame.
 
-A message consists of FA FF, its identifier, the length of its data, the data, and a byte that makes the sum of all bytes after FA
-zero. The data of MTData2 are packets: identifier (its low bits encode the number format), length, content.
+A message consists of the bytes FA FF, its identifier, the length of its data, the data, and a last byte, with which the sum of all
+bytes after FA is zero. The data of an MTData2 message are packets. Each packet consists of an identifier, whose low bits encode the
+number format, a length and its content.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ ATTEMPTS, PATIENCE = 3, 0.5
 
 
 class XsensParameters(SerialSensorParameters):
-    """An Xsens MTi on a serial line."""
+    """Keys of an Xsens MTi on a serial line."""
 
     outputs: tuple[str, ...] = key(
         ListOf(Choice(tuple(OUTPUTS)), minimum=1),
@@ -109,19 +110,19 @@ class XsensMti(SerialSensor[XsensParameters]):
 
 
 def message(identifier: int, data: bytes = b"") -> bytes:
-    """A message to the sensor. data: at most 254 bytes."""
+    """The bytes of a message to the sensor. data: data of the message, at most 254 bytes."""
     body = bytes([0xFF, identifier, len(data)]) + data
     return b"\xfa" + body + bytes([ZERO_SUM8.of(body)])
 
 
 def error_of(found: bytes) -> int | None:
-    """The code of an error message; None for any other message."""
+    """The error code in a message from the sensor; None if it is not an error message."""
     return found[4] if len(found) > 5 and found[2] == ERROR else None
 
 
 def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") -> bytes:
-    """Sends a message and waits for the reply with the next higher identifier; other messages are skipped. Raises
-    `InstrumentError`."""
+    """Sends a message and waits for the reply, which has the next higher identifier; other messages are skipped. Raises
+    `InstrumentError` if the sensor reports an error or does not reply."""
     for _ in range(ATTEMPTS):
         framer = Framer(Framing(b"\xfa\xff", LONGEST, XBUS, ZERO_SUM8, 1, 1))
         link.write(message(identifier, data))
@@ -147,8 +148,8 @@ def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") ->
 
 @dataclass
 class MtData2:
-    """The decoder of frames with at least these outputs; other frames are refused. Frames with the same sequence of packets are decoded
-    together."""
+    """Decodes frames that contain at least the declared outputs; other frames are refused. Frames with the same sequence of packets
+    (the same shape) are decoded together."""
 
     outputs: tuple[str, ...]
     rate: float
@@ -183,7 +184,7 @@ class MtData2:
         return self._joined(parts, refused, frames.received)
 
     def _joined(self, parts: list[Samples], refused: int, received: Array) -> Samples:
-        """Samples of several shapes in the order in which they arrived."""
+        """Joins the samples of frames with different shapes, in the order in which the frames arrived."""
         if not parts:
             empty = np.empty(0)
             channels = dict.fromkeys(self.channels(), empty)
@@ -199,7 +200,8 @@ class MtData2:
         )
 
     def _as_recorded(self, channels: Mapping[str, Array]) -> Mapping[str, Array]:
-        """Converts increments to means over the interval of a frame. A quaternion increment turns by 2·atan2(|v|, w) about v."""
+        """Converts increments of the attitude to mean rates over the interval of a frame. A quaternion increment (w, v) is a
+        rotation by 2·atan2(|v|, w) about v."""
         made = dict(channels)
         if "delta_q" in self.outputs:
             w, *vector = (made.pop(f"q{place}") for place in range(4))
@@ -210,8 +212,8 @@ class MtData2:
         return {name: made[name] for name in self.channels()}
 
     def _shape(self, frame: bytes) -> tuple[Whole, FrameLayout | None]:
-        """Positions of the packet headers in frames of this shape, and the layout with which such frames are decoded; None instead
-        of the layout if they cannot be decoded."""
+        """Positions of the packet headers in frames of this shape, and the layout that decodes such frames; the layout is None if
+        they cannot be decoded."""
         start = 4 if frame[3] != 255 else 6
         packets: dict[int, tuple[int, int, int]] = {}
         heads: list[int] = []

@@ -1,1 +1,1 @@
-"""Drivers of real tables: the common functions (`axis_table`), and one file per controller with its commands."""
+"""Drivers of real tables: the functions that all of them share (`axis_table`), and one file per controller with its commands."""

@@ -1,12 +1,13 @@
 """Tables with an ACUTROL 3000 or ACT2000 controller, in its command language ACL, over GPIB or raw TCP (port 9878).
 
-Commands are `:Main:Sub axis,argument;Sub axis,argument` and have no reply. The status byte, which `:status:stb?` reads without
-clearing it, shows whether a command was accepted. GPIB follows the manual. The framing over TCP has not been confirmed on hardware.
-Sources: ACUTROL 3000 manual; open drivers of a BD125 table.
+A command has the form `:Main:Sub axis,argument;Sub axis,argument`; the controller does not reply to it. The status byte shows
+whether a command was accepted; the query `:status:stb?` reads it without clearing it. Communication over GPIB follows the manual.
+The framing of replies over TCP has not been confirmed on hardware. Sources: ACUTROL 3000 manual; open drivers of a BD125 table.
 
-Public sources agree that over TCP eight bytes with an error code and a length precede each reply. They disagree on the form of
-these bytes: two 32-bit words, or eight characters. The first reply shows which form applies, because its length must match the data
-that follow. After that, exactly the stated number of bytes is read. Plain lines from a gateway are also accepted.
+According to public sources, eight bytes with an error code and a length precede each reply over TCP. The sources disagree on the
+form of these bytes: two 32-bit words, or eight characters. The first reply shows which form is right, because its length must agree
+with the data that follow. For later replies, exactly the stated number of bytes is read. Plain lines of text, as a gateway sends
+them, are also accepted.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ KINDS: dict[str, Header] = {
 
 
 def kind_of(reply: bytes) -> str | None:
-    """Format of the header of a complete reply, a key of `KINDS`; None for a plain line. Raises `LinkFailure` if the reply is
-    neither."""
+    """The form of the header of a complete reply, as a key of `KINDS`; None if the reply is a plain line. Raises `LinkFailure` if
+    the reply has neither a header nor the form of a line."""
     for name, header in KINDS.items():
         try:
             _, length = header(reply[:HEADER])
@@ -69,7 +70,7 @@ def kind_of(reply: bytes) -> str | None:
 
 
 class AcutrolFraming:
-    """Reads the replies of an ACUTROL. The first reply shows how they are framed."""
+    """Reads the replies of an ACUTROL controller. The first reply shows how they are framed."""
 
     def __init__(self) -> None:
         self._known = False
@@ -114,7 +115,7 @@ MODES = {"p": "pos", "r": "rate", "s": "synt"}
 
 
 class AcutrolParameters(LinkedTableKeys):
-    """A table with an ACUTROL controller."""
+    """Keys of a table with an ACUTROL controller."""
 
 
 class Acutrol(TableDriver[AcutrolParameters]):
@@ -128,7 +129,7 @@ class Acutrol(TableDriver[AcutrolParameters]):
 
 
 class AcutrolCommands(LinkedCommands):
-    """Commands of an ACUTROL; an `AxisCommands`."""
+    """Commands of an ACUTROL controller, as `AxisCommands`."""
 
     rocks = True
 
@@ -206,7 +207,7 @@ class AcutrolCommands(LinkedCommands):
         self._enter("synt", sines, *enter, _oscillation(sines))
 
     def _enter(self, mode: str, axes: Iterable[int], *commands: str) -> None:
-        """Changes the mode. During the change the mode is unknown, also for queries from another thread."""
+        """Changes the operating mode of axes. During the change, the mode counts as unknown, also for queries from another thread."""
         for axis in axes:
             self._modes.pop(axis, None)
         self._do(*commands)
@@ -248,7 +249,7 @@ class AcutrolCommands(LinkedCommands):
         self.link.write(":int:open all")
 
     def _do(self, *commands: str) -> None:
-        """Sends commands. Raises `InstrumentError` if a command was rejected."""
+        """Sends commands. Raises `InstrumentError` if the controller rejected one of them."""
         if not _byte(self.link.query(":status:stb?", after=commands)) & REFUSED:
             return
         self.link.query("*STB?", again=False)
@@ -262,7 +263,7 @@ def _byte(text: str) -> int:
 
 
 def _joined(main: str, sub: str, values: Mapping[int, float]) -> str:
-    """Joins commands for several axes: `:dem:pos 1,90;pos 2,45`, or `:mode:pos 1;pos 2`."""
+    """Joins commands for several axes, such as `:dem:pos 1,90;pos 2,45` or `:mode:pos 1;pos 2`."""
     parts = [f"{sub} {axis}" + (f",{written(value)}" if main == "dem" else "") for axis, value in values.items()]
     return f":{main}:" + ";".join(parts)
 

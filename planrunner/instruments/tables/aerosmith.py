@@ -1,8 +1,8 @@
-"""Single-axis tables of Ideal Aerosmith in their table language ATL, over a serial line. Experimental.
+"""Single-axis tables of Ideal Aerosmith in their table language ATL, over a serial line. The driver is experimental.
 
-Written from open-source drivers only. A command is a mnemonic with a number; the reply is a line and a prompt. Commands for jogging
-and rocking are answered only when the motion ends, and this driver does not wait for that answer. The open-source drivers mention
-no limit that stops the table.
+It was written from open-source drivers only. A command consists of a mnemonic and a number; the reply consists of a line and a
+prompt. The controller replies to commands for jogging and rocking only when the motion ends; this driver does not wait for that
+reply. The open-source drivers mention no limit that stops the table.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ END = b"\r"
 
 
 class PromptedLines:
-    """Reads a line, then a line that contains only the prompt. telling: if True, empty replies are skipped, because the empty reply
-    that a motion sends when it ends may arrive between a query and the reply to the query."""
+    """Reads the reply to a command: a line, then a line that contains only the prompt. telling: True to skip empty replies. A
+    motion that ends sends an empty reply, which may arrive between a query and the reply to the query."""
 
     def __init__(self, *, telling: bool = False):
         self.telling = telling
@@ -40,7 +40,7 @@ TELLING = PromptedLines(telling=True)
 
 
 class AerosmithParameters(LinkedTableKeys):
-    """A single-axis table of Ideal Aerosmith."""
+    """Keys of a single-axis table of Ideal Aerosmith."""
 
 
 class Aerosmith(TableDriver[AerosmithParameters]):
@@ -56,7 +56,7 @@ class Aerosmith(TableDriver[AerosmithParameters]):
 
 
 class AerosmithCommands(LinkedCommands):
-    """Commands of an Ideal Aerosmith table; an `AxisCommands`."""
+    """Commands of an Ideal Aerosmith table, as `AxisCommands`."""
 
     rocks = True
 
@@ -81,7 +81,7 @@ class AerosmithCommands(LinkedCommands):
         ]
 
     def energise(self) -> None:
-        """Does nothing: the table is always ready."""
+        """Does nothing, because the table is always ready."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
         for position in positions.values():
@@ -112,7 +112,7 @@ class AerosmithCommands(LinkedCommands):
         self.link.write("STO")
 
     def switch_off(self) -> None:
-        """Does nothing: the servo stays on. The caller checks whether the table is at rest."""
+        """Does nothing, so the servo stays on. The caller checks whether the table is at rest."""
 
     def _do(self, command: str) -> None:
         if self.link.query(command, again=False) == "?":

@@ -1,4 +1,4 @@
-"""Interface of the commands of a real table's controller, which each driver implements."""
+"""Interface of the commands of a table controller; each driver of a real table implements it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class AxisState:
-    """Position and rate of an axis as measured by the controller, in the controller's angles: deg and deg/s."""
+    """Position [deg] and rate [deg/s] of an axis, as the controller measures them."""
 
     position: float
     rate: float
@@ -17,8 +17,8 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisBounds:
-    """Limits that an axis must enforce itself, in the controller's units: deg/s, deg/s², deg. `lowest` and `highest` are None for
-    an axis without stops."""
+    """Limits that an axis must enforce by itself, as readings of its controller: deg/s, deg/s² and deg. `lowest` and `highest` are
+    None if the axis has no stops."""
 
     rate: float
     acceleration: float
@@ -29,8 +29,8 @@ class AxisBounds:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """A sine motion about the present position: amplitude·sin(2π·frequency·t + phase), with amplitude and phase in deg and
-    frequency in Hz."""
+    """A sine motion about the present position: amplitude·sin(2π·frequency·t + phase). The amplitude and the phase are in deg, the
+    frequency is in Hz."""
 
     amplitude: float
     frequency: float
@@ -38,31 +38,31 @@ class Sine:
 
 
 class AxisCommands(Protocol):
-    """Commands of a controller. Axes are named by the controller's numbers; angles are those of the controller, in degrees. Every
-    failure is an `InstrumentError`."""
+    """Commands of a table controller. Axes have the numbers of the controller; angles are readings of the controller, in degrees.
+    Every failure is an `InstrumentError`."""
 
     rocks: bool
     """Whether the controller has a sine motion."""
 
     def identify(self) -> Mapping[str, str]: ...
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
-        """Sets the limits that the axis enforces itself; returns a line for each limit that is now set."""
+        """Sets the limits that the axis enforces by itself; returns one line of text for each limit that was set."""
 
     def energise(self) -> None:
-        """Makes the axes ready to move. Called before the first move, and after `switch_off`."""
+        """Makes the axes ready to move. It is called before the first move, and again after `switch_off`."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Moves axes to positions, where they stay. here: the present positions. An axis that enters its position mode first holds
-        its present position."""
+        """Moves axes to positions, at which they then stay. here: the present positions of the axes. An axis that changes to its
+        position mode first holds its present position."""
 
     def turn(self, axis: int, rate: float) -> None: ...
     def rock(self, sines: Mapping[int, Sine]) -> None: ...
     def state(self, axis: int) -> AxisState: ...
     def faults(self) -> Sequence[str]:
-        """The reasons why the table cannot continue, in words; empty without a fault."""
+        """The reasons why the table cannot continue, in words; empty if there is no fault."""
 
     def stop(self) -> None:
-        """Brings every axis to rest under control."""
+        """Brings every axis to rest in a controlled way."""
 
     def switch_off(self) -> None: ...
     def remarks(self) -> Sequence[str]: ...

@@ -1,8 +1,8 @@
-"""Functions common to all real tables: conversion of attitudes to axis positions, spins, rocking, cycles, detection of a held
-state, the safe state.
+"""Functions that all real tables share: converting attitudes to axis positions, spins, rocking, cycles, detecting that a state is
+held, and the safe state.
 
-The commands of a controller are in a separate file, as an `AxisCommands`; this file does not depend on a vendor. States are judged by the
-measurements of the controller, never by elapsed time.
+The commands of each controller are in a separate file, as `AxisCommands`; this file does not depend on a manufacturer. Whether a
+state has been reached is decided from measurements of the controller, never from elapsed time.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ POLL = 0.05
 
 
 class LinkedTableKeys(LinkKeys, WiredTableKeys):
-    """Keys of a real table that is reached through a link."""
+    """Keys of a real table, including those of the link to its controller."""
 
 
 K = TypeVar("K", bound=LinkedTableKeys)
@@ -46,15 +46,15 @@ K = TypeVar("K", bound=LinkedTableKeys)
 
 @dataclass(frozen=True, slots=True)
 class Aim:
-    """The last commands of the axes, by index: joint angles [rad] of axes that hold a position, rates [rad/s] of axes that turn.
-    Every new command makes a new aim, even if its values are the same."""
+    """The last commands to the axes, by index of the axis: joint angles [rad] for axes that hold a position, rates [rad/s] for axes
+    that turn. Every new command makes a new `Aim`, even if its values are the same."""
 
     positions: Mapping[int, float] = field(default_factory=dict)
     rates: Mapping[int, float] = field(default_factory=dict)
 
 
 class AxisTable:
-    """A real table behind its `AxisCommands`."""
+    """A real table, controlled through its `AxisCommands`."""
 
     def __init__(self, commands: AxisCommands, keys: WiredTableKeys, clock: Clock, azimuth: float):
         self.commands, self.keys, self.clock, self.azimuth = commands, keys, clock, azimuth
@@ -69,7 +69,8 @@ class AxisTable:
 
     @classmethod
     def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
-        """Connects and queries the identification. If the query fails, the link is released. A faulty table can still be made safe."""
+        """Connects and queries the identification of the table. If the query fails, the link is closed. A fault of the table does
+        not prevent the connection, so that the table can be made safe."""
         try:
             commands.identify()
         except BaseException:
@@ -137,8 +138,8 @@ class AxisTable:
         return self._rock(motion) if isinstance(motion, Rock) else self._cycle(motion)
 
     def end_motion(self) -> float:
-        """Brings the table to rest. A turn of a cycle ends at its present angle; if the turn is already complete, the axis moves to
-        the end position of the turn."""
+        """Brings the table to rest. If an axis is turning within a cycle, it stops where it is. If its turn is already complete, it
+        moves to the end position of the turn."""
         self._timed.call_off()
         if self._rocking is not None:
             return self._end_rocking()
@@ -161,13 +162,14 @@ class AxisTable:
     # -- measurements --------------------------------------------------------------------------------------------------
 
     def watch(self) -> Condition:
-        """The current condition. Errors relative to a state are reported only after the state has been reached once."""
+        """The current condition of the table. Deviations from a commanded state are reported only after the state has been reached
+        once."""
         faults, errors = self._observed()
         return Condition(errors if self._reached is self._aim else {}, faults)
 
     def _observed(self) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Faults, and the deviations of the axes from their last commands [rad, rad/s]; no deviations if the commands changed during the
-        query."""
+        """The faults of the table, and the largest deviations of the axes from their last commands [rad, rad/s]. There are no
+        deviations if the commands changed during the query."""
         self._timed.looked_at()
         aim, rocking = self._aim, self._rocking  # another thread may be changing them
         faults = [*self.commands.faults(), *([self._timed.broken] if self._timed.broken else [])]
@@ -207,7 +209,8 @@ class AxisTable:
     # -- the safe state ------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stops every axis, then switches off. An axis that does not stop is switched off and reported."""
+        """Stops every axis, then switches the axes off. If an axis does not stop, it is switched off all the same, and the failure
+        is reported."""
         self._timed.call_off()
         self._aim, self._rocking, self._ready = Aim(), None, False
         try:
@@ -232,7 +235,7 @@ class AxisTable:
             self._ready = True
 
     def _measured(self) -> tuple[Array, Array]:
-        """Joint angles [rad] and rates [rad/s]."""
+        """The measured joint angles [rad] and rates [rad/s]."""
         states = [self.commands.state(axis.number) for axis in self.counted]
         joints = [axis.joint(state.position) for axis, state in zip(self.counted, states, strict=True)]
         rates = [axis.sense * math.radians(state.rate) for axis, state in zip(self.counted, states, strict=True)]
@@ -261,7 +264,8 @@ class AxisTable:
         return spin_up_time(self.axes[course.joint], course.rate - float(rates[course.joint]))
 
     def _turn(self, index: int, rate: float, standing: Mapping[int, float]) -> None:
-        """Starts a spin. standing: joint angles [rad], by index; the axes other than `index` hold them."""
+        """Starts to turn the axis `index` at a constant rate. standing: joint angles [rad] by index of the axis; the other axes
+        hold these angles."""
         self._aim = Aim({other: joint for other, joint in standing.items() if other != index}, {index: rate})
         axis = self.counted[index]
         self.commands.turn(axis.number, axis.sense * math.degrees(rate))
@@ -302,8 +306,8 @@ class AxisTable:
         return 1 / rocking.frequency
 
     def _rock_between(self, begin: float, end: float) -> None:
-        """Rocks from `begin` to `end` [s by the bench's clock], for rocking that begins only when the segment is already being
-        recorded. An infinite `end` means until the motion is ended."""
+        """Rocks from the time `begin` to the time `end` [s by the bench's clock]. It is used for rocking that begins only after the
+        recording of the segment has started. If `end` is infinite, the rocking continues until the motion is ended."""
         rocking = self._rocking
         assert rocking is not None
         self._timed.until(begin)
@@ -312,12 +316,12 @@ class AxisTable:
             self._rock_until(end)
 
     def _rock_until(self, end: float) -> None:
-        """Ends the rocking after its duration, while the segment continues."""
+        """Ends the rocking at the time `end`, while the segment continues."""
         self._timed.until(end)
         self._end_rocking()
 
     def _cycle(self, motion: Cycle) -> float:
-        """Performs turns and stops of the outermost axis. The first stop begins now."""
+        """Performs stops and turns of the outermost axis. The first stop starts at once."""
         joints, _ = self._measured()
         joints[0] = self._aim.positions.get(0, joints[0])
         _refuse(cycle_excess(self.axes[0], float(joints[0]), motion))
@@ -326,8 +330,8 @@ class AxisTable:
         return 0.0
 
     def _turns(self, motion: Cycle, home: Array, begun: float) -> None:
-        """Performs turns by rate, so that their sense does not depend on which way is shorter. The remaining deviation is corrected
-        by position during the following stop."""
+        """Performs each turn with a rate command, so that the direction of the turn does not depend on which way is shorter. During
+        the stop that follows, a position command removes the remaining deviation."""
         standing = {index: float(joint) for index, joint in enumerate(home)}
         for turn in turns_of(motion, self.axes[0].max_acceleration):
             self._timed.until(begun + turn.begins)
@@ -354,7 +358,7 @@ class AxisTable:
         self._timed.until(self.clock.now() + POLL)
 
     def _stop_and_switch_off(self) -> str:
-        """Stops every axis and switches off; returns a message if the table still turns, otherwise an empty text."""
+        """Stops every axis and switches the axes off; returns a message if the table still turns, otherwise an empty text."""
         self.commands.stop()
         slowest = max(axis.max_rate / axis.max_acceleration for axis in self.axes)
         deadline = self.clock.now() + slowest + 2.0
@@ -368,19 +372,20 @@ class AxisTable:
 
 
 def _refuse(excess: Sequence[Excess], where: str = "") -> None:
-    """Raises `InstrumentError`. where: beginning of the message."""
+    """Raises `InstrumentError` if a motion exceeds a limit of the table. where: text with which the message begins."""
     if excess:
         raise InstrumentError(where + "; ".join(one.message for one in excess))
 
 
 class TableDriver(Generic[K]):
-    """The driver of a real table. K: the record of its keys. Derived drivers give `Parameters` and `commands_of`."""
+    """Base of the drivers of real tables. K is the record with the keys of the table. Derived drivers define `Parameters` and
+    `commands_of`."""
 
     role = "table"
 
     @classmethod
     def commands_of(cls, parameters: K) -> AxisCommands:
-        """The commands of a table with these keys."""
+        """Makes the commands of a table with these keys."""
         raise NotImplementedError
 
     @classmethod

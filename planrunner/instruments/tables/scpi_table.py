@@ -1,8 +1,8 @@
-"""Tables with SCPI-like commands, which the bench file declares because no standard defines their names.
+"""Tables with SCPI-like commands. No standard defines the names of these commands, so the bench file declares them.
 
-Every command without a reply is followed by the error query, so that a rejected command is detected at once.
+After every command without a reply, the error queue is queried, so that a rejected command is detected at once.
 
-In the bench file a command is text with placeholders, such as `AXIS{axis}:POS {position}`.
+In the bench file, a command is a text with placeholders, such as `AXIS{axis}:POS {position}`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planrunner.plan.source import Node, Scalar
 
 @dataclass(frozen=True, slots=True)
 class CommandTemplate:
-    """One command. places: the names that the command may contain in braces."""
+    """A command as a text with placeholders. places: the names that may appear in braces."""
 
     places: tuple[str, ...]
 
@@ -55,7 +55,7 @@ class CommandTemplate:
 
 
 def filled(template: str, axis: int, **values: float) -> str:
-    """The command made from a template, with the number of the axis and the values filled in."""
+    """The command that a template gives for this axis number and these values."""
     return template.format(axis=axis, **{name: written(value) for name, value in values.items()})
 
 
@@ -66,8 +66,8 @@ SINE = ("axis", "amplitude", "frequency", "phase")
 
 
 class TableCommands(Record):
-    """The commands of a table. `{axis}` is replaced by the number of the axis, the other placeholders by values in degrees, deg/s and
-    Hz."""
+    """Keys with the commands of a table. The placeholder `{axis}` stands for the number of the axis, the other placeholders stand
+    for values in degrees, deg/s and Hz."""
 
     identify: str = key(Text(), "Asks for the identification.", "*IDN?", default="*IDN?")
     error: str = key(
@@ -111,7 +111,7 @@ class TableCommands(Record):
 
 
 class ScpiTableParameters(LinkedTableKeys):
-    """A table whose commands are in the bench file."""
+    """Keys of a table whose commands the bench file declares."""
 
     ends: str = key(Choice(tuple(ENDS)), "Terminator of a message, in both directions.", "LF", default="LF")
     commands: TableCommands = key(
@@ -136,7 +136,7 @@ class ScpiTable(TableDriver[ScpiTableParameters]):
 
 
 class ScpiTableCommands(LinkedCommands):
-    """Commands of a table that are declared in the bench file; an `AxisCommands`."""
+    """Commands of a table that the bench file declares, as `AxisCommands`."""
 
     def __init__(self, parameters: ScpiTableParameters):
         end = ENDS[parameters.ends]
@@ -199,7 +199,7 @@ class ScpiTableCommands(LinkedCommands):
             raise InstrumentError(f"the table rejects one of the commands {', '.join(commands)}: {error[:80]}")
 
     def _error(self, commands: Sequence[str]) -> str:
-        """The error reported after these commands; empty if there is none."""
+        """Sends commands and returns the error that the table then reports; empty if there is none."""
         said = self.link.query(self.commands.error, after=commands, again=False)
         return "" if NO_ERROR.match(said) else said or "an empty error message"
 

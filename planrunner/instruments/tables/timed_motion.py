@@ -1,9 +1,10 @@
-"""Motions that a table cannot perform by itself: a separate thread gives the commands at the planned times.
+"""Motions that a table cannot perform by itself. A separate thread sends the commands at the planned times.
 
-Times refer to the bench's clock. An error on the thread ends the motion and is reported at the next query. The motion also ends if the run
-has not read the table for too long, so that nothing moves the table again after the watchdog has made it safe.
+Times are those of the bench's clock. If an error occurs on the thread, the motion ends, and the error is reported at the next
+query. The motion also ends if the run has not queried the table for too long. Otherwise the thread could move the table again after
+the watchdog has made it safe.
 
-A cycle is computed in advance: the times at which each turn begins, brakes and ends.
+For a cycle, the times at which each turn begins, brakes and ends are computed in advance.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ SHORTEST, LONGEST = 0.005, 1.0
 
 
 class CalledOffError(Exception):
-    """The motion was cancelled."""
+    """Reports that the motion was cancelled."""
 
 
 class TimedMotion:
-    """Performs one motion at a time. broken: why the motion could not continue, in words; empty without a fault. patience: real
-    time [s] in which the run must query the table at least once."""
+    """Performs timed motions, one at a time. broken: the reason why a motion could not continue, in words; empty if there is none.
+    patience: the run must query the table at least once within this real time [s]."""
 
     def __init__(self, clock: Clock):
         self.broken = ""
@@ -39,8 +40,8 @@ class TimedMotion:
         self._called_off = threading.Event()
 
     def begin(self, what: str, commands: Callable[[], None]) -> None:
-        """Runs the function `commands` on the thread; `commands` waits with `until`. what: beginning of the message if `commands`
-        fails."""
+        """Runs the function `commands` on a thread; the function waits with `until` between its commands. what: text with which the
+        message begins if `commands` fails."""
         self.call_off()
         self._called_off.clear()
         self.looked_at()
@@ -48,12 +49,12 @@ class TimedMotion:
         self._thread.start()
 
     def looked_at(self) -> None:
-        """Records that the run has queried the table's state."""
+        """Records that the run has queried the state of the table."""
         self._looked_at = time.monotonic()
 
     def until(self, moment: float) -> None:
-        """Waits until `moment` [s], in steps that become shorter. Raises `CalledOffError`, and `InstrumentError` if the run has not
-        queried the table for too long."""
+        """Waits until the time `moment` [s], in ever shorter steps. Raises `CalledOffError` if the motion was cancelled, and
+        `InstrumentError` if the run has not queried the table for too long."""
         while (left := moment - self._clock.now()) > 0:
             if self._called_off.wait(min(max(SHORTEST, left / 100), LONGEST)):
                 raise CalledOffError
@@ -61,7 +62,8 @@ class TimedMotion:
             raise InstrumentError(f"the run has not polled the table for {self.patience:g} s")
 
     def call_off(self) -> None:
-        """Cancels the motion. After this returns, no further command is given; earlier commands stay in effect."""
+        """Cancels the motion. No further command is sent after this function has returned; commands that were sent earlier remain
+        in effect."""
         self._called_off.set()
         thread, self._thread = self._thread, None
         if thread is not None:
@@ -78,8 +80,8 @@ class TimedMotion:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One turn of a cycle. begins, brakes, ends: s since the cycle began; rate: rad/s, with its sign; target: rad from the initial
-    position."""
+    """One turn of a cycle. begins, brakes, ends: times since the start of the cycle, s; rate: signed rate, rad/s; target: angle at
+    the end of the turn, relative to the initial position, rad."""
 
     begins: float
     brakes: float
@@ -89,8 +91,9 @@ class Turn:
 
 
 def turns_of(motion: Cycle, acceleration: float) -> Iterator[Turn]:
-    """The turns of a cycle, repeated endlessly, each after its stop. acceleration: rad/s^2. The area under a turn's rate, a
-    trapezoid or a triangle, is its angle. If both ramps are equal, this area is the rate times the time until the axis brakes."""
+    """Yields the turns of a cycle, repeated endlessly, each after a stop. acceleration: in rad/s^2. The angle of a turn is the area
+    under its rate, which is a trapezoid or a triangle. With equal ramps, this area is the rate multiplied by the time from the
+    start of the turn until the axis brakes."""
     now = target = 0.0
     for move in again(motion.moves):
         begins = now + motion.stop

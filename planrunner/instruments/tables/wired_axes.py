@@ -1,4 +1,4 @@
-"""Keys of a real table: numbering and sense of each axis at the controller, and tolerances for reaching a state."""
+"""Keys of a real table: number and sense of each axis at the controller, and tolerances within which a state counts as reached."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planrunner.plan.quantity import Quantity, parse_quantity
 
 
 class WiredAxisSpec(AxisSpec):
-    """One axis of a real table."""
+    """Keys of one axis of a real table."""
 
     number: int | None = optional(
         Number(1, 16, integer=True), "Number of the axis at the controller; by default its position in the list.", 1
@@ -31,7 +31,7 @@ class WiredAxisSpec(AxisSpec):
 
 
 class WiredTableKeys(TableKeys):
-    """Keys of a real table except its link."""
+    """Keys of a real table, without those of the link to its controller."""
 
     axes: tuple[WiredAxisSpec, ...] = key(
         AxesKind(WiredAxisSpec),
@@ -60,14 +60,15 @@ class WiredTableKeys(TableKeys):
 
 @dataclass(frozen=True, slots=True)
 class CountedAxis:
-    """One axis as numbered by its controller. zero: the controller's reading [deg] at the joint angle zero; sense: 1 or −1."""
+    """An axis as its controller counts it. number: number of the axis; zero: reading [deg] of the controller at the joint angle
+    zero; sense: 1 or −1."""
 
     number: int
     zero: float
     sense: int
 
     def reading(self, joint: float) -> float:
-        """Converts a joint angle [rad] to the controller's degrees."""
+        """Converts a joint angle [rad] to a reading of the controller [deg]."""
         return self.zero + self.sense * math.degrees(joint)
 
     def joint(self, reading: float) -> float:
@@ -75,7 +76,7 @@ class CountedAxis:
 
 
 def counted(keys: WiredTableKeys) -> tuple[CountedAxis, ...]:
-    """The axes with their controller's numbers, outermost first."""
+    """The axes as their controller counts them, the outermost first."""
     return tuple(
         CountedAxis(spec.number or place, math.degrees(spec.zero.value), -1 if spec.sense == "clockwise" else 1)
         for place, spec in enumerate(keys.axes, start=1)

@@ -1,7 +1,7 @@
-"""Interface for effects that a simulation adds to a virtual sensor beyond its declared errors.
+"""Interface for effects that a simulation adds to a virtual sensor, in addition to its declared errors.
 
-The virtual sensor provides the conditions at its samples and its outputs without noise; the object in `World.added` changes these and the
-noise. The sensor does not depend on effects, and an effect does not depend on the error model of the sensor.
+The virtual sensor provides the conditions at its samples, and its outputs without noise. The object in `World.added` changes these
+outputs and their noise. The sensor does not depend on effects, and an effect does not depend on the error model of the sensor.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """Conditions at some samples. time: middle of each sampling interval, (n,), s since the run began; power_on: time at which the
-    sensor was switched on, s, by the same clock. angle: (n,), rad, rotation of the table since it reached the orientation; rate:
-    rad/s; kelvin: temperature of the sensor; overvoltage: V above its nominal supply; overpressure: Pa above the standard
-    atmosphere."""
+    """The conditions at some samples. time: (n,), middle of each sampling interval, s since the start of the run; power_on: time at
+    which the sensor was switched on, s, by the same clock. angle: (n,), rad, rotation of the table since it reached the
+    orientation; rate: rate of this rotation, rad/s; kelvin: temperature of the sensor, K; overvoltage: supply voltage minus its
+    nominal value, V; overpressure: ambient pressure minus the standard atmosphere, Pa."""
 
     segment: Segment
     time: Array
@@ -34,7 +34,8 @@ class Moments:
 
 @dataclass(frozen=True, slots=True)
 class Gives:
-    """One output of the sensor. unit: unit of the output; white: N, unit·√s; step: size of a step of one sample, unit."""
+    """Unit and noise of one output of the sensor. unit: unit of the output; white: coefficient N of the white noise, unit·√s; step:
+    smallest step of a sample, unit."""
 
     unit: str
     white: float
@@ -43,10 +44,10 @@ class Gives:
 
 class Added(Protocol):
     def levels(self, moments: Moments, levels: Mapping[str, Array], gives: Mapping[str, Gives]) -> Mapping[str, Array]:
-        """The outputs without noise, each (n,) in its unit, including the added effects."""
+        """The outputs (n,) without noise, each in its unit, after the effects have been added."""
 
     def noise(self, output: str, gives: Gives) -> Gives:
-        """The noise of an output, including the added effects."""
+        """The noise of an output after the effects have been added."""
 
     def readings(self, moments: Moments, samples: Mapping[str, Array]) -> Mapping[str, Array]:
-        """The outputs with noise, each (n,) in its unit, as the recording gets them."""
+        """The outputs (n,) with noise, each in its unit, as they are recorded."""

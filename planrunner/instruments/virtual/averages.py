@@ -1,9 +1,9 @@
-"""Input of an integrating sensor: inertial rate and specific force averaged over every sampling interval.
+"""Input of an integrating sensor: inertial rate and specific force, averaged over every sampling interval.
 
-A mean over an interval in which the table turns is an integral over products of sines of the joint angles. It is computed by
-Gauss-Legendre quadrature with as many points as the fastest phase needs, over stretches of time with smooth motion. Intervals in
-which a ramp begins or ends therefore have the same accuracy as others. A joint's rate is linear in time while it ramps, and the
-quadrature is exact for this. For rotation about one axis, the mean rates add up to the joint's angle.
+While the table turns, such a mean is an integral over products of sines of the joint angles. The integral is computed by
+Gauss-Legendre quadrature over stretches of smooth motion, with as many points as the fastest phase needs. Intervals in which a ramp
+begins or ends are therefore as accurate as others. The rate of a joint is linear in time during a ramp; for this, the quadrature is
+exact. For rotation about one axis, the mean rates add up to the angle of the joint.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SNAP = 1e-6  # of an interval: a break nearer than this to a sample's end count
 
 def interval_means(world: World, sampling: Sampling, first: int, length: int) -> tuple[Components, Components]:
     """Mean inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes over the sampling intervals first … first +
-    length − 1; floats if nothing moves, otherwise shape (length,)."""
+    length − 1. Each component is a float if nothing moves, otherwise an array (length,)."""
     begin = sampling.start + first / sampling.rate
     stretches = world.stretches(begin, begin + length / sampling.rate)
     if all(stretch.pace == 0.0 for stretch in stretches):
@@ -39,7 +39,8 @@ def interval_means(world: World, sampling: Sampling, first: int, length: int) ->
 
 
 def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: float) -> None:
-    """Adds the contribution of a stretch to the means (6, n) over intervals of 1/rate s, the first of which begins at `begin`."""
+    """Adds the contribution of a stretch of smooth motion to the means (6, n) over intervals of 1/rate s; the first interval begins
+    at the time `begin`."""
     low, high = (_snapped((time - begin) * rate) for time in (stretch.begin, stretch.end))
     low, high = max(low, 0.0), min(high, float(means.shape[1]))
     whole, last = math.ceil(low), math.floor(high)
@@ -62,7 +63,8 @@ def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: 
 
 
 def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: float, low: float, high: float) -> None:
-    """Adds the contribution of the time from `low` to `high`, counted in intervals, to the interval that contains it."""
+    """Adds the contribution of the time between `low` and `high` to the interval that contains it. Both are counted in intervals
+    from `begin`."""
     width = high - low
     if width <= 0.0:
         return
@@ -75,7 +77,7 @@ def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: 
 def _add_moments(
     means: np.ndarray, world: World, times: Sequence[np.ndarray], points: Sequence[tuple[float, float]]
 ) -> None:
-    """Adds the weighted stimulus at `times`, (n,) for each quadrature point, to the means (6, n)."""
+    """Adds the weighted stimulus at `times`, which has one array (n,) for each quadrature point, to the means (6, n)."""
     rates, forces = world.stimulus(np.concatenate(times))
     for mean, felt in zip(means, (*rates, *forces), strict=True):
         for (_, weight), moments in zip(
@@ -93,14 +95,14 @@ def _moment(world: World, time: float) -> tuple[Components, Components]:
 
 
 def _snapped(position: float) -> float:
-    """A position in units of intervals, moved to the boundary of an interval if it differs from the boundary only by rounding of
-    times."""
+    """A position in units of intervals. If it differs from the boundary of an interval only by rounding of times, the boundary is
+    returned."""
     return float(round(position)) if abs(position - round(position)) < _SNAP else position
 
 
 @lru_cache(maxsize=64)
 def _points(phase: float) -> tuple[tuple[float, float], ...]:
-    """Points (place, weight) of a quadrature over an interval of length one in which phases change by up to `phase` rad."""
+    """Points (place, weight) of a quadrature over an interval of length one, for phases that change by up to `phase` rad within it."""
     order = 1 if phase <= _ONE_POINT else 2 if phase <= _TWO_POINTS else 3
     panels = max(1, math.ceil(phase / _THREE_POINTS))
     places, weights = np.polynomial.legendre.leggauss(order)

@@ -15,9 +15,10 @@ STEP = 2e-3  # s, of the second difference; its error is a tenth of a ppm at 1 H
 
 
 def base_axes(world: World, times: Array) -> Array:
-    """The base's x, y, z axes as rows in East-North-Up at `times`, shape (n, 3, 3).
+    """The x, y and z axes of the base at `times`, as rows in East-North-Up, shape (n, 3, 3).
 
-    Every axis vector is carried outwards from ring to ring. The table's pointing error is the innermost rotation.
+    Every axis vector is rotated by one ring after the other, from the innermost outwards. The pointing error of the table is
+    applied before the innermost ring.
     """
     joints = list(zip(world.axes, world.course.follow(times), strict=True))
     carried: Array = np.broadcast_to(np.asarray(world.skew, dtype=float)[:, None], (3, times.size, 3))
@@ -28,9 +29,9 @@ def base_axes(world: World, times: Array) -> Array:
 
 
 def shaking(world: World, times: Array, lever_arm: Sequence[float]) -> Array:
-    """Acceleration [m/s^2] in East-North-Up of a point at `lever_arm` [m, base axes] from the centre of the rings, shape (n, 3).
+    """Acceleration (n, 3) [m/s^2] in East-North-Up of a point at `lever_arm` [m, in axes of the base] from the centre of the rings.
 
-    It is computed as the second difference of the position, which includes the tangential and the centripetal part.
+    It is the second difference of the position, so it contains the tangential and the centripetal part.
     """
     if world.course.still(float(times[0])) or not any(lever_arm):
         return np.zeros((times.size, 3))
@@ -40,7 +41,7 @@ def shaking(world: World, times: Array, lever_arm: Sequence[float]) -> Array:
 
 
 def mean_square_rate(world: World, times: Array) -> Array:
-    """The square of the base's angular rate [(rad/s)²] at `times`, shape (n,)."""
+    """The square of the base's angular rate at `times`, shape (n,), (rad/s)²."""
     squares = sum(np.square(part) for part in world.stimulus(times)[0])
     return np.array(np.broadcast_to(np.asarray(squares, dtype=float), times.shape))
 
@@ -48,7 +49,7 @@ def mean_square_rate(world: World, times: Array) -> Array:
 def turn(vectors: Array, axis: Array, angles: Array) -> Array:
     """Rotates `vectors` (…, n, 3) actively by `angles` (n,) [rad], right-handed about the unit vector `axis` (3,) or (n, 3).
 
-    It uses Rodrigues' formula component by component, which is several times as fast as `numpy.cross` for such short vectors.
+    Rodrigues' formula is evaluated component by component, which is several times as fast as `numpy.cross` for such short vectors.
     """
     cosine, sine = np.cos(angles), np.sin(angles)
     (x, y, z), (a, b, c) = np.moveaxis(vectors, -1, 0), np.moveaxis(axis, -1, 0)
@@ -61,7 +62,7 @@ def turn(vectors: Array, axis: Array, angles: Array) -> Array:
 
 
 def turn_by(vectors: Array, rotation: Array) -> Array:
-    """Rotates `vectors` (n, 3) actively by rotation vectors (n, 3) [rad], or by one (3,) for all."""
+    """Rotates `vectors` (n, 3) actively by rotation vectors [rad], of shape (n, 3), or (3,) for a common rotation."""
     rotation = np.broadcast_to(rotation, vectors.shape)
     size = np.linalg.norm(rotation, axis=1)
     axis = rotation / np.maximum(size, math.ulp(0.0))[:, None]

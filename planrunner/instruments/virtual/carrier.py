@@ -1,4 +1,4 @@
-"""The virtual carrier: moves the whole bench over the Earth, like a ship or vehicle, without changing anything on it."""
+"""The virtual carrier: moves the whole bench over the Earth, like a ship or vehicle. It changes nothing on the bench."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FASTEST = 1000.0  # m/s
 
 
 class VirtualCarrierParameters(Record):
-    """A simulated carrier, which starts at the site and moves along a track with a given speed, at the height of the site."""
+    """Keys of a simulated carrier, which starts at the site and moves along a track at a given speed, at the height of the site."""
 
     speed: Quantity = key(
         QuantityLike("m/s", "not negative"),
@@ -99,7 +99,7 @@ class VirtualCarrier:
         return cls(world)
 
     def read(self) -> Mapping[str, float]:
-        """The true position and velocity at present."""
+        """The true present position and velocity."""
         latitude, longitude, height, east, north = (
             float(np.ravel(value)[0]) for value in self.world.position(np.array([self.world.now()]))
         )
@@ -115,7 +115,7 @@ class VirtualCarrier:
         return {"manufacturer": "planrunner", "model": "virtual carrier"}
 
     def make_safe(self) -> None:
-        """Does nothing: a simulated carrier is always safe."""
+        """Does nothing, because a simulated carrier is always safe."""
 
     def close(self) -> None:
-        """Does nothing: there are no open resources."""
+        """Does nothing, because there are no open resources."""

@@ -1,4 +1,4 @@
-"""The virtual temperature chamber: a ramped setpoint and air that lags behind it."""
+"""The virtual temperature chamber: its setpoint changes at a limited rate, and its air lags behind the setpoint."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class VirtualChamberParameters(ChamberKeys):
-    """A simulated chamber."""
+    """Keys of a simulated chamber."""
 
 
 class VirtualChamber:
@@ -67,7 +67,7 @@ class VirtualChamber:
             self.world.head_for(self.parameters.ambient.value)
 
     def close(self) -> None:
-        """Does nothing: there are no open resources."""
+        """Does nothing, because there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return self.world.thermal_state()

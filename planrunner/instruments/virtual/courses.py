@@ -1,7 +1,9 @@
-"""Courses: a course is the joint angles and rates of a virtual table as functions of time; one small class per kind of motion.
+"""Courses of virtual tables. A course describes the joint angles and rates as functions of time; there is one small class for each
+kind of motion.
 
-A course gives these angles and rates at any time after its beginning, for arrays of times. It can be stored as JSON data, so that a
-resumed run begins with the table in the same state. Joints at rest are plain floats, so no arrays are computed if nothing moves.
+For an array of times after its beginning, a course computes the angles and rates at these times. A course can be stored as JSON
+data, so that a resumed run starts with the table in the same state. The angles of joints at rest are plain floats, so no arrays are
+computed if nothing moves.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ TURN = 2 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A time interval [s] in which a course is smooth. pace: rad/s, the largest rate of change of the phases of its sines; 0 if
+    """A time interval [s] within which a course is smooth. pace: the largest rate of change of the phases of its sines, rad/s; 0 if
     nothing moves."""
 
     begin: float
@@ -37,13 +39,13 @@ class Course(Protocol):
     kind: ClassVar[str]
 
     def follow(self, times: Array) -> list[tuple[Value, Value]]:
-        """The angle [rad] and rate [rad/s] of every joint at `times` [s since the run began]."""
+        """The angle [rad] and the rate [rad/s] of every joint at `times` [s since the start of the run]."""
 
     def still(self, start: float) -> bool:
-        """Whether nothing moves after `start`."""
+        """True if nothing moves after the time `start`."""
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
-        """The smooth stretches between two times, in order."""
+        """The intervals of smooth motion between two times, in order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,8 @@ class Travelling:
 
 @dataclass(frozen=True, slots=True)
 class Spinning:
-    """One joint changes from one rate to another at constant acceleration, then keeps the new rate; the other joints are at rest."""
+    """A course in which one joint changes from one rate to another with constant acceleration and then keeps the new rate; the
+    other joints are at rest."""
 
     kind: ClassVar[str] = "spinning"
     begin: float
@@ -135,8 +138,9 @@ class Spinning:
 
 @dataclass(frozen=True, slots=True)
 class Rocking:
-    """Joints rock sinusoidally about `angles`. At the time `steady` the sines have the phases `phases`. The rocking fades in over
-    one period before `steady` and fades out over one period after `duration`, so that no joint jumps."""
+    """A course in which joints rock sinusoidally about `angles`. At the time `steady`, the sines have the phases `phases`. The
+    rocking fades in during the period before `steady`. It fades out during the period after `steady` + `duration`, so that no joint
+    jumps."""
 
     kind: ClassVar[str] = "rocking"
     steady: float
@@ -174,22 +178,22 @@ class Rocking:
 
     @property
     def over(self) -> float:
-        """Time when the joints are at rest again [s since the run began]."""
+        """The time at which the joints are at rest again [s since the start of the run]."""
         return self.steady + self.duration + 1 / self.frequency
 
     @property
     def begins(self) -> float:
-        """Time when the joints begin to move [s since the run began]."""
+        """The time at which the joints begin to move [s since the start of the run]."""
         return self.steady - 1 / self.frequency
 
     def ended(self, now: float) -> Rocking:
-        """The same rocking motion after it has begun, changed so that it begins to fade out at `now` at the latest."""
+        """The same rocking, but fading out from the time `now` at the latest; it must have begun before."""
         return replace(self, duration=min(self.duration, now - self.steady))
 
 
 @dataclass(frozen=True, slots=True)
 class Cycling:
-    """One joint repeats stops and turns. Turns have trapezoidal rate profiles."""
+    """A course in which one joint repeats a sequence of stops and turns. The rate of each turn has a trapezoidal profile."""
 
     kind: ClassVar[str] = "cycling"
     begin: float
@@ -211,8 +215,8 @@ class Cycling:
         return joints
 
     def _schedule(self) -> tuple[Array, Array, Array]:
-        """Times within a cycle [s] at which each stop begins, and the end of the cycle; the angles [rad] at these times; the turns
-        [rad]."""
+        """Returns, for one cycle: the times [s] at which each stop begins, and the end of the cycle; the angles [rad] at these
+        times; and the turns [rad]."""
         lasting = [self.stop + move_time(turn, self.rate, self.acceleration) for turn in self.turns]
         turns = np.array(self.turns)
         return np.concatenate(([0.0], np.cumsum(lasting))), np.concatenate(([0.0], np.cumsum(turns))), turns
@@ -241,19 +245,21 @@ class Cycling:
 
 
 def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[float], float]) -> list[Stretch]:
-    """The stretches between two times, divided at the given breaks; `pace` is evaluated at the middle of each."""
+    """The intervals of smooth motion between two times, divided at the given breaks. pace: function that returns the pace of an
+    interval from the time in its middle."""
     times = [begin, *sorted(time for time in set(breaks) if begin < time < end), end]
     return [Stretch(first, last, pace((first + last) / 2)) for first, last in pairwise(times)]
 
 
 def profile(distance: float, max_rate: float, acceleration: float) -> tuple[float, float]:
-    """Time [s] of the acceleration phase, and total time [s], of a rest-to-rest move over `distance` [rad]."""
+    """For a move from rest to rest over `distance` [rad]: the time [s] of the acceleration phase, and the total time [s]."""
     up = min(max_rate, math.sqrt(abs(distance) * acceleration)) / acceleration
     return up, move_time(distance, max_rate, acceleration)
 
 
 def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: float) -> tuple[Array, Array]:
-    """Angle and rate at `elapsed` s of a rest-to-rest move over `distance` [rad, either sign]; constant before and after the move."""
+    """Angle [rad] and rate [rad/s] at the times `elapsed` [s] of a move from rest to rest over `distance` [rad], which may be
+    negative; constant before and after the move."""
     size, sign = np.abs(distance), np.sign(distance)
     peak = np.minimum(max_rate, np.sqrt(size * acceleration))
     up = peak / acceleration
@@ -267,7 +273,7 @@ def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: fl
 
 
 def _fade(elapsed: Array, period: float) -> tuple[Array, Array]:
-    """A smooth step from 0 to 1 over one period (half a cosine) and its slope."""
+    """A smooth step from 0 to 1 (half a cosine) that lasts one period, and its slope."""
     phase = np.clip(elapsed / period, 0.0, 1.0) * math.pi
     return 0.5 * (1 - np.cos(phase)), 0.5 * math.pi / period * np.sin(phase)
 
@@ -279,7 +285,7 @@ _KINDS: Mapping[str, Callable[..., Course]] = {
 
 
 def to_json(course: Course) -> JsonObject:
-    """Converts a course of this module to JSON data. An endless duration becomes null."""
+    """Converts a course to JSON data. An infinite duration becomes null."""
     assert isinstance(course, StatedCourse)
     state = {name: None if value == math.inf else value for name, value in asdict(course).items()}
     return {"kind": course.kind, **state}

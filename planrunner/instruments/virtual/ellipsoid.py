@@ -1,7 +1,7 @@
 """The Earth under a simulated carrier: the WGS 84 ellipsoid and its normal gravity (NIMA TR8350.2, 2000).
 
-Lengths of the meridian follow Helmert's series in the third flattening n; the omitted terms are of the order n⁵, 0.4 µm. These
-formulas are for the simulator only: navigation has separate formulas, which tests compare with these.
+The length of the meridian follows from Helmert's series in the third flattening n; the omitted terms are of the order n⁵, 0.4 µm.
+Only the simulator uses these formulas: navigation has separate formulas, which tests compare with these.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def meridian_radius(latitude: Latitude) -> Any:
 
 
 def meridian_radius_slope(latitude: Latitude) -> Any:
-    """The derivative dM/dφ [m/rad]."""
+    """The derivative dM/dφ [m/rad] of the radius of curvature in the meridian."""
     sine = np.sin(latitude)
     slope = 3 * ECCENTRICITY_SQUARED * sine * np.cos(latitude) / (1 - ECCENTRICITY_SQUARED * sine**2)
     return meridian_radius(latitude) * slope
@@ -60,15 +60,16 @@ def latitude_at_arc(arc: Any) -> Any:
 
 
 def isometric_latitude(latitude: Latitude) -> Any:
-    """The isometric latitude ψ with dψ = M/(N·cos φ)·dφ. Along a line of constant heading χ, longitude grows by tan χ·dψ."""
+    """The isometric latitude ψ, for which dψ = M/(N·cos φ)·dφ. Along a line of constant heading χ, the longitude increases by tan
+    χ·dψ."""
     eccentricity = np.sqrt(ECCENTRICITY_SQUARED)
     sine = np.sin(latitude)
     return np.arctanh(sine) - eccentricity * np.arctanh(eccentricity * sine)
 
 
 def normal_gravity(latitude: Latitude, height: float) -> Any:
-    """Normal gravity [m/s^2] at `height` m above the ellipsoid, along its normal: Somigliana's formula and TR8350.2 (4-3). Its
-    component to the north, 8·10⁻⁹ m/s² per metre of height, is neglected."""
+    """Normal gravity [m/s^2] at `height` m above the ellipsoid, along the normal of the ellipsoid: Somigliana's formula and
+    TR8350.2 (4-3). Its component towards north, 8·10⁻⁹ m/s² per metre of height, is neglected."""
     squared = np.sin(latitude) ** 2
     surface = _GRAVITY_EQUATOR * (1 + _SOMIGLIANA * squared) / np.sqrt(1 - ECCENTRICITY_SQUARED * squared)
     first = 1 + FLATTENING + _CENTRIFUGAL - 2 * FLATTENING * squared

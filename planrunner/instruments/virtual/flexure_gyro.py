@@ -1,10 +1,10 @@
 """The virtual flexure gyro (dynamically tuned, two input axes X and Y, spin axis Z) with torque-rebalance loops.
 
-The loops drive torquer currents such that the torquers precess the rotor at the rate of its input, so that the currents, counted in
-pulses, measure the input. Torquer Y turns the rotor at SF_Y·i_x along (cos ε, sin ε), torquer X at SF_X·i_y along (−sin(ε+ξ),
-cos(ε+ξ)), both in the plane of (ω_Y, ω_X); this must balance (ω_Y + D(X), ω_X + D(Y)), where the drifts D(X) and D(Y) have a
-constant part and parts proportional to the specific force along X, Y and Z (patent CN100554884C). The simulation solves this
-balance and shares no formula with the estimators.
+The loops drive currents through the torquers. The currents turn (precess) the rotor at the input rate, so the currents, counted in
+pulses, measure the input. Torquer Y turns the rotor at the rate SF_Y·i_x along (cos ε, sin ε), and torquer X at the rate SF_X·i_y
+along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X). The sum of the two must balance (ω_Y + D(X), ω_X + D(Y)). The drifts
+D(X) and D(Y) each have a constant part and parts proportional to the specific force along X, Y and Z (patent CN100554884C). The
+simulation solves this balance; it shares no formula with the estimators.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ THERMOMETER = "sensor_temperature"
 
 
 class ScaleFactors(Record):
-    """The scale factor of each torquer: the rate that corresponds to one pulse per second."""
+    """Keys for the scale factor of each torquer, which is the rate that corresponds to one pulse per second."""
 
     x: Quantity = key(
         QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_X, scale factor of the X torquer.", "0.2 (deg/h)/(pulse/s)"
@@ -48,7 +48,7 @@ class ScaleFactors(Record):
 
 
 class Drift(Record):
-    """The drift of one axis: constant, and proportional to the specific force along each axis."""
+    """Keys for the drift of one axis: a constant part, and parts proportional to the specific force along each axis."""
 
     F: Quantity = key(QuantityOf("angular rate"), "Drift that does not depend on specific force.", "1.8 deg/h")
     X: Quantity = key(QuantityLike("deg/h/g"), "Drift proportional to specific force along X.", "3.2 deg/h/g")
@@ -57,7 +57,7 @@ class Drift(Record):
 
 
 class VirtualFlexureGyroParameters(Record):
-    """A simulated flexure gyro with a known truth."""
+    """Keys of a simulated flexure gyro, whose true parameters are known."""
 
     scale_factor: ScaleFactors = key(
         RecordOf(ScaleFactors),
@@ -118,7 +118,7 @@ class VirtualFlexureGyroParameters(Record):
 
 
 def _flicker(parameters: VirtualFlexureGyroParameters) -> float:
-    """The coefficient B [pulse/s]. No flicker is simulated if the bench file gives no coefficient."""
+    """The coefficient B of the flicker noise [pulse/s]. It is zero if the bench file states none."""
     return parameters.bias_instability.value if parameters.bias_instability is not None else 0.0
 
 
@@ -174,7 +174,8 @@ class VirtualFlexureGyro(OnlyRead):
         return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
 
     def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:
-        """A function that makes the samples first … first + length − 1 of a sampling. It must be called for all samples in order."""
+        """Returns a function that makes the samples first … first + length − 1 of a sampling. The function must be called for all
+        samples, in order."""
         for flicker in self.flicker.values():
             flicker.begin(sampling.start, draw)
         return lambda first, length: self._block(sampling.times(first, length), sampling, draw)
@@ -196,7 +197,7 @@ class VirtualFlexureGyro(OnlyRead):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _block(self, time: Array, sampling: Sampling, draw: np.random.Generator) -> Block:
-        """The block of samples at `time`."""
+        """Makes the block of samples at the times `time`."""
         still = self.world.course.still(float(time[0]))
         length, rate, hold = time.size, sampling.rate, sampling.hold
         nodes = -(-length // hold)
@@ -216,9 +217,9 @@ class VirtualFlexureGyro(OnlyRead):
         return Readout(p.white_noise.value * math.sqrt(rate), p.resolution.value, p.full_scale.value)
 
     def pulses(self, times: Array) -> tuple[Value, Value]:
-        """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats at rest, otherwise shape (n,).
+        """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats if the gyro is at rest, otherwise arrays (n,).
 
-        The 2×2 balance of the rotor is solved; its right-hand side is linear in the input of the gyro.
+        They follow from the 2×2 balance of the rotor, whose right-hand side is linear in the input of the gyro.
         """
         p = self.parameters
         rates, forces = self.world.stimulus(times)
@@ -236,5 +237,5 @@ class VirtualFlexureGyro(OnlyRead):
 
 
 def _drift(drift: Drift, forces: Components) -> Value:
-    """The drift [rad/s] under specific forces [m/s²]."""
+    """The drift [rad/s] of an axis under the specific forces [m/s²] along X, Y and Z."""
     return drift.F.value + drift.X.value * forces[0] + drift.Y.value * forces[1] + drift.Z.value * forces[2]

@@ -1,6 +1,6 @@
-"""The virtual inertial sensor: gyros and accelerometers that integrate their input, on the table of the virtual world.
+"""The virtual inertial sensor: gyros and accelerometers on the table of the virtual world. They integrate their input.
 
-A sample is the mean over its sampling interval, and its time is the interval's end. The error model is in `inertial_axis.py` and
+A sample is the mean over its sampling interval; its time is the end of the interval. The error model is in `inertial_axis.py`; it
 shares no formula with the estimators."""
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ _SWITCH_ON = 1  # second part of the key of a generator: apart from those of seg
 
 @dataclass(frozen=True, slots=True)
 class _Dwell:
-    """The recording of one segment. chances: (axes, 2), random values for bias and scale factor, drawn at switch-on; counters:
-    pulse counters of the counted outputs."""
+    """State of the sensor while one segment is recorded. chances: (axes, 2), random numbers for the repeatability of bias and scale
+    factor, drawn at switch-on; counters: pulse counters of the outputs that count."""
 
     segment: Segment | None
     sampling: Sampling
@@ -137,9 +137,10 @@ class VirtualImu(TakesEffects):
     def sampler(
         self, sampling: Sampling, draw: np.random.Generator, segment: Segment | None = None
     ) -> Callable[[int, int], Block]:
-        """A function that makes the samples first … first + length − 1 of a sampling. It must be called for all samples in order.
+        """Returns a function that makes the samples first … first + length − 1 of a sampling. The function must be called for all
+        samples, in order.
 
-        Raises `InstrumentError` if the outputs depend on the motion of the segment and no motion is given.
+        Raises `InstrumentError` if the outputs depend on the motion of the segment but no segment is given.
         """
         if segment is None and (self.parameters.table_angle or self.world.added is not None):
             raise InstrumentError(
@@ -185,7 +186,8 @@ class VirtualImu(TakesEffects):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _block(self, dwell: _Dwell, first: int, length: int) -> Block:
-        """The block of samples first … first + length − 1. Temperature and slow noise are those of the middle of each second."""
+        """Makes the block of samples first … first + length − 1. Temperature and slow noise are evaluated once for every second, in
+        its middle."""
         sampling = dwell.sampling
         middles = sampling.middles(first, length)
         kelvin = self.world.sensor(middles)
@@ -215,8 +217,8 @@ class VirtualImu(TakesEffects):
         return Block(time, readings)
 
     def _excess(self, segment: Segment | None) -> tuple[float, float]:
-        """Voltage [V] above the nominal supply and pressure [Pa] above the standard atmosphere; zero for a quantity that the
-        segment does not state."""
+        """The supply voltage [V] above its nominal value and the pressure [Pa] above the standard atmosphere; zero for a quantity
+        that the segment does not state."""
         voltage = None if segment is None else segment.supply_voltage
         pressure = None if segment is None else segment.ambient_pressure
         return (
@@ -225,7 +227,7 @@ class VirtualImu(TakesEffects):
         )
 
     def _monitored(self, segment: Segment | None) -> Iterator[tuple[str, float, float]]:
-        """Name, noise and value of the recorded supply [V] and pressure [hPa]."""
+        """Yields name, noise and value of the supply [V] and of the pressure [hPa], if they are recorded."""
         volts, pascals = self._excess(segment)
         voltmeter, barometer = self.parameters.voltmeter_noise, self.parameters.barometer_noise
         if voltmeter is not None:
@@ -243,7 +245,7 @@ class VirtualImu(TakesEffects):
         middles: Array,
     ) -> Array:
         """The output of one axis without white noise, computed from mean rates and forces over the sampling intervals. kelvin,
-        middles: temperature and time in the middle of every second."""
+        middles: temperature [K] and time [s] in the middle of every second."""
         sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
         off = kelvin - self.parameters.reference_temperature.value
@@ -257,7 +259,7 @@ class VirtualImu(TakesEffects):
     def _samples(
         self, axis: InertialAxis, dwell: _Dwell, level: Array, length: int, gives: Gives | None = None
     ) -> Array:
-        """Samples of one axis around its level. gives: noise of the output if it differs from the declared noise."""
+        """Draws the samples of one axis around its level. gives: noise of the output, by default the declared noise."""
         sampling = dwell.sampling
         gives = gives or self._gives(axis, sampling)
         sigma = gives.white * math.sqrt(sampling.rate)
@@ -280,7 +282,7 @@ class VirtualImu(TakesEffects):
         first: int,
         length: int,
     ) -> dict[str, Array]:
-        """The samples of all axes, with the effects added to their levels and to their noise."""
+        """The samples of all axes; effects are added to their levels and to their noise."""
         added, sampling = self.world.added, dwell.sampling
         assert added is not None and dwell.segment is not None
         hold = sampling.hold
@@ -313,7 +315,7 @@ class VirtualImu(TakesEffects):
 
 
 def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
-    """The recorded supply voltage and ambient pressure."""
+    """The models of the recorded supply voltage and ambient pressure; empty if neither is recorded."""
     root = math.sqrt(parameters.sample_rate.value)
     found = []
     if parameters.voltmeter_noise is not None:
@@ -324,10 +326,10 @@ def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
 
 
 def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
-    """Angle [rad] through which the table has turned about the axis of the segment's motion since the orientation was reached, and its
-    rate [rad/s], (n,) each.
+    """Angle [rad] by which the table has turned since the orientation was reached, and its rate [rad/s], each (n,). Both refer to
+    the axis of the segment's motion, and are zero without a spin or rocking.
 
-    Rocking is included if only the outermost axis rocks.
+    Raises `InstrumentError` if several rings rock.
     """
     course, motion = world.course, segment.motion
     if isinstance(motion, Spin) and isinstance(course, Spinning):
@@ -343,7 +345,7 @@ def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
 
 
 def mean_angle(world: World, segment: Segment, times: Array, interval: float) -> Array:
-    """Mean angle [rad] over each sampling interval that ends at one of `times`; the outputs are means over the same intervals."""
+    """Mean angle [rad] over each sampling interval that ends at one of `times`. The outputs are means over the same intervals."""
     places, weights = np.polynomial.legendre.leggauss(3)
     total = np.zeros(len(times))
     for place, weight in zip(places, weights, strict=True):

@@ -1,7 +1,7 @@
-"""The keys of a virtual inertial sensor in a bench file: its axes and their errors.
+"""Keys of a virtual inertial sensor in the bench file: its axes and their errors.
 
-Keys for all gyros (accelerometers) are next to `axes`; keys of an axis take precedence; a value given by neither is zero.
-`docs/virtual-sensors.md` describes the error model with these coefficients.
+A key next to `axes` applies to all gyros (or accelerometers); the same key of an axis takes precedence. A value that is not given
+is zero. `docs/virtual-sensors.md` describes the error model with these coefficients.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FRAME = ("x", "y", "z")
 
 
 class ScaleErrors(Record):
-    """Differences between the true and the declared scale factor, with the same keys for gyros and accelerometers."""
+    """Keys for the differences between the true and the declared scale factor; gyros and accelerometers have the same keys."""
 
     scale_factor_error: Quantity | None = optional(
         QuantityOf("ratio"),
@@ -54,7 +54,7 @@ class ScaleErrors(Record):
 
 
 class GyroErrors(ScaleErrors):
-    """Errors of one gyro, or of all."""
+    """Keys for the errors of one gyro, or of all gyros."""
 
     scale_factor: Quantity | None = optional(
         QuantityLike("(pulse/s)/(deg/s)", "positive", ("1",)),
@@ -122,7 +122,7 @@ class GyroErrors(ScaleErrors):
 
 
 class AccelerometerErrors(ScaleErrors):
-    """Errors of one accelerometer, or of all."""
+    """Keys for the errors of one accelerometer, or of all accelerometers."""
 
     scale_factor: Quantity | None = optional(
         QuantityLike("(pulse/s)/(m/s^2)", "positive", ("1",)),
@@ -181,7 +181,7 @@ class AccelerometerErrors(ScaleErrors):
 
 
 class InputAxisDirection(Record):
-    """Direction of an input axis in the sensor's frame: tilted by a fixture, or near an axis of the frame."""
+    """Keys for the direction of an input axis in the sensor's frame: tilted by a fixture, or near an axis of the frame."""
 
     angle: Quantity | None = optional(
         QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg"
@@ -202,15 +202,15 @@ class InputAxisDirection(Record):
 
 
 class GyroAxis(GyroErrors, InputAxisDirection):
-    """One gyro."""
+    """Keys of one gyro."""
 
 
 class AccelerometerAxis(AccelerometerErrors, InputAxisDirection):
-    """One accelerometer."""
+    """Keys of one accelerometer."""
 
 
 class Gyros(GyroErrors):
-    """The gyros of a sensor, with keys common to all."""
+    """Keys of the gyros: the axes, and errors that all gyros have in common."""
 
     axes: dict[str, GyroAxis] = key(
         MapOf(RecordOf(GyroAxis), pattern=AXIS_NAME),
@@ -220,7 +220,7 @@ class Gyros(GyroErrors):
 
 
 class Accelerometers(AccelerometerErrors):
-    """The accelerometers of a sensor, with keys common to all."""
+    """Keys of the accelerometers: the axes, and errors that all accelerometers have in common."""
 
     axes: dict[str, AccelerometerAxis] = key(
         MapOf(RecordOf(AccelerometerAxis), pattern=AXIS_NAME),
@@ -230,7 +230,7 @@ class Accelerometers(AccelerometerErrors):
 
 
 def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
-    """Adds findings about the directions and the number of the axes."""
+    """Adds findings about the directions and the number of the input axes."""
     if not 1 <= len(group.axes) <= MOST_AXES:
         log.error("form-size", group.at("axes"), f"{len(group.axes)} axes are given here", f"give 1 to {MOST_AXES}")
     for name, axis in group.axes.items():
@@ -240,7 +240,7 @@ def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
 
 
 def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
-    """The fault of an axis's direction, and the remedy."""
+    """The fault in the direction of an axis, and the hint that tells how to correct it."""
     if (axis.angle is None) != (axis.azimuth is None):
         given, missing = ("azimuth", "angle") if axis.angle is None else ("angle", "azimuth")
         return f"has an {given} but no {missing}", f"add for example `{missing}: 0 deg`"
@@ -265,7 +265,7 @@ def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
 
 
 class VirtualImuParameters(Record):
-    """A simulated inertial sensor with a known truth: gyros, accelerometers or both, and a thermometer."""
+    """Keys of a simulated inertial sensor whose true errors are known: gyros, accelerometers or both, and a thermometer."""
 
     kind: str = key(
         Text(KIND, "a kind of sensor", "lower-case letters, digits and -, such as gyro-triad"),

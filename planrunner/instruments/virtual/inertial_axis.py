@@ -1,13 +1,14 @@
 """One input axis of a virtual inertial sensor, as numbers: its direction and its errors.
 
-Let u be the mean inertial rate (specific force) along the axis over a sampling interval, ΔT, ΔV and Δp the differences from the
-reference temperature, the nominal supply and the standard atmosphere, and f the mean specific force along the sensor's axes. The
-output is then
+Let u be the mean inertial rate (for an accelerometer, the mean specific force) along the axis over a sampling interval; ΔT, ΔV and
+Δp the differences from the reference temperature, the nominal supply and the standard atmosphere; and f the mean specific force
+along the sensor's axes. The output is then
 
     y = K·(1 + δ + Σ κ_k·ΔT^k + κ_V·ΔV + κ_p·Δp)
           · (u + a·|u|/2 + q₂·u² + q₃·u³ + s·f + b + Σ β_k·ΔT^k + β_V·ΔV + β_p·Δp + A·e^(−t/τ) + slow noise) + white noise,
 
-then clipped and counted or rounded. `docs/virtual-sensors.md` names every coefficient; all here are in SI units with radians.
+and is then clipped and counted or rounded. `docs/virtual-sensors.md` names every coefficient. In this module, all coefficients are
+in SI units with radians.
 """
 
 from __future__ import annotations
@@ -36,9 +37,10 @@ WARM_UP_TIME = 600.0  # s, where nothing is said of it
 
 @dataclass(frozen=True, slots=True)
 class InertialAxis:
-    """One axis. name, unit: name and unit of the output; direction: (3,) in the sensor's frame; nominal: declared K, in the
-    output's unit per SI input; error: δ; step: size of a step of a sample in `unit`, or of a count in unit·s if `counted`; white:
-    N, SI·√s; walk: K of the random walk, SI/√s; warm_up: A, SI; warm_up_time: τ, s."""
+    """One input axis and its coefficients. name, unit: name and unit of the output; direction: (3,), unit vector in the sensor's
+    frame; nominal: declared K, in the output's unit per SI input; error: δ; step: smallest step of a sample in `unit`, or size of a
+    count in unit·s if `counted`; white: N, SI·√s; walk: coefficient K of the random walk, SI/√s; warm_up: A, SI; warm_up_time: τ,
+    s."""
 
     name: str
     unit: str
@@ -72,7 +74,7 @@ class InertialAxis:
     walk: float
 
     def output(self, rate: float) -> OutputModel:
-        """The declared properties of the output, sampled at `rate` [Hz]."""
+        """The declared model of the output, sampled at `rate` [Hz]."""
         noise = NoiseModel(
             self.white * self.nominal,
             self.bias_instability * self.nominal,
@@ -84,29 +86,30 @@ class InertialAxis:
         return OutputModel(self.name, self.unit, self.full_scale * self.nominal, noise, senses=senses)
 
     def step_of_sample(self, rate: float) -> float:
-        """Smallest step of one sample, in `unit`."""
+        """The smallest step of one sample, in `unit`. rate: sample rate, Hz."""
         return self.step * rate if self.counted else self.step
 
     def scale(self, off: Array, drawn: float) -> Array:
-        """True scale factor in the output's unit per SI input, at `off` K from the reference temperature; drawn: relative error
-        drawn at switch-on."""
+        """True scale factor in the output's unit per SI input. off: difference [K] from the reference temperature; drawn: relative
+        error that was drawn at switch-on."""
         return self.nominal * (1 + self.error + drawn + _polynomial(self.error_temperature, off))
 
     def drift(self, off: Array, since: Array, drawn: float) -> Array:
-        """Bias in SI units, at `off` K from the reference temperature and `since` s after switch-on."""
+        """Bias in SI units. off: difference [K] from the reference temperature; since: time [s] after switch-on; drawn: bias that
+        was drawn at switch-on."""
         steady = self.bias + drawn + _polynomial(self.bias_temperature, off)
         return steady + self.warm_up * np.exp(-since / self.warm_up_time) if self.warm_up else steady
 
     def by_surroundings(self, volts: float, pascals: float) -> tuple[float, float]:
-        """Changes of the bias, SI, and of the scale factor, relative. volts: V above the nominal supply; pascals: Pa above the
-        standard atmosphere."""
+        """Changes of the bias (SI) and of the scale factor (relative) due to supply voltage and pressure. volts: supply voltage
+        above its nominal value, V; pascals: pressure above the standard atmosphere, Pa."""
         return (
             self.bias_supply * volts + self.bias_pressure * pascals,
             self.error_supply * volts + self.error_pressure * pascals,
         )
 
     def felt(self, rates: Components, forces: Components) -> Value:
-        """The input, SI, including the errors that do not depend on temperature or time; a float if nothing moves."""
+        """The input (SI), including the errors that do not depend on temperature or time; a float if nothing moves."""
         u = _along(self.direction, rates if self.turns else forces)
         felt = u
         if self.asymmetry:
@@ -118,8 +121,8 @@ class InertialAxis:
         return felt
 
     def level(self, felt: Value, drift: Array, scale: Array, hold: int) -> Array:
-        """Output without white noise, in `unit`. drift, scale: one value for every `hold` samples; the result has the same length
-        if `felt` is a float."""
+        """The output without white noise, in `unit`. drift, scale: one value for every `hold` samples. The result has as many
+        values as `felt`, or as `drift` if `felt` is a float."""
         if isinstance(felt, np.ndarray):
             drift, scale = (np.repeat(values, hold)[: felt.size] for values in (drift, scale))
         total = felt + drift
@@ -198,7 +201,7 @@ def _axis(output: str, name: str, group: Gyros | Accelerometers, axis: Any) -> I
 
 
 def _direction(name: str, axis: InputAxisDirection) -> tuple[float, float, float]:
-    """Unit vector of the input axis in the sensor's frame."""
+    """The unit vector of an input axis in the sensor's frame."""
     if axis.angle is not None and axis.azimuth is not None:
         tilt, azimuth = axis.angle.value, axis.azimuth.value
         return (math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt))
@@ -214,7 +217,7 @@ def _along(direction: tuple[float, float, float], vector: Components) -> Value:
 
 
 def _polynomial(coefficients: tuple[float, ...], off: Array) -> Array:
-    """The polynomial Σ c_k·off^k with k from 1."""
+    """The polynomial Σ c_k·off^k, where k starts at 1."""
     total = np.zeros_like(off)
     for coefficient in reversed(coefficients):
         total = (total + coefficient) * off

@@ -1,9 +1,10 @@
-"""Noise of a simulated output, drawn in blocks with memory and state that do not grow.
+"""Noise of a simulated output, drawn in blocks. Memory and state do not grow with the length of the run.
 
-White noise comes straight from the generator. Bias instability (flicker) is a sum of Ornstein-Uhlenbeck processes whose correlation times
-are octaves apart: with variance v each, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²) ≈ v/(2·ln2·f), which is the B²/(2πf) of IEEE
-Std 952 for v = B²·ln2/π. The Allan deviation is then flat at B·√(2·ln2/π) = 0.664·B. A process is exact at the nodes of a grid of `hold`
-samples and constant between them: its shortest correlation time is twice this interval, where white noise dominates.
+White noise comes directly from the random generator. Bias instability (flicker) is a sum of Ornstein-Uhlenbeck processes whose
+correlation times are one octave apart. If each has the variance v, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²) ≈
+v/(2·ln2·f). With v = B²·ln2/π, this is the B²/(2πf) of IEEE Std 952, and the Allan deviation is flat at B·√(2·ln2/π) = 0.664·B. A
+process is exact at the nodes of a grid of `hold` samples and constant between them; its shortest correlation time is twice this
+interval, where white noise dominates.
 """
 
 from __future__ import annotations
@@ -25,19 +26,20 @@ TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
 
 
 def generator(seed: int, *occasion: int) -> np.random.Generator:
-    """The random generator for one occasion, such as a segment by its index. With the same arguments, it always gives the same numbers."""
+    """The random generator for one occasion, which is identified by numbers such as the index of a segment. It always gives the
+    same numbers for the same arguments."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=occasion)))
 
 
 @lru_cache(maxsize=8)
 def _growth(step: float, length: int) -> Array:
-    """The values e^(n·step/τ) for every process and n = 0 … length, shape (OCTAVES, length + 1). The exponent is limited: after one
-    long step the decay is complete."""
+    """The values e^(n·step/τ) for every process and for n = 0 … length, shape (OCTAVES, length + 1). The exponent is limited,
+    because the decay over a long step is complete."""
     return np.exp(np.minimum(np.arange(length + 1) * (step / TIMES)[:, None], _EXPONENT))
 
 
 class Flicker:
-    """Bias instability of one output. coefficient: B, in the output's unit."""
+    """Bias instability of one output. coefficient: coefficient B, in the output's unit."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -46,7 +48,7 @@ class Flicker:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Moves to the time [s] of a segment's first node, by the exact transition from the last node."""
+        """Advances the processes to the time [s] of a segment's first node, by the exact transition from their last node."""
         fresh = draw.standard_normal(OCTAVES) * self.deviation
         if self.state is None:
             self.state = fresh
@@ -56,7 +58,7 @@ class Flicker:
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The sum of the processes at `nodes` nodes [unit], `step` s apart, beginning at the present node."""
+        """The sum of the processes [unit] at the next `nodes` nodes, which are `step` s apart; the first is the present node."""
         if self.coefficient == 0.0:
             return np.zeros(nodes)
         assert self.state is not None
@@ -87,7 +89,7 @@ class Flicker:
 
 
 class RandomWalk:
-    """A bias with a random walk: after T s its standard deviation is coefficient·√T [unit]. coefficient: K, unit/√s."""
+    """A bias that is a random walk: after T s, its standard deviation is coefficient·√T [unit]. coefficient: K, in unit/√s."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -95,12 +97,12 @@ class RandomWalk:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Moves to the time [s] of a segment's first node."""
+        """Advances the walk to the time [s] of a segment's first node."""
         self.value += self.coefficient * math.sqrt(max(0.0, time - self.time)) * draw.standard_normal()
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The walk at `nodes` nodes [unit], `step` s apart, beginning at the present node."""
+        """The walk [unit] at the next `nodes` nodes, which are `step` s apart; the first is the present node."""
         if self.coefficient == 0.0:
             return np.zeros(nodes)
         walked = self.value + np.cumsum(self.coefficient * math.sqrt(step) * draw.standard_normal(nodes))
@@ -117,7 +119,7 @@ class RandomWalk:
 
 
 class GaussMarkov:
-    """A bias with the covariance σ²·exp(−|t − t'|/τ) [unit²]. sigma: σ, unit; tau: τ, s."""
+    """A bias with the covariance σ²·exp(−|t − t'|/τ) [unit²]. sigma: σ, in the output's unit; tau: τ, s."""
 
     def __init__(self, sigma: float, tau: float):
         self.sigma, self.tau = sigma, tau
@@ -125,7 +127,7 @@ class GaussMarkov:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Moves to the time [s] of a segment's first node, by the exact transition from the last node."""
+        """Advances the bias to the time [s] of a segment's first node, by the exact transition from its last node."""
         fresh = self.sigma * draw.standard_normal()
         if self.value is None:
             self.value = fresh
@@ -135,7 +137,7 @@ class GaussMarkov:
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The bias at `nodes` nodes [unit], `step` s apart, beginning with the present one."""
+        """The bias [unit] at the next `nodes` nodes, which are `step` s apart; the first is the present node."""
         from scipy.signal import lfilter
 
         assert self.value is not None
@@ -155,15 +157,15 @@ class GaussMarkov:
 
 
 class PulseCounter:
-    """An integrating output that counts: the remainder of a sample is carried to the next. step: size of a step of one sample,
-    output unit."""
+    """An integrating output that counts pulses: the remainder of a sample is carried to the next sample. step: smallest step of one
+    sample, in the output's unit."""
 
     def __init__(self, step: float):
         self.step = step
         self.left = 0.0
 
     def count(self, samples: Array) -> None:
-        """Replaces samples by whole steps."""
+        """Replaces the samples by whole multiples of the step, in place."""
         samples /= self.step
         samples[0] += self.left
         np.cumsum(samples, out=samples)
@@ -176,16 +178,19 @@ class PulseCounter:
 
 @dataclass(frozen=True, slots=True)
 class Readout:
-    """How one output is read: white noise `sigma` of one sample, counts of `resolution` (0 for none), clipped at ±`full_scale`."""
+    """How one output is read: with white noise of the standard deviation `sigma` for one sample, in counts of the size `resolution`
+    (0 for none), clipped at ±`full_scale`."""
 
     sigma: float
     resolution: float = 0.0
     full_scale: float = math.inf
 
     def samples(self, draw: np.random.Generator, level: Array, length: int, hold: int) -> Array:
-        """Readings (length,) around `level`, which has one value per sample, or (nodes,) values that apply to `hold` samples each.
+        """Draws readings (length,) around `level`, which has either one value per sample or (nodes,) values, each of which applies
+        to `hold` samples.
 
-        It is computed in pieces that fit the processor's cache, because a pass through memory takes as long as drawing the noise.
+        The readings are computed in pieces that fit the processor's cache, because a pass through memory takes as long as drawing
+        the noise.
         """
         out = np.empty(length)
         held = level.size != length
@@ -202,7 +207,8 @@ class Readout:
         return out
 
     def _fill(self, draw: np.random.Generator, part: Array, level: Array, hold: int) -> None:
-        """Fills the readings. All steps except the last are in counts, so that scaling to counts does not need a separate pass."""
+        """Fills the array `part` with readings. All steps except the last one work in counts, so that no separate pass is needed to
+        scale to counts."""
         counts = 1.0 / self.resolution if self.resolution > 0 else 1.0
         if self.sigma > 0:
             draw.standard_normal(out=part)

@@ -1,11 +1,11 @@
 """The virtual gimballed platform: three accelerometers on a stabilised element within gimbals, mounted rigidly on the virtual
 table.
 
-When caged, the element is fixed to the base with a random error for each caging. In navigation it is released and stays fixed in
-inertial space except for its drift. The attitude of the element is simulated; accelerometers and gimbal encoders follow from it.
-The estimators share no formula with this code.
+When caged, the element is fixed to the base, with an attitude error that is random for each caging. In navigation, the element is
+released and stays fixed in inertial space, except for its drift. The attitude of the element is simulated. The outputs of
+accelerometers and gimbal encoders follow from it. The estimators share no formula with this code.
 
-A ring of a rocking table has a random return error each time it comes to rest, its reading lags while it moves, and its servo
+A ring of a rocking table has a random return error each time it comes to rest. Its reading lags while the ring moves, and its servo
 drifts over minutes. The error of a multi-speed gimbal resolver has a period of a fraction of a turn.
 """
 
@@ -37,8 +37,8 @@ from planrunner.plan.units import STANDARD_GRAVITY
 class RingEncoders:
     """The readings of the table's ring encoders during one recording.
 
-    before, after: (k,), rad, deviation of each ring's position from its reading, before and after the ring has come to rest. lag:
-    time [s] by which a reading lags behind a moving ring. wander: random walk of the servos, rad/√s.
+    before, after: (k,), rad, deviation of each ring's position from its reading, before and after the ring has come to rest at the
+    end of the rocking. lag: time [s] by which a reading lags behind a moving ring. wander: random walk of the servos, rad/√s.
     """
 
     before: Array
@@ -55,7 +55,7 @@ class RingEncoders:
         return cls(before, after, lag, wander, np.zeros(rings))
 
     def read(self, course: Course, times: Array, step: float, draw: np.random.Generator) -> list[Array]:
-        """Indicated angles [rad] of each ring, outermost first, at `times`, which are `step` s apart."""
+        """The angles [rad] that the encoders show for each ring, the outermost first, at `times`, which are `step` s apart."""
         over = course.over if isinstance(course, Rocking) else math.inf
         readings = []
         for k, (angle, rate) in enumerate(course.follow(times)):
@@ -67,10 +67,11 @@ class RingEncoders:
 
 
 def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
-    """Outer, middle and inner gimbal angle [rad], each (n,), from the axes of base and element as rows, both (n, 3, 3).
+    """Outer, middle and inner gimbal angle [rad], each (n,). base, element: axes of the base and of the element as rows, both (n,
+    3, 3).
 
-    The outer gimbal turns about the base's x axis, the middle one about its own y, the inner one, which carries the element, about its
-    own z.
+    The outer gimbal turns about the x axis of the base, the middle gimbal about its own y axis, and the inner gimbal, which carries
+    the element, about its own z axis.
     """
     between = np.einsum("nij,nkj->nik", element, base)
     outer = np.arctan2(-between[:, 2, 1], between[:, 2, 2])
@@ -80,8 +81,8 @@ def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
 
 
 def resolver(angle: Array, error: float, speeds: int, phase: float) -> Array:
-    """The reading [rad] of a resolver with `speeds` electrical turns per mechanical turn, at an angle [rad]. error: amplitude of
-    its error [rad]."""
+    """The reading [rad] at `angle` [rad] of a resolver with `speeds` electrical turns per mechanical turn. error: amplitude of the
+    resolver's error [rad]."""
     return angle + error * np.sin(speeds * angle + phase)
 
 
@@ -179,10 +180,10 @@ class VirtualPlatform:
         return {"manufacturer": "planrunner", "model": "virtual stabilised platform"}
 
     def make_safe(self) -> None:
-        """Does nothing: the element may stay released, because its gimbals carry no load that could fall."""
+        """Does nothing: the element may remain released, because its gimbals carry no load that could fall."""
 
     def close(self) -> None:
-        """Does nothing: there are no open resources."""
+        """Does nothing, because there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return {
@@ -203,13 +204,14 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """The random generator for one caging (number 0: the platform as built), separate from the generators of the segments."""
+        """The random generator for one caging (number 0 is the platform as built); it is independent of the generators of the
+        segments."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )
 
     def _cage(self) -> None:
-        """The attitude after caging: level within the dead region, and in azimuth within the repeatability of the caging."""
+        """Cages the element: it is level within the dead region, and its azimuth has the repeatability of the caging."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]
         up = base[:, 2]
@@ -228,7 +230,7 @@ class VirtualPlatform:
         return DriftLaw(constant, rectified, p.random_walk.value, p.caging.leaving_time.value)
 
     def _accelerations(self, times: Array, axes: Array, rate: float, draw: np.random.Generator) -> list[Array]:
-        """Readings [g] of the accelerometers, each (n,)."""
+        """Readings (n,) [g] of each accelerometer."""
         p = self.parameters.accelerometers
         arm = [item.value for item in self.parameters.lever_arm]
         force = self.world.site.specific_force_enu + shaking(self.world, times, arm)
@@ -242,7 +244,7 @@ class VirtualPlatform:
         return [readout.samples(draw, levels[:, k], times.size, 1) for k in range(3)]
 
     def _input_axes(self) -> Array:
-        """The accelerometers' input axes as rows in the element's axes, (3, 3): rotated about one axis, then about the other."""
+        """The accelerometers' input axes (3, 3) as rows in axes of the element; each is rotated about one axis, then about another."""
         q = self.parameters.accelerometers.installation
         x, y, z = np.eye(3)
         turns = (
@@ -255,7 +257,7 @@ class VirtualPlatform:
     def _encoders(
         self, times: Array, step: float, base: Array, axes: Array, rings: RingEncoders, draw: np.random.Generator
     ) -> dict[str, Array]:
-        """Readings [deg] of gimbals and rings, each (n,)."""
+        """Readings (n,) [deg] of each gimbal and ring."""
         p = self.parameters
         readings = {}
         for name, angle, phase in zip(GIMBALS, gimbal_angles(base, axes), self.phases, strict=True):
@@ -267,11 +269,11 @@ class VirtualPlatform:
 
 
 def _count(parameters: VirtualPlatformParameters) -> float:
-    """One count of an accelerometer [m/s^2]."""
+    """The size of one count of an accelerometer [m/s^2]."""
     p = parameters.accelerometers
     return 2 * RANGES[p.range] * STANDARD_GRAVITY / float(2**p.bits)
 
 
 def _counted(angle: Array, resolution: float) -> Array:
-    """Angles rounded to whole counts of `resolution` [rad]; converted from rad to degrees."""
+    """Angles [rad], rounded to whole counts of `resolution` [rad], in degrees."""
     return np.degrees(np.rint(angle / resolution) * resolution if resolution > 0 else angle)

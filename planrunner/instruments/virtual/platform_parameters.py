@@ -1,4 +1,4 @@
-"""Keys of the virtual platform in bench files."""
+"""Keys of the virtual platform in the bench file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def _each(kind: Kind, description: str, example: str, default: str) -> Quantity:
 
 
 class Rates(Record):
-    """A rate about each axis of the stabilised element."""
+    """Keys for a rate about each axis of the stabilised element."""
 
     x: Quantity = _each(QuantityOf("angular rate"), "About x.", "0.3 deg/h", "0 deg/h")
     y: Quantity = _each(QuantityOf("angular rate"), "About y.", "-0.2 deg/h", "0 deg/h")
@@ -21,7 +21,7 @@ class Rates(Record):
 
 
 class DriftByRocking(Record):
-    """Drift that rocking causes: proportional to the square of the base's angular rate."""
+    """Keys for the drift that rocking causes, which is proportional to the square of the base's angular rate."""
 
     rms_rate: Quantity = key(
         QuantityOf("angular rate", "positive"),
@@ -34,7 +34,7 @@ class DriftByRocking(Record):
 
 
 class Caging(Record):
-    """Errors after caging and release."""
+    """Keys for the errors after caging and release."""
 
     dead_region: Quantity = _each(
         QuantityOf("angle", "not negative"),
@@ -59,7 +59,8 @@ class Caging(Record):
 
 
 class InstallationAngles(Record):
-    """Rotation of each accelerometer's input axis about the other two axes, right-handed: xz is the x accelerometer about z."""
+    """Keys for the rotation of each accelerometer's input axis about the other two axes, right-handed; xz means the x accelerometer
+    about z."""
 
     xz: Quantity = _each(QuantityOf("angle"), "x accelerometer about z.", "12 arcsec", "0 arcsec")
     xy: Quantity = _each(QuantityOf("angle"), "x accelerometer about y.", "-8 arcsec", "0 arcsec")
@@ -70,7 +71,7 @@ class InstallationAngles(Record):
 
 
 class QuartzAccelerometers(Record):
-    """The three quartz accelerometers on the stabilised element."""
+    """Keys of the three quartz accelerometers on the stabilised element."""
 
     range: str = key(Choice(("1.25 g", "20 g")), "Range of the current converter.", "1.25 g", default="1.25 g")
     bits: int = key(
@@ -103,7 +104,7 @@ class QuartzAccelerometers(Record):
 
 
 class GimbalEncoders(Record):
-    """Multi-speed resolvers on the gimbals."""
+    """Keys of the multi-speed resolvers on the gimbals."""
 
     resolution: Quantity = _each(
         QuantityOf("angle", "not negative"), "Smallest step; 0 for no quantisation.", "1 arcsec", "0 arcsec"
@@ -115,7 +116,7 @@ class GimbalEncoders(Record):
 
 
 class TableEncoders(Record):
-    """The rings of the rocking table, recorded with the platform, and the errors of their readings."""
+    """Keys of the ring encoders of the rocking table, which are recorded with the platform, and of their errors."""
 
     resolution: Quantity = _each(
         QuantityOf("angle", "not negative"), "Smallest step; 0 for no quantisation.", "0.4 arcsec", "0 arcsec"
@@ -136,7 +137,7 @@ class TableEncoders(Record):
 
 
 class VirtualPlatformParameters(Record):
-    """A simulated gimballed platform on the virtual table, with a known truth."""
+    """Keys of a simulated gimballed platform on the virtual table, whose true parameters are known."""
 
     drift: Rates = key(
         RecordOf(Rates), "Constant drift of the stabilised element.", {"x": "0.3 deg/h"}, default_factory=Rates
