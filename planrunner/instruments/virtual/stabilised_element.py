@@ -1,10 +1,11 @@
-"""The stabilised element of a virtual platform: caged to the base, then released and fixed in inertial space apart from its drift.
+"""The stabilised element of a virtual platform: it is caged to the base, then released and fixed in inertial space except for its
+drift.
 
-In element axes the drift angle is the sum of a constant rate, a rate caused by rocking, a random walk, and a transient after
-caging: during the first minute the element leaves the dead region of the levelling loops. Rocking causes drift through
-rectification: the servos transmit a fraction of the base's motion about every axis, and two such motions with a phase difference
-cause a steady rate that is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1). This rate is
-modelled as proportional to the square of the base's angular rate.
+In axes of the element, the drift angle is the sum of a constant rate, a rate caused by rocking, a random walk, and a transient
+after caging: during the first minute, the element leaves the dead region of the levelling loops. Rocking causes drift by
+rectification. The servos transmit a fraction of the base's motion about every axis, and two such motions with a phase difference
+cause a steady rate that is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1). In the
+model, this rate is proportional to the square of the base's angular rate.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ CATCH_UP = 100.0  # Hz, with which the time between two recordings is followed
 
 @dataclass(frozen=True, slots=True)
 class DriftLaw:
-    """The drift of the element. constant: rad/s. rectified: s, drift rate per squared angular rate of the base. random_walk:
-    rad/√s. leaving: s, time constant with which the element leaves the levelling dead region after it was released."""
+    """Coefficients of the drift of the stabilised element. constant: constant drift rate, rad/s. rectified: drift rate divided by
+    the square of the base's angular rate, s. random_walk: coefficient of the random walk, rad/√s. leaving: time constant with which
+    the element leaves the dead region of the levelling loops after its release, s."""
 
     constant: Array
     rectified: Array
@@ -38,9 +40,9 @@ class DriftLaw:
 class Element:
     """State of the element since it was caged or released.
 
-    caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: time of release, s; None while caged.
-    axes: (3, 3), rows in East-North-Up when released. left: (3,), rad, total rotation while the element leaves the dead region.
-    drifted: (3,), rad, drift angle at the time `at` [s].
+    caged: rotation vector (3,) [rad] from the base to the element while caged, in axes of the base. released: time of release, s;
+    None while caged. axes: (3, 3), axes of the element at its release, as rows in East-North-Up. left: (3,), rad, total rotation by
+    which the element leaves the dead region. drifted: (3,), rad, drift angle at the time `at` [s].
     """
 
     caged: Array
@@ -51,7 +53,8 @@ class Element:
     at: float = 0.0
 
     def release(self, world: World, left: Array) -> Element:
-        """Releases the element, which is then fixed in inertial space. left: its rotation while it leaves the dead region."""
+        """Releases the element, which is then fixed in inertial space except for its drift. left: rotation vector (3,) by which the
+        element leaves the dead region, rad."""
         if self.released is not None:
             return self
         now = world.now()
@@ -59,11 +62,11 @@ class Element:
         return Element(self.caged, now, axes, left, np.zeros(3), now)
 
     def _held(self, base: Array) -> Array:
-        """The element's axes (n, 3, 3) while caged: the axes of the base (n, 3, 3), rotated by `caged`."""
+        """The axes (n, 3, 3) of the caged element: the axes of the base (n, 3, 3), rotated by `caged`."""
         return np.stack([turn_by(base[:, :, k], -self.caged) for k in range(3)], axis=2)
 
     def advance(self, world: World, time: float, law: DriftLaw, draw: np.random.Generator) -> Element:
-        """The element at a later time [s], at which a recording begins."""
+        """The state of the element at a later time [s], at which a recording begins."""
         walk = draw.standard_normal(3)
         if self.released is None or self.drifted is None or time <= self.at:
             return self
@@ -77,10 +80,10 @@ class Element:
     def follow(
         self, world: World, times: Array, step: float, base: Array, law: DriftLaw, draw: np.random.Generator
     ) -> tuple[Array, Element]:
-        """The element's axes as rows in East-North-Up, shape (n, 3, 3), at `times`, which begin at `at` and are `step` s apart; and
-        the element after these times.
+        """Returns the axes of the element at `times` as rows in East-North-Up, shape (n, 3, 3), and the state of the element after
+        these times. `times` start at `at` and are `step` s apart.
 
-        base: (n, 3, 3), the base's axes at the same times.
+        base: (n, 3, 3), axes of the base at the same times.
         """
         if self.released is None or self.axes is None or self.left is None or self.drifted is None:
             return self._held(base), self

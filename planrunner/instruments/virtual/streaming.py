@@ -1,4 +1,4 @@
-"""Output of a simulated sensor's samples in blocks of limited size, synchronous with the clock of its bench."""
+"""Output of a simulated sensor's samples in blocks of limited size, in step with the clock of the bench."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ _SAMPLES = np.arange(BLOCK + 1, dtype=float)
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """The sampling of one segment's dwell.
+    """How the dwell of one segment is sampled.
 
-    start: s, when it begins; rate: Hz; count: number of samples in all blocks; hold: number of samples in about one second, during
-    which slow changes of the sensor are held constant; size: number of samples in a block, a multiple of `hold`.
+    start: start time of the dwell, s; rate: sample rate, Hz; count: number of samples in all blocks; hold: number of samples in
+    about one second, within which slow quantities of the sensor are held constant; size: number of samples in a block, a multiple
+    of `hold`.
     """
 
     start: float
@@ -36,7 +37,8 @@ class Sampling:
 
     @classmethod
     def of(cls, world: World, segment: Segment, sensor: SensorModel) -> Sampling:
-        """The sampling of a dwell that begins now. Raises `InstrumentError` if the sensor cannot be sampled in this way."""
+        """Makes the sampling of a dwell that begins now. Raises `InstrumentError` if the dwell is not planned or the sensor cannot
+        be sampled at the requested rate."""
         if segment.dwell is None:
             raise InstrumentError(
                 f"'{segment.label}' has the dwell 'recorded', which is only possible with a recording"
@@ -57,12 +59,13 @@ class Sampling:
             yield block
 
     def times(self, first: int, length: int, delay: int = 0) -> Array:
-        """Times [s] of samples first … first + length − 1. delay: 0 for the beginning of the sampling interval, 1 for its end."""
+        """The times [s] of the samples first … first + length − 1. delay: 0 for the start of the sampling intervals, 1 for their
+        end."""
         time: Array = _SAMPLES[delay : length + delay] / self.rate
         time += self.start + first / self.rate
         return time
 
     def middles(self, first: int, length: int) -> Array:
-        """Times [s] of the middle of each group of `hold` samples."""
+        """The times [s] in the middle of each group of `hold` samples."""
         middle: Array = np.arange(0.5, -(-length // self.hold)) * self.hold
         return self.start + (first + middle) / self.rate

@@ -1,5 +1,4 @@
-"""The virtual position/rate table: one to three axes with limits, a pointing error at every orientation and a rate
-error.
+"""The virtual position/rate table: one to three axes with limits; a pointing error at every orientation, and a rate error.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ CLOCK_ROUNDING = 1e-6  # s; a clock that adds up sleeps may stop short of a time
 
 
 class VirtualTableParameters(TableKeys):
-    """A simulated table."""
+    """Keys of a simulated table."""
 
     position_error: Quantity = key(
         QuantityOf("angle", "not negative"),
@@ -135,7 +134,7 @@ class VirtualTable:
         self.end_motion()
 
     def close(self) -> None:
-        """Does nothing: there are no open resources."""
+        """Does nothing, because there are no open resources."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         return self.world.motion_state()
@@ -171,7 +170,7 @@ class VirtualTable:
         return self._set_course(rocking, record)
 
     def pointing_error(self, attitude: Array) -> Array:
-        """A small rotation that depends only on the seed and the commanded attitude."""
+        """A small random rotation, which depends only on the seed and the commanded attitude."""
         size = self.parameters.position_error.value
         if size == 0.0:
             return np.eye(3)
@@ -180,7 +179,7 @@ class VirtualTable:
         return rotation_about(tuple(vector / angle), angle)
 
     def rate_error(self, rate: float) -> float:
-        """The relative error of a rate [rad/s]. It depends only on the seed and the rate."""
+        """The relative error of a commanded rate [rad/s]. It depends only on the seed and the rate."""
         size = self.parameters.rate_error.value
         return size * float(self._drawn(np.rint(np.array([rate]) * 1e9).astype(np.int64), 1)[0]) if size else 0.0
 

@@ -1,9 +1,9 @@
-"""Temperatures of the virtual world: the chamber's air, which lags behind a ramped setpoint, and the sensor, which lags behind the
-air.
+"""Temperatures of the virtual world: the air of the chamber lags behind the setpoint, which changes at a limited rate, and the
+sensor lags behind the air.
 
-The setpoint r moves linearly to its target, then stays. Air T and sensor S are first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T
-− S)/τ_s. They are solved in closed form from the moment of the last command, so the result at a given moment is bit-identical,
-whatever the number of earlier queries.
+The setpoint r changes linearly to its target and then stays there. The air temperature T and the sensor temperature S are
+first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T − S)/τ_s. Both are solved in closed form from the moment of the last command,
+so the result for a given moment is identical to the bit, whatever the number of earlier queries.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from planrunner.base.dataclass import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Lags:
-    """Dynamics of setpoint, air and sensor. ramp: rate of the setpoint, K/s; air, sensor: time constants, s."""
+    """Rates of change of the setpoint, the air and the sensor. ramp: rate of change of the setpoint, K/s; air, sensor: time
+    constants, s."""
 
     ramp: float
     air: float
@@ -27,7 +28,7 @@ class Lags:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """State at the moment of a command. start: time of the command, s; target: final value of the setpoint; temperatures in K."""
+    """The temperatures [K] at the moment of a command. start: time of the command, s; target: final value of the setpoint."""
 
     start: float
     setpoint: float
@@ -41,7 +42,7 @@ class Command:
 
 
 def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Array, Array]:
-    """Setpoint, air and sensor temperature [K] at `times` [s, not before the command]."""
+    """Temperatures [K] of setpoint, air and sensor at `times` [s], which must not be before the command."""
     elapsed = np.asarray(times, dtype=float) - command.start
     change = command.target - command.setpoint
     ramping = abs(change) / lags.ramp
@@ -60,8 +61,8 @@ def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Arr
 def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
     """Time [s] after the command until the air stays within `tolerance` [K] of the target.
 
-    After the ramp the distance of the air from the target decays exponentially; it can be within the tolerance before the ramp ends
-    only if the whole change is no larger than the tolerance.
+    After the ramp, the difference between the air and the target decays exponentially. Before the end of the ramp, the air can be
+    within the tolerance only if the whole change is no larger than the tolerance.
     """
     if abs(command.target - command.setpoint) <= tolerance and abs(command.target - command.air) <= tolerance:
         return 0.0
@@ -72,7 +73,7 @@ def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
 
 
 def _follow(lags: Lags, origin: float, slope: float, air: float, sensor: float, elapsed: Array) -> tuple[Array, Array]:
-    """Air and sensor temperature for the setpoint origin + slope·t, from their values at t = 0."""
+    """Temperatures of air and sensor after the times `elapsed`, from their initial values, for the setpoint origin + slope·t."""
     slow = lags.sensor if abs(lags.sensor - lags.air) > 1e-6 * lags.air else lags.air * (1 + 1e-6)
     air_off = air - (origin - slope * lags.air)
     shared = air_off * lags.air / (lags.air - slow)

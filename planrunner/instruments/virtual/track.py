@@ -1,9 +1,9 @@
-"""Tracks: position and motion of a simulated carrier on the Earth, and the stimulus of a level bench on it.
+"""Tracks: position and motion of a simulated carrier on the Earth, and the inertial rate and specific force of a level bench on it.
 
-The carrier keeps its height. There are two exact tracks: a line of constant heading over the ellipsoid, with the distance measured
-along the ellipsoid; or a great circle of the ellipsoid's normals, at the angular rate that gives the distance on a sphere of the
-Earth's mean radius. Velocity, acceleration, Earth rate and transport rate follow from latitude and longitude as functions of time
-by differentiation in closed form.
+The carrier does not change its height. There are two kinds of tracks, both exact. One is a line of constant heading over the
+ellipsoid; distances are measured along the ellipsoid. The other is a great circle of the ellipsoid's normals; its angular rate
+gives the distance on a sphere with the Earth's mean radius. Velocity, acceleration, Earth rate and transport rate are derived from
+latitude and longitude, as functions of time, by differentiation in closed form.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ _ALONG_PARALLEL = 1e-12  # cosine of a heading below which the track keeps its l
 
 @dataclass(frozen=True, slots=True)
 class TrackProgress:
-    """Distance covered along a track. The carrier starts at `start` [s] and reaches `speed` [m/s] at constant acceleration within
-    `speed_up` [s]. If `period` [s] is given, the velocity is speed·sin(2π·t/period)."""
+    """The distance that a carrier has covered along its track. The carrier starts at the time `start` [s] and, with constant
+    acceleration, reaches `speed` [m/s] within `speed_up` [s]. If `period` [s] is given, its velocity is speed·sin(2π·t/period)
+    instead, where t counts from the start."""
 
     speed: float
     start: float = 0.0
@@ -57,8 +58,8 @@ class TrackProgress:
 
 @dataclass(frozen=True, slots=True)
 class CarrierPlace:
-    """Position of the carrier: latitude and longitude [rad] with their first and second time derivatives, and the bench's heading
-    [rad clockwise from north] with its first time derivative."""
+    """Position of the carrier: latitude and longitude [rad] with their first and second time derivatives; heading of the bench
+    [rad, clockwise from north] with its first time derivative."""
 
     latitude: Array
     longitude: Array
@@ -72,8 +73,8 @@ class CarrierPlace:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A track over the Earth. latitude, longitude, heading: rad, at the start; height: m; aligned: whether the bench turns with the
-    heading."""
+    """A track over the Earth. latitude, longitude, heading: values at the start, rad; height: in m; aligned: True if the bench
+    turns with the heading."""
 
     latitude: float
     longitude: float
@@ -85,17 +86,17 @@ class Track:
 
     @property
     def pace(self) -> float:
-        """Largest rate of change of the phases of the stimulus, rad/s."""
+        """The largest rate of change of the phases in the stimulus that the carrier causes, rad/s."""
         turning = 2 * math.pi / self.progress.period if self.progress.period is not None else 0.0
         return turning + 2 * self.progress.speed / (ellipsoid.MEAN_RADIUS * math.cos(POLAR))
 
     def stretches(self, stretch: Stretch) -> list[Stretch]:
-        """The smooth stretches of another motion, further divided at the times when the carrier's acceleration jumps."""
+        """Divides an interval of smooth motion of the table at the times when the acceleration of the carrier jumps."""
         times = [stretch.begin, *(t for t in self.progress.breaks if stretch.begin < t < stretch.end), stretch.end]
         return [Stretch(first, last, stretch.pace + self.pace) for first, last in pairwise(times)]
 
     def place(self, times: Array) -> CarrierPlace:
-        """The position of the carrier at `times` [s]. Raises `InstrumentError` near a pole."""
+        """The position of the carrier at `times` [s]. Raises `InstrumentError` if the carrier comes near a pole."""
         place = self._on_great_circle(times) if self.great_circle else self._on_rhumb_line(times)
         if float(np.max(np.abs(place.latitude))) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"
@@ -105,14 +106,15 @@ class Track:
         return place
 
     def velocity(self, place: CarrierPlace) -> tuple[Array, Array]:
-        """Velocity to the east and to the north [m/s]."""
+        """Velocities of the carrier to the east and to the north [m/s]."""
         meridian, parallel = self._radii(place.latitude)
         return place.longitude_rate * parallel, place.latitude_rate * meridian
 
     def felt(self, times: Array, earth_rate: float) -> tuple[Vector, Vector]:
-        """Inertial rate [rad/s] and specific force [m/s^2] of the bench along its own East-North-Up axes, whose north is its heading.
+        """Inertial rate [rad/s] and specific force [m/s^2] of the bench, in its own East-North-Up axes, whose north is the heading
+        of the bench.
 
-        In true axes: f = v̇ + (2·Ω + ω_en) × v − g.
+        In true East-North-Up axes: f = v̇ + (2·Ω + ω_en) × v − g.
         """
         place = self.place(times)
         sine, cosine = np.sin(place.latitude), np.cos(place.latitude)
@@ -135,7 +137,7 @@ class Track:
         return _in_bench(rate, place.heading), _in_bench(force, place.heading)
 
     def _radii(self, latitude: Array) -> tuple[Array, Array]:
-        """Length [m] of one radian of latitude and of longitude at the carrier's height."""
+        """The lengths [m] of one radian of latitude and of one radian of longitude at the height of the carrier."""
         meridian: Array = ellipsoid.meridian_radius(latitude) + self.height
         parallel: Array = (ellipsoid.normal_radius(latitude) + self.height) * np.cos(latitude)
         return meridian, parallel
@@ -156,8 +158,8 @@ class Track:
         return CarrierPlace(latitude, longitude, *rates, self.heading if self.aligned else 0.0, 0.0)
 
     def _on_great_circle(self, times: Array) -> CarrierPlace:
-        """The position on a great circle. With the normal n = n₀·cos σ + d₀·sin σ: sin φ = n_z, and cos²φ·λ̇ = (n × ṅ)_z does not
-        depend on the place."""
+        """The place of the carrier on a great circle. With the normal n = n₀·cos σ + d₀·sin σ: sin φ = n_z, and cos²φ·λ̇ = (n ×
+        ṅ)_z is, for a given σ̇, the same at every place."""
         distance, speed, acceleration = (item / ellipsoid.MEAN_RADIUS for item in self.progress.follow(times))
         normal, forward = self._great_circle_axes()
         cosine, sine = np.cos(distance), np.sin(distance)
@@ -183,7 +185,7 @@ class Track:
         )
 
     def _great_circle_axes(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """The ellipsoid's normal at the start and the direction in which it moves; longitudes count from the start."""
+        """The ellipsoid's normal n₀ at the start and the direction d₀ in which it moves; longitudes count from the start."""
         sine, cosine = math.sin(self.latitude), math.cos(self.latitude)
         north, east = math.cos(self.heading), math.sin(self.heading)
         return (cosine, 0.0, sine), (-sine * north, east, cosine * north)
@@ -192,8 +194,8 @@ class Track:
 def _rhumb_rates(
     latitude: Array, speed: Array, acceleration: Array, along: float, across: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Rates and accelerations of latitude and longitude on a line of constant heading. along: cosine of the heading; across: its
-    sine."""
+    """First and second time derivatives of latitude and longitude on a line of constant heading. along: cosine of the heading;
+    across: its sine."""
     meridian = ellipsoid.meridian_radius(latitude)
     parallel = ellipsoid.normal_radius(latitude) * np.cos(latitude)
     north, east = speed * along, speed * across
@@ -207,7 +209,7 @@ def _rhumb_rates(
 
 
 def _in_bench(v: Vector, heading: Value) -> Vector:
-    """Components in axes that are rotated by `heading` clockwise about the vertical."""
+    """Components of a vector in axes that are rotated clockwise by `heading` about the vertical."""
     if isinstance(heading, float) and heading == 0.0:
         return v
     cosine, sine = np.cos(heading), np.sin(heading)

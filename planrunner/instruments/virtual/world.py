@@ -1,7 +1,7 @@
-"""The virtual world: attitude of the table, temperatures, and the input of a sensor at any time.
+"""The virtual world: attitude of the table, temperatures, and input of the sensor at any time.
 
-It depends only on the last command and on the time since then, not on the number of queries, so that a resumed run equals an
-uninterrupted one bit for bit. The drivers change it; the sensor reads it.
+It depends only on the last command and the time since then, not on the number of queries. A resumed run is therefore identical to
+an uninterrupted one, to the bit. The drivers of table and chamber change the world; the sensor reads it.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(slots=True)
 class World:
-    """The state of the virtual bench. axes: axes of the table, outermost first, empty without a table. skew: (3, 3), small rotation
-    from the platform to the sensor's axes; it is the table's pointing error at the commanded orientation. steady_at: time [s] at
-    which the commanded motion is reached. track: track of the carrier that moves the bench over the Earth; None if the bench does
-    not move. added: effects added to the sensor's declared errors."""
+    """The state of the virtual bench. axes: axes of the table, the outermost first; empty if there is no table. skew: (3, 3), small
+    rotation from the platform of the table to the axes of the sensor; it is the pointing error of the table at the commanded
+    orientation. steady_at: time [s] at which the commanded motion has been reached. track: track of the carrier that moves the
+    bench over the Earth; None if the bench does not move. added: effects that are added to the declared errors of the sensor."""
 
     clock: Clock
     site: Site
@@ -50,7 +50,7 @@ class World:
 
     @classmethod
     def of(cls, surroundings: Surroundings) -> World:
-        """The world that the drivers of one bench share; the first call makes it."""
+        """The world that all drivers of a bench share; the first call makes it."""
         if isinstance(surroundings.world, World):
             return surroundings.world
         world = cls(surroundings.clock, surroundings.site, surroundings.seed, surroundings.real_time)
@@ -63,21 +63,21 @@ class World:
     # -- motion --------------------------------------------------------------------------------------------------------
 
     def joints(self, time: float) -> tuple[Array, Array]:
-        """Joint angles [rad] and rates [rad/s] at one time, each (n,)."""
+        """Joint angles [rad] and rates [rad/s] at one time, each (number of axes,)."""
         followed = self.course.follow(np.array([time]))
         angles, rates = zip(*followed, strict=True) if followed else ((), ())
         return np.array([float(np.ravel(v)[0]) for v in angles]), np.array([float(np.ravel(v)[0]) for v in rates])
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
-        """The stretches between two times in which the stimulus of the sensor is smooth."""
+        """The intervals between two times within which the stimulus of the sensor is smooth."""
         stretches = self.course.stretches(begin, end)
         track = self.track
         return stretches if track is None else [part for item in stretches for part in track.stretches(item)]
 
     def stimulus(self, times: Array) -> tuple[Components, Components]:
-        """Inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes at `times`; floats if nothing moves.
+        """Inertial rate [rad/s] and specific force [m/s^2] along the axes of the sensor at `times`; floats if nothing moves.
 
-        Site vectors are transformed inwards axis by axis, v ← R(−q)·v, and each joint adds its own rate along its axis.
+        Vectors of the site are transformed inwards axis by axis, v ← R(−q)·v; each joint adds its own rate along its axis.
         """
         rate, force = (self._towards_the_table(vector) for vector in self._of_the_bench(times))
         for axis, (angle, turning) in zip(self.axes, self.course.follow(times), strict=True):
@@ -88,7 +88,7 @@ class World:
         return self._skewed(rate), self._skewed(force)
 
     def _of_the_bench(self, times: Array) -> tuple[Components, Components]:
-        """Inertial rate and specific force of the bench itself in its East-North-Up axes."""
+        """Inertial rate and specific force of the bench itself, in its East-North-Up axes."""
         if self.track is not None:
             return self.track.felt(times, self.site.earth_rate)
         (a, b, c), (x, y, z) = self.site.earth_rate_enu.tolist(), self.site.specific_force_enu.tolist()
@@ -105,7 +105,8 @@ class World:
     # -- position ------------------------------------------------------------------------------------------------------
 
     def position(self, times: Array) -> tuple[Value, Value, Value, Value, Value]:
-        """Geodetic latitude, longitude [rad], height [m], velocity east and north [m/s] at `times`; floats if the bench does not move."""
+        """Geodetic latitude and longitude [rad], height [m], and velocity east and north [m/s] at `times`; floats if the bench does
+        not move."""
         if self.track is None:
             return self.site.on_ellipsoid.latitude, self.site.longitude, self.site.height, 0.0, 0.0
         place = self.track.place(times)
@@ -114,15 +115,15 @@ class World:
     # -- temperature ---------------------------------------------------------------------------------------------------
 
     def air(self, times: Array) -> Array:
-        """Temperature of the chamber's air [K]."""
+        """Temperature [K] of the air in the chamber at `times`."""
         return thermal.temperatures(self.command, self.lags, times)[1]
 
     def sensor(self, times: Array) -> Array:
-        """Temperature of the sensor [K]."""
+        """Temperature [K] of the sensor at `times`."""
         return thermal.temperatures(self.command, self.lags, times)[2]
 
     def head_for(self, kelvin: float) -> None:
-        """Changes the setpoint to a temperature, beginning now."""
+        """Starts a change of the setpoint to a temperature."""
         now = self.now()
         setpoint, air, sensor = (float(v[0]) for v in thermal.temperatures(self.command, self.lags, np.array([now])))
         self.command = thermal.Command(now, setpoint, air, sensor, kelvin)
@@ -145,7 +146,7 @@ class World:
 
 
 def _turned(axis: tuple[float, float, float], angle: Value, v: Components) -> Components:
-    """Components of a vector in a frame that is rotated by `angle` about `axis` (Rodrigues with −angle)."""
+    """Components of a vector in a frame that is rotated by `angle` about `axis` (Rodrigues' formula with −angle)."""
     if isinstance(angle, float) and angle == 0.0:
         return v
     c, s = (np.cos(angle), np.sin(angle)) if isinstance(angle, np.ndarray) else (math.cos(angle), math.sin(angle))

@@ -1,2 +1,2 @@
-"""Common parts of drivers of real instruments: links, serial streams, framing, checksums and clocks. Nothing here is specific to a
-vendor."""
+"""Parts that drivers of real instruments share: links, serial streams, framing, checksums and clocks. Nothing here is specific to a
+manufacturer."""

@@ -1,9 +1,9 @@
-"""Checksums of frames: cyclic redundancy checks of up to 32 bits, sums and exclusive-or, over many frames in one call.
+"""Checksums of frames: cyclic redundancy checks (CRC) of up to 32 bits, sums and exclusive-or, for many frames in one call.
 
-Every check is a polynomial division in the upper part of a 32-bit register. CRC-8, CRC-16 and CRC-32 therefore use one kernel with
-different tables. Each step processes eight bytes ("slicing by 8": Kounavis and Berry, A systematic approach to building high
-performance, software-based CRC generators, ISCC 2005). If all frames have the same length, every byte position has a separate
-table, so that no byte depends on the preceding one.
+A CRC is a polynomial division; it is computed in the upper part of a 32-bit register. CRC-8, CRC-16 and CRC-32 therefore use one
+kernel with different tables. Each step processes eight bytes ("slicing by 8": Kounavis and Berry, A systematic approach to building
+high performance, software-based CRC generators, ISCC 2005). If all frames have the same length, every byte position has a table of
+its own, so that bytes can be processed independently of each other.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ _ALL = 0xFFFFFFFF
 
 @dataclass(frozen=True)
 class Checksum:
-    """A method to check bytes; its value has `width` bits.
+    """A method to compute a check value of `width` bits from bytes.
 
-    kind: CRC, SUM (of bytes, mod 2^width), NEGATIVE_SUM (the value that makes the sum zero) or XOR. polynomial (without its leading
-    one), initial, reflected (least significant bit first) and final (exclusive-or at the end) describe a CRC as catalogues do.
+    kind: CRC, SUM (of bytes, mod 2^width), NEGATIVE_SUM (the value with which the sum becomes zero) or XOR. For a CRC, the
+    following fields are defined as in catalogues of CRCs: polynomial (without its leading one), initial, reflected (least
+    significant bit first) and final (exclusive-or at the end).
     """
 
     kind: int
@@ -37,7 +38,7 @@ class Checksum:
 
     @cached_property
     def tables(self) -> NDArray[np.uint32]:
-        """Tables (8, 256): row k contains, for each byte value, the remainder of this byte followed by k zero bytes."""
+        """Tables (8, 256). Row k contains, for each byte value, the remainder of this byte followed by k zero bytes."""
         rows = np.zeros((8, 256), np.uint32)
         top = self.polynomial << (32 - self.width)
         for byte in range(256):
@@ -51,9 +52,9 @@ class Checksum:
         return rows
 
     def by_position(self, length: int, padding: int = 0) -> tuple[NDArray[np.uint32], int]:
-        """Tables for a CRC of exactly `length` bytes followed by `padding` zero bytes. Returns a table (length, 256) and a constant. The
-        CRC is the exclusive-or of the constant and of one entry for each byte: the entry in row k whose index is the value of byte k.
-        This holds because a division of polynomials is linear."""
+        """A table and a constant for the CRC of exactly `length` bytes followed by `padding` zero bytes. The table has the shape
+        (length, 256). The CRC is the exclusive-or of the constant and of one entry for each byte: for byte k, the entry of row k
+        whose index is the value of the byte. This works because the division of polynomials is linear."""
         rows = np.zeros((length, 256), np.uint32)
         lowest, initial = self.tables[0], np.array([(self.initial << (32 - self.width)) & _ALL], np.uint32)
         registers = lowest
@@ -76,8 +77,8 @@ class Checksum:
         return int(value(np.frombuffer(data, np.uint8), 0, len(data), 0, *self.arguments))
 
     def over(self, data: Bytes, starts: NDArray[np.int64], length: int, padding: int = 0) -> NDArray[np.uint32]:
-        """The check values of `length` bytes from each of `starts`, as if `padding` zero bytes followed. The result has the shape
-        of `starts`."""
+        """The check values of `length` bytes from each start in `starts`, as if `padding` zero bytes followed. The result has the
+        shape of `starts`."""
         from planrunner.instruments.wire.kernels import values
 
         found: NDArray[np.uint32] = values(data, starts, length, padding, *self.arguments)
@@ -85,12 +86,12 @@ class Checksum:
 
     @property
     def arguments(self) -> tuple[int, int, NDArray[np.uint32], int, bool, int]:
-        """Arguments for the kernels."""
+        """The fields as arguments of the compiled kernels."""
         return self.kind, self.width, self.tables, self.initial, self.reflected, self.final
 
 
 def _mirrored(numbers: NDArray[np.uint32], bits: int) -> NDArray[np.uint32]:
-    """The numbers with their lowest `bits` bits in reverse order."""
+    """The numbers with the order of their lowest `bits` bits reversed."""
     found = np.zeros_like(numbers)
     for bit in range(bits):
         found |= ((numbers >> np.uint32(bit)) & np.uint32(1)) << np.uint32(bits - 1 - bit)

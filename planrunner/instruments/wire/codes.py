@@ -1,4 +1,4 @@
-"""Codes for kinds of checksum, rules of framing and kinds of number in compiled kernels."""
+"""Codes that stand for kinds of checksums, rules of framing and kinds of numbers in compiled kernels."""
 
 from __future__ import annotations
 

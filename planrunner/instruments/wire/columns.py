@@ -14,9 +14,9 @@ from planrunner.instruments.wire.framing import Frames
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A number at `offset` of every frame: number × scale. kind: UNSIGNED or SIGNED with a `width` of 1 to 8 bytes, FLOAT with 4 or
-    8, or FRACTION_FIRST (32 bits of fraction, then 16 of the integer). Numbers are exact up to 53 bits; with `whole_numbers`, up to
-    64."""
+    """A number at the byte `offset` of every frame. Its value is the encoded number multiplied by `scale`. kind: UNSIGNED or SIGNED
+    with a `width` of 1 to 8 bytes; FLOAT with a width of 4 or 8; or FRACTION_FIRST (32 bits of the fraction, then 16 bits of the
+    integer). Integers are exact up to 53 bits; with `whole_numbers`, up to 64 bits."""
 
     offset: int
     width: int
@@ -26,7 +26,7 @@ class Field:
 
 
 def numbers(frames: Frames, fields: Sequence[Field]) -> NDArray[np.float64]:
-    """The values of the fields in all frames, shape (fields, frames)."""
+    """The scaled values of the fields in all frames, shape (fields, frames)."""
     from planrunner.instruments.wire.kernels import scaled
 
     places = np.array([(item.offset, item.width, item.kind, item.little) for item in fields], np.int64).reshape(-1, 4)
@@ -36,7 +36,7 @@ def numbers(frames: Frames, fields: Sequence[Field]) -> NDArray[np.float64]:
 
 
 def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
-    """The values (n,) of an integer field, unscaled; unsigned values of eight bytes wrap at 2⁶³."""
+    """The values (n,) of an integer field without its scale; unsigned values of eight bytes wrap at 2⁶³."""
     from planrunner.instruments.wire.kernels import bits
 
     found: NDArray[np.int64] = bits(
@@ -46,7 +46,8 @@ def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
 
 
 def alike(frames: Frames, places: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether each frame has the same bytes as the first frame at `places` [bytes from its start]. All frames must be long enough."""
+    """For each frame, whether its bytes at `places` are those of the first frame; places count from the start of a frame. Every
+    frame must be long enough to contain all places."""
     from planrunner.instruments.wire import kernels
 
     found: NDArray[np.bool_] = kernels.alike(frames.data, frames.starts, places)

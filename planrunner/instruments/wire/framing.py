@@ -1,8 +1,8 @@
-"""Finds frames in a stream of bytes: sync, length, checksum. It resynchronises and counts bytes that are not part of a frame.
+"""Finds frames in a stream of bytes by their sync, length and checksum. Bytes that are not part of a frame are skipped and counted.
 
-A frame is valid if its checksum is correct. If an expected frame is missing or its checksum is wrong, a corrupt frame is counted
-and the search continues one byte later, so that a frame after a false sync is never skipped. The data kept between two calls are
-shorter than the longest frame.
+A frame is valid if its checksum is correct. If the checksum of a frame is wrong, or no frame is at an expected place, a corrupt
+frame is counted. The search then continues one byte later, so that a frame after a false sync is never skipped. The bytes that are
+kept between two calls are shorter than the longest frame.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ MOST_TABLES = 256  # of one KiB each: more would not stay close to the processor
 
 @dataclass(frozen=True)
 class Framing:
-    """Format of frames.
+    """The format of the frames in a stream.
 
-    sync: the first bytes of a frame. rule: FIXED (`longest` bytes), XBUS (a length byte at offset 3, or FF there and two more
-    bytes; at most `longest` bytes), LINE (up to a line feed, at most `longest` bytes). trailer: bytes that may follow a frame. The
-    checksum covers the frame from byte `covered_from` up to the checksum, with `padding` zero bytes appended. It is in the last
-    `check_bytes`, low byte first if `little`. In a LINE the checksum covers the text between `$` and `*`, and follows `*` as two
-    hexadecimal digits.
+    sync: the first bytes of a frame. rule: FIXED means that every frame has `longest` bytes. XBUS means that the length is in the
+    byte at offset 3 or, if this byte is FF, in the next two bytes. LINE means that a frame ends with a line feed. Frames of the
+    last two rules have at most `longest` bytes. trailer: bytes that may follow a frame. The checksum covers the frame from the byte
+    `covered_from` up to the checksum, followed by `padding` zero bytes. It is in the last `check_bytes` bytes of the frame, low
+    byte first if `little` is True. In a LINE, the checksum covers the text between `$` and `*`; it follows `*` as two hexadecimal
+    digits.
     """
 
     sync: bytes
@@ -44,7 +45,7 @@ class Framing:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes as they arrived. received: time [s], by the bench's clock, at which the bytes had been read."""
+    """Bytes that arrived together. received: time [s by the bench's clock] at which they had been read."""
 
     received: float
     data: bytes
@@ -52,8 +53,8 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Good frames in `data`. For each frame: its start, its length, and the time of receipt [s], which is the time when its last
-    byte had been read minus its time on the line. All have the shape (n,)."""
+    """The good frames in `data`. starts, lengths: (n,), start and length of each frame; received: (n,), s, time at which the last
+    byte of each frame had been read, minus the time that the frame takes on the line."""
 
     data: Bytes
     starts: NDArray[np.int64]
@@ -64,14 +65,15 @@ class Frames:
         return int(self.starts.size)
 
     def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Frames:
-        """A selection of these frames."""
+        """The selected frames."""
         return Frames(self.data, self.starts[chosen], self.lengths[chosen], self.received[chosen])
 
 
 @dataclass
 class Framer:
-    """Takes pieces of a stream and returns the complete frames. byte_time: time of a byte on the line, s. good, corrupt: number of
-    frames; skipped: number of bytes outside frames; length: mean number of bytes per frame in the last call that found frames."""
+    """Takes pieces of a stream and returns the frames that they complete. byte_time: time that a byte takes on the line, s. good,
+    corrupt: number of good and of corrupt frames; skipped: number of bytes outside frames; length: mean number of bytes per frame
+    in the last call that found frames."""
 
     framing: Framing
     byte_time: float = 0.0
@@ -88,7 +90,7 @@ class Framer:
         self._positions = _positions(self.framing)
 
     def push(self, pieces: Sequence[Piece]) -> Frames:
-        """The frames that these pieces complete, in order."""
+        """Returns the frames that these pieces complete, in order."""
         from planrunner.instruments.wire.kernels import find
 
         parts = [piece.data for piece in pieces]
@@ -115,7 +117,7 @@ class Framer:
         return Frames(data, starts, lengths, received)
 
     def _arrivals(self, pieces: Sequence[Piece], ends: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Times of receipt of the pieces that end these frames."""
+        """For each frame, the time at which the piece that contains its last byte had been read."""
         if len(pieces) == 1:
             return np.full(ends.size, pieces[0].received)
         behind = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])
@@ -125,8 +127,8 @@ class Framer:
 
 @lru_cache(maxsize=32)
 def _positions(framing: Framing) -> tuple[NDArray[np.uint32], int]:
-    """A table for each byte that the check covers, if all frames have the same length and a CRC (see `Checksum.by_position`);
-    otherwise empty."""
+    """The tables of `Checksum.by_position` for the bytes that the checksum covers; empty unless all frames have the same length and
+    a CRC."""
     covered = framing.longest - framing.check_bytes - framing.covered_from
     if framing.rule != FIXED or framing.checksum.kind != CRC or not 0 < covered <= MOST_TABLES:
         return np.empty((0, 256), np.uint32), 0

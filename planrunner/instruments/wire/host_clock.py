@@ -1,10 +1,10 @@
-"""Times of samples, computed from a sensor's counter and from the times at which the computer read its frames.
+"""Times of samples, computed from the counter of a sensor and from the times at which the computer read its frames.
 
-A frame is never read early, but may be read late, because of buffers and the operating system. The line of the counter on the
-computer's clock is therefore the highest line below all readings, an edge of their lower convex hull (Moon, Skelly and Towsley,
-Estimation and removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization
-algorithms for network measurements, INFOCOM 2002). A constant delay cannot be determined in this way; transmission time and the
-latency reported by the sensor are subtracted before."""
+A frame cannot be read early, but buffers and the operating system can delay the reading. The line that relates the counter to the
+computer's clock is therefore the highest line below all readings, which is an edge of their lower convex hull (Moon, Skelly and
+Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock
+synchronization algorithms for network measurements, INFOCOM 2002). A constant delay cannot be found in this way; the transmission
+time and the latency that the sensor reports are subtracted before."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ FORESTALLED = 1.0
 
 @dataclass(frozen=True, slots=True)
 class FrameCounter:
-    """The counter of a sensor: `tick` s per count, `step` counts per frame, restarting at `modulus`. A sensor without a counter has
-    the modulus 1. Only interruptions of the stream can then be detected."""
+    """The counter of a sensor: a count lasts `tick` s, a frame takes `step` counts, and the counter restarts at `modulus`. For a
+    sensor without a counter, the modulus is 1. Then lost frames are detected only if they interrupt the stream."""
 
     tick: float
     step: float = 1.0
@@ -48,17 +48,17 @@ class FrameCounter:
 
     @property
     def interval(self) -> float:
-        """Seconds between frames."""
+        """The time between two frames [s]."""
         return self.tick * self.step
 
 
 @dataclass
 class Unwrapping:
-    """Extends the counter beyond its modulus, however many complete periods were lost during a silence.
+    """Extends a counter beyond its modulus, even if complete periods of the counter were lost during a silence.
 
-    After a silence, an additional full period of the counter may be possible. Either the computer slept, and the delays of reading
-    become as small as before; or frames were lost, and the delays stay larger. This is decided after `PATIENCE` seconds of
-    readings.
+    After a silence, it can be open whether one more period of the counter has passed. Either the computer slept, and the delays of
+    reading then become as small as before; or frames were lost, and the delays remain larger. `PATIENCE` seconds of readings decide
+    which is true.
     """
 
     counter: FrameCounter
@@ -71,9 +71,9 @@ class Unwrapping:
     _floor: float = math.nan
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
-        """Indices (counts since the first frame) of all frames for which they can be decided; of all frames if `final`. The other
-        frames must be passed again, together with those that follow. received: s; raw: the counter's values; shapes (n,). Raises
-        `InstrumentError` if the counter was reset."""
+        """The indices (counts since the first frame) of the first frames, as far as they can be decided; of all frames if `final`
+        is True. Frames whose index is not returned must be passed again, together with the frames that follow. received: (n,),
+        times of reading, s; raw: (n,), values of the counter. Raises `InstrumentError` if the counter was reset."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):
@@ -105,8 +105,8 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """Raises an error if the counter has jumped ahead, because the times of frames after the jump would be later than those of
-        frames that still arrive. delay: delays of reading, s, up to a constant."""
+        """Raises `InstrumentError` if the counter has jumped ahead, because it then counts frames as sent later than they were
+        read. delay: delays of reading, s, relative to a common constant."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"
@@ -115,7 +115,7 @@ class Unwrapping:
             )
 
     def _steps(self, raw: Whole) -> Whole:
-        """Counts between frames; a small step back is negative."""
+        """The counts between successive frames; negative if the counter has stepped back a little."""
         if self.counter.modulus == 1:
             return np.ones(raw.size, np.int64)
         steps: Whole = np.mod(np.diff(raw, prepend=self._raw), self.counter.modulus)
@@ -124,7 +124,7 @@ class Unwrapping:
         return steps
 
     def _lowest(self, received: Array, index: Whole) -> float:
-        """The smallest delay in the last second, s, up to a constant."""
+        """The smallest delay of reading in the last second, s, relative to a common constant."""
         delay = received - index * self.counter.tick
         recent = float(np.min(delay[received >= received[-1] - self.haste]))
         return (
@@ -134,9 +134,9 @@ class Unwrapping:
 
 @dataclass
 class HostClock:
-    """The line of a counter on the computer's clock. skew: relative, positive if the sensor's ticks are longer than nominal; the
-    initial value applies until there are enough readings. usual_delay (median), worst_delay: delays of reading the frames relative
-    to the line, s."""
+    """The line that relates a counter to the computer's clock. skew: relative skew, positive if the ticks of the sensor are longer
+    than nominal; the initial value applies until there are enough readings. usual_delay, worst_delay: median and largest delay of
+    reading frames relative to the line, s."""
 
     counter: FrameCounter
     skew: float = 0.0
@@ -148,8 +148,8 @@ class HostClock:
     _last: tuple[int, float] | None = None
 
     def stamp(self, index: Whole, received: Array) -> Array:
-        """Times (n,) in s, strictly increasing with the indices, also from one call to the next. index: increasing; received: s,
-        minus all known delays."""
+        """The times (n,) of samples, s. They increase strictly with the indices, also from one call to the next. index: (n,),
+        increasing; received: (n,), times of reading minus all known delays, s."""
         if index.size == 0:
             return np.empty(0)
         nominal = index.astype(float) * self.counter.tick
@@ -184,7 +184,7 @@ class HostClock:
             self._offset = min(delay - self.skew * when for when, delay in self._points)
 
     def _keep(self, nominal: float, delay: float) -> None:
-        """Keeps the smallest delay of every window."""
+        """Keeps only the smallest delay of every window."""
         window = WINDOW * self.haste
         if self._points and nominal // window == self._points[-1][0] // window:
             if delay < self._points[-1][1]:
@@ -194,8 +194,9 @@ class HostClock:
 
 
 def line_under(points: Array) -> tuple[float, float]:
-    """Slope and offset of the line that lies below all points (n, 2) and is closest to them on average. It contains the edge of
-    their lower convex hull whose range of abscissae includes the mean abscissa. Abscissae must increase."""
+    """Slope and offset of the line that lies below all points (n, 2) and is, on average, closest to them. The line contains an edge
+    of the lower convex hull of the points: the one above whose range of abscissae the mean abscissa lies. The abscissae must
+    increase."""
     hull: list[tuple[float, float]] = []
     for x, y in points.tolist():
         while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]) >= (y - hull[-2][1]) * (

@@ -1,10 +1,10 @@
-"""Compiled operations on every byte of a stream: checksums, the search for frames, conversion of fields to columns.
+"""Compiled operations on every byte of a stream: computing checksums, searching for frames, converting fields to columns.
 
-Shapes and meanings are documented in the functions of `checksums`, `framing` and `columns` that call these kernels. This module
-imports numba, so it is imported only when there are bytes to process.
+The functions of `checksums`, `framing` and `columns` that call these kernels document the shapes and meanings of the arguments.
+This module imports numba, so it is imported only when there are bytes to process.
 
-numba compiles a function once for each set of argument types, and a literal number in a call has its own type (`Literal[int](0)`).
-Such numbers are therefore written `np.int64(0)`: every function is compiled once.
+numba compiles a function once for each combination of argument types, and a literal number in a call has a type of its own
+(`Literal[int](0)`). Such numbers are therefore written `np.int64(0)`, so that every function is compiled only once.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _word(data, place, little):  # type: ignore[no-untyped-def]
-    """Four bytes as a number. place: unsigned, so numba need not check for a negative index."""
+    """Four bytes, combined to a number. place: must be unsigned, so that numba need not check for a negative index."""
     first, second = np.uint32(data[place]), np.uint32(data[place + np.uintp(1)])
     third, fourth = np.uint32(data[place + np.uintp(2)]), np.uint32(data[place + np.uintp(3)])
     if little:
@@ -52,8 +52,8 @@ def _word(data, place, little):  # type: ignore[no-untyped-def]
 
 @compiled()
 def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """The check value of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to
-    32 bits. An unsigned index avoids a check for negative values."""
+    """The check value of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are reduced
+    to 32 bits. With an unsigned index, numba does not check for negative values."""
     if kind == XOR:
         together = np.int64(0)
         for item in range(length):
@@ -112,7 +112,7 @@ def values(data, starts, length, padding, kind, width, tables, initial, reflecte
 
 @compiled()
 def _matches(data, place, pattern):  # type: ignore[no-untyped-def]
-    """1 if the pattern is at this place, 0 if it is not, −1 if the data end within it."""
+    """Returns 1 if the pattern is at this place, 0 if it is not, and −1 if the data end within the pattern."""
     for item in range(pattern.size):
         if place + item >= data.size:
             return -1
@@ -123,7 +123,7 @@ def _matches(data, place, pattern):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _length(data, place, rule, longest):  # type: ignore[no-untyped-def]
-    """Length in bytes of the frame that begins here; 0 if there is no frame, −1 if it is not known yet."""
+    """Length in bytes of the frame that begins at `place`; 0 if there is no frame, −1 if the data end before the length is known."""
     if rule == FIXED:
         return longest
     if rule == XBUS:
@@ -149,11 +149,11 @@ def _digit(byte):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
-    """Length in bytes of the line that begins here, as in `_length`, and the exclusive-or of all its bytes but the first. usual:
-    length of the preceding line; 0 if unknown.
+    """Length in bytes of the line that begins at `place`, as in `_length`, and the exclusive-or of all its bytes except the first.
+    usual: length of the previous line; 0 if unknown.
 
-    Lines usually have the same length as the preceding one. One loop with a known end, which can process many bytes at once, checks
-    whether this line has the same length. Otherwise the search for the end takes four bytes at a time, and the same loop follows.
+    Lines usually have the same length as the previous line. A loop with a known end, which can process many bytes at once, first
+    checks whether this is so. Otherwise the end of the line is searched for four bytes at a time, and then the same loop runs.
     """
     start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
     end, feed = start, np.uint8(LINE_FEED)
@@ -180,7 +180,7 @@ def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _summary(data, start, end):  # type: ignore[no-untyped-def]
-    """For data[start:end]: the exclusive-or, whether a byte is above 126, and whether there is a line feed."""
+    """For data[start:end]: the exclusive-or of the bytes, whether a byte is above 126, and whether a byte is a line feed."""
     together, strange, feeds, feed = np.uint8(0), np.uint8(0), np.uint8(0), np.uint8(LINE_FEED)
     for item in range(start, end):
         byte = data[np.uintp(item)]
@@ -192,7 +192,7 @@ def _summary(data, start, end):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _line_holds(data, place, length, together, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Checks the checksum of a line. together: exclusive-or of the line's bytes after the first one."""
+    """True if the checksum of a line is correct. together: exclusive-or of all bytes of the line except the first."""
     end = place + length - 1
     if data[end - 1] == CARRIAGE_RETURN:
         end -= 1
@@ -227,9 +227,10 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 
 @compiled()
 def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Starts and lengths of the good frames, the beginning of the remainder, the expected place of the next frame in the remainder
-    (-1: unknown), the number of corrupt frames and the number of skipped bytes. positions, base: for a CRC over frames of equal
-    length (`Checksum.by_position`), otherwise (0, 256) and 0."""
+    """Finds frames. Returns their starts and lengths (good frames only), the start of the bytes that remain, the place in these
+    bytes at which the next frame is expected (-1: unknown), the number of corrupt frames, and the number of skipped bytes.
+    positions, base: table and constant for a CRC over frames of equal length (`Checksum.by_position`); otherwise an array of the
+    shape (0, 256), and 0."""
     rule, longest, expected = shape
     covered_from, _, size, little = check
     covered = positions.shape[0]
@@ -285,7 +286,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
 
 @compiled()
 def alike(data, starts, places):  # type: ignore[no-untyped-def]
-    """Whether each frame has the same bytes at `places` as the first frame."""
+    """For each frame, whether its bytes at `places` are those of the first frame."""
     found = np.ones(starts.size, np.bool_)
     for frame in range(starts.size):
         for item in range(places.size):
@@ -341,8 +342,8 @@ def scaled(data, starts, places, scales):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no-untyped-def]
-    """Converts floats. The bits are collected first and converted to numbers afterwards: each of these loops is simple enough to
-    process several frames at a time."""
+    """Converts fields of the kind FLOAT. The bits are collected first and converted to numbers afterwards, because each of these
+    two loops is simple enough to process several frames at a time."""
     if width == 4:
         words = np.empty(starts.size, np.uint32)
         for frame in range(starts.size):
@@ -361,11 +362,12 @@ def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no
 
 @compiled()
 def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
-    """The decimal numbers after the commas of lines, up to `*`; and whether each line has exactly as many as `out` has rows. A
-    number may have at most 15 digits: it is a whole number divided by a power of ten, and therefore rounded once.
+    """The decimal numbers that follow the commas of each line, up to `*`; and whether each line contains exactly as many numbers as
+    `out` has rows. A number may have at most 15 digits: it is computed as a whole number divided by a power of ten, so it is
+    rounded only once.
 
-    Each line ends with a line feed, as `find` returns it. A line feed is neither comma nor asterisk, sign, point or digit, so every
-    search ends there.
+    Each line must end with a line feed, as in the result of `find`. A line feed is not a comma, asterisk, sign, point or digit, so
+    every search ends there.
     """
     good = np.zeros(starts.size, np.bool_)
     rows, one, zero, ten = out.shape[0], np.uintp(1), np.uint8(48), np.uint8(10)

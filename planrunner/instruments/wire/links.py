@@ -1,10 +1,10 @@
-"""Requests and replies of a message-based instrument: GPIB, USB, TCP or a serial line, through PyVISA.
+"""Requests to a message-based instrument and its replies, over GPIB, USB, TCP or a serial line, through PyVISA.
 
-Each resource has only one exchange at a time. A failed link is closed before it is used again, and unread data are discarded before
-a request, so that a late reply is never taken for the reply to the next request. Nothing waits longer than its time-out. PyVISA is
-imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
+On each resource, only one exchange takes place at a time. A failed link is closed before it is used again, and unread data are
+discarded before a request. A late reply is therefore never taken for the reply to the next request. No operation waits longer than
+its time-out. PyVISA is imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
 
-The bench keys for the connection and identification of such an instrument are declared here too.
+This module also declares the keys in the bench file for the connection and the identification of such an instrument.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ _making = threading.Lock()
 
 
 def lock_of(address: str) -> threading.RLock:
-    """The lock of a resource. Every link to the resource in this process uses the same lock."""
+    """The lock of a resource. All links to the resource in this process use the same lock."""
     with _making:
         return _locks.setdefault(address, threading.RLock())
 
 
 class AnswerFraming(Protocol):
-    """How the end of an answer is detected."""
+    """Detects the end of an answer."""
 
     def read(self, incoming: Incoming) -> bytes:
-        """The next answer, without its framing."""
+        """Reads the next answer; returns it without its framing."""
 
 
 @dataclass(frozen=True, slots=True)
 class LineAnswers:
-    """The framing in which every answer is a line."""
+    """The framing in which every answer is one line."""
 
     end: bytes = b"\n"
 
@@ -63,9 +63,10 @@ class LineAnswers:
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """Settings of a link. address: VISA resource name. timeout: s, for opening and for an answer. sent_end: text appended to every
-    message. pace: minimum time between two messages, s. baud: baud rate of a serial line. tries: number of attempts for a request
-    that may be repeated. idle: characters that may arrive without a request, such as a prompt, and are discarded without a remark."""
+    """Settings of a link. address: VISA name of the resource. timeout: longest time to open the link and to wait for an answer, s.
+    sent_end: text appended to every message. pace: minimum time between two messages, s. baud: baud rate of a serial line. tries:
+    number of attempts for a request that may be repeated. idle: characters, such as a prompt, that may arrive without a request and
+    are then discarded without a remark."""
 
     address: str
     timeout: float = 2.0
@@ -77,11 +78,12 @@ class LinkSettings:
 
 
 class LinkFailure(Exception):  # noqa: N818 - reported to users as an InstrumentError
-    """An exchange that failed. In messages, its text follows the resource name."""
+    """Reports that an exchange failed. In a message, its text follows the name of the resource."""
 
 
 class Wire(Protocol):
-    """The part of a PyVISA resource that is used here. timeout: ms; baud_rate and bytes_in_buffer: only of a serial line."""
+    """The part of a PyVISA resource that this module uses. timeout: in ms; baud_rate, bytes_in_buffer: exist only for a serial
+    line."""
 
     timeout: float
     read_termination: str | None
@@ -97,7 +99,7 @@ class Wire(Protocol):
 
 @dataclass(slots=True)
 class Incoming:
-    """The received bytes until `deadline` [monotonic s]. got: the data received until now."""
+    """The data that a resource sends until the time `deadline` [s, monotonic clock]. got: data received so far."""
 
     resource: Wire
     deadline: float
@@ -106,7 +108,7 @@ class Incoming:
     got: bytearray = field(default_factory=bytearray)
 
     def until(self, end: bytes) -> bytes:
-        """The bytes before `end`."""
+        """Reads until `end`; returns the bytes before it."""
         if self.whole:
             self.got += self.resource.read_raw()
             return bytes(self.got).removesuffix(end)
@@ -116,14 +118,14 @@ class Incoming:
         return bytes(self.got[start : -len(end)])
 
     def exactly(self, count: int) -> bytes:
-        """The next `count` bytes."""
+        """Reads the next `count` bytes."""
         start = len(self.got)
         while len(self.got) < start + count:
             self._byte()
         return bytes(self.got[start:])
 
     def until_quiet(self, seconds: float) -> bytes:
-        """All data until a silence of the given length; waits for the first byte until the deadline."""
+        """Reads until nothing arrives for the given time; waits for the first byte until the deadline."""
         self._byte()
         _wait_at_most(self.resource, seconds)
         with contextlib.suppress(_nothing_came()):
@@ -148,9 +150,10 @@ _REFUSED = (
 
 
 class MessageLink:
-    """Requests and replies. Every failure is an `InstrumentError` that names the resource, the request and what to check.
+    """Exchanges requests and replies with an instrument. Every failure is an `InstrumentError` that names the resource, the request
+    and what to check.
 
-    The link opens itself when it is first used and again after a failure.
+    The link is opened when it is first used, and again after a failure.
     """
 
     def __init__(self, settings: LinkSettings, framing: AnswerFraming | None = None):
@@ -163,16 +166,17 @@ class MessageLink:
         self._remarks: deque[str] = deque(maxlen=MOST_REMARKS)
 
     def write(self, *texts: str) -> None:
-        """Sends a message without reply. It is not repeated, because it is unknown how much of it arrived."""
+        """Sends messages that have no reply. A message is not repeated, because it is unknown how much of it arrived."""
         with self._held(f"'{texts[-1]}'"):
             self._once(texts, None)
 
     def query(
         self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: AnswerFraming | None = None
     ) -> str:
-        """The answer to `text`, without terminator and blanks. after: commands sent immediately before it. again: whether the
-        request may be repeated on a new connection if there is no answer; not allowed for commands that change the instrument.
-        framing: framing of this answer, if it differs from that of other answers."""
+        """Sends `text` and returns the answer, without its terminator and without blanks at its ends. after: commands that are sent
+        immediately before `text`. again: True if the request may be repeated on a new connection when there is no answer; must be
+        False for commands that change the instrument. framing: framing of this answer, if it differs from the framing of other
+        answers."""
         tries = self.settings.tries if again and not after else 1
         with self._held(f"'{text}'"):
             for left in reversed(range(tries)):
@@ -186,18 +190,19 @@ class MessageLink:
         raise AssertionError("unreachable")
 
     def remarks(self) -> list[str]:
-        """Unusual events since the last call."""
+        """Descriptions of unusual events since the last call."""
         told = list(self._remarks)
         self._remarks.clear()
         return told
 
     def doubt(self) -> None:
-        """Restarts the link as after a failure, because the received data do not answer the request and the reply may still arrive."""
+        """Restarts the link as after a failure. This is necessary if the received data do not answer the request, because the reply
+        may still arrive."""
         with self._lock:
             self._give_up()
 
     def close(self) -> None:
-        """Releases the resource. May be called twice."""
+        """Releases the resource. It may be called twice."""
         resource, self._resource = self._resource, None
         if resource is not None:
             with contextlib.suppress(Exception):  # a dead link cannot be closed politely
@@ -207,7 +212,7 @@ class MessageLink:
 
     @contextlib.contextmanager
     def _held(self, asked: str) -> Iterator[None]:
-        """Holds the link for one exchange. A failed exchange raises `InstrumentError`, as does a resource that stays busy."""
+        """Reserves the link for one exchange. Raises `InstrumentError` if the exchange fails or the resource stays busy."""
         address = self.settings.address
         patience = self.settings.tries * 3 * self.settings.timeout
         if not self._lock.acquire(timeout=patience):
@@ -220,7 +225,7 @@ class MessageLink:
             self._lock.release()
 
     def _once(self, texts: Sequence[str], framing: AnswerFraming | None) -> bytes:
-        """Sends a request and reads one answer with `framing`. Raises `LinkFailure` with the link closed."""
+        """Sends a request; if `framing` is given, also reads one answer. On a failure, closes the link and raises `LinkFailure`."""
         incoming: Incoming | None = None
         settings = self.settings
         try:
@@ -270,7 +275,7 @@ class MessageLink:
         return self._resource
 
     def _give_up(self) -> None:
-        """Closes the link, so that data in transit are not read later."""
+        """Closes the link, so that data that are still on the way are not read later."""
         resource, self._disturbed = self._resource, True
         if resource is not None and _marks_ends(self.settings.address):
             with contextlib.suppress(Exception):
@@ -278,7 +283,7 @@ class MessageLink:
         self.close()
 
     def _drop_rests(self, resource: Wire) -> None:
-        """Discards unread data that nobody requested."""
+        """Discards unread data that were not requested."""
         if self.settings.address.startswith("ASRL") and not resource.bytes_in_buffer:
             return
         _wait_at_most(resource, GLANCE)
@@ -295,8 +300,8 @@ class MessageLink:
             raise LinkFailure(f"sends data without a request ({shown(rests[:40])}…): {_GARBAGE}")
 
     def _await_silence(self, resource: Wire) -> None:
-        """Waits until a serial line is silent. After a failure, the line must be silent for a time-out before the next request,
-        because late data may still arrive."""
+        """Waits until a serial line is silent for the length of a time-out. This is necessary after a failure, because late data
+        may still arrive."""
         if not self.settings.address.startswith("ASRL"):
             return
         end = time.monotonic() + 3 * self.settings.timeout
@@ -322,7 +327,7 @@ class MessageLink:
 
 
 class LinkedCommands:
-    """Base of the commands of a controller that is reached through one link."""
+    """Base of the commands of a controller that has one link."""
 
     link: MessageLink
 
@@ -334,20 +339,20 @@ class LinkedCommands:
 
 
 def shown(data: bytes | bytearray) -> str:
-    """Bytes as text for a message."""
+    """Shows bytes as text in a message."""
     cut = bytes(data[:60])
     text = repr(cut)[1:]
     return text if len(data) <= len(cut) else f"{text}…"
 
 
 def _wait_at_most(resource: Wire, seconds: float) -> None:
-    """Sets the time-out of the next read, if it changes."""
+    """Sets the time-out of the next read, unless it is already set."""
     if abs(resource.timeout - seconds * 1000) > 0.5:
         resource.timeout = seconds * 1000
 
 
 def _marks_ends(address: str) -> bool:
-    """Whether the bus marks the end of a message; a TCP stream and a serial line do not."""
+    """True if the bus marks the end of a message; this is not so for a TCP stream and a serial line."""
     upper = address.upper()
     return not (upper.startswith("ASRL") or upper.endswith("::SOCKET"))
 
@@ -362,8 +367,8 @@ def _manager() -> Any:
 
 
 def _count_steadily() -> None:
-    """Makes PyVISA-py use the monotonic clock for its time-outs. It would otherwise use the computer's clock. If that clock were
-    set back during a request, the time-out would be extended accordingly."""
+    """Makes PyVISA-py use the monotonic clock for its time-outs. By default it uses the computer's clock: if that clock is set back
+    during a request, the time-out becomes longer."""
     steady = SimpleNamespace(time=time.monotonic, sleep=time.sleep, perf_counter=time.perf_counter)
     for name in ("sessions", "tcpip", "protocols.rpc"):
         module = sys.modules.get(f"pyvisa_py.{name}")
@@ -372,7 +377,7 @@ def _count_steadily() -> None:
 
 
 def _nothing_came() -> type[Exception]:
-    """The exceptions with which the backends report a time-out."""
+    """The exception with which the backends report a time-out."""
     from pyvisa.errors import VisaIOError
 
     return VisaIOError
@@ -400,7 +405,7 @@ RESOURCE = (
 
 
 class LinkKeys(Record):
-    """The keys of the connection to an instrument."""
+    """Keys for the connection to an instrument."""
 
     address: str = key(
         Text(

@@ -1,4 +1,4 @@
-"""Numbers from replies and for commands, with clear errors for replies without numbers."""
+"""Converts numbers in replies and in commands. A reply without a number leads to an error that explains the problem."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def numbers(link: MessageLink, request: str, count: int, framing: AnswerFraming | None = None) -> list[float]:
-    """The numbers in the answer to a request, separated by commas or semicolons. Raises `InstrumentError` if there are too few, or if one
-    is not a finite number; data that arrive later are then not used as the next answer."""
+    """The numbers in the answer to a request; they are separated by commas or semicolons. Raises `InstrumentError` if there are too
+    few numbers or if one is not finite. Data that arrive later are then not taken for the next answer."""
     reply = link.query(request, framing=framing)
     try:
         return parsed(reply, request, count, link.settings.address)
@@ -27,7 +27,7 @@ def number(link: MessageLink, request: str, framing: AnswerFraming | None = None
 
 
 def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
-    """The first `count` numbers of a reply."""
+    """The first `count` numbers in a reply."""
     parts = [part.strip() for part in re.split(r"[,;]", reply)[:count]]
     found = [float(part) for part in parts if NUMBER.fullmatch(part)]
     if len(found) < count or not all(map(math.isfinite, found)):
@@ -39,11 +39,11 @@ def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
 
 
 def identification(said: str) -> dict[str, str]:
-    """The four fields of an answer to `*IDN?` (IEEE 488.2, 10.14), or as many as it has."""
+    """The four fields of an answer to `*IDN?` (IEEE 488.2, 10.14), or as many as the answer contains."""
     return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
 
 
 def written(value: float) -> str:
-    """A number in the form that instruments read: no exponent, at most six decimals, no trailing zeros."""
+    """Writes a number in the form that instruments read: without exponent, with at most six decimals, without trailing zeros."""
     text = f"{value:.6f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text

@@ -1,7 +1,7 @@
-"""A serial port that streams: one thread reads in bulk into a limited ring buffer, and consumers take the bytes from it.
+"""A serial port that streams: a thread reads in bulk into a ring buffer of limited size, from which consumers take the bytes.
 
-pyserial reads a thousand times faster in bulk than byte by byte. Without a consumer the ring keeps only the newest bytes. With a consumer
-it keeps all bytes until it is full, and counts those that it must then drop.
+pyserial reads a thousand times faster in bulk than byte by byte. Without a consumer, the ring buffer keeps only the newest bytes.
+With a consumer, it keeps all bytes until it is full; it then drops and counts further bytes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MOST = 2**16
 
 
 class SerialPort(Protocol):
-    """The part of a pyserial port that is used here."""
+    """The part of a pyserial port that this module uses."""
 
     @property
     def in_waiting(self) -> int: ...
@@ -36,8 +36,8 @@ class SerialPort(Protocol):
 
 
 class Ring:
-    """Pieces of a stream between the thread that reads and the thread that takes them. `dropped`: bytes dropped because the buffer
-    was full."""
+    """A buffer for the pieces of a stream, between the thread that reads them and the thread that takes them. dropped: number of
+    bytes that were dropped because the buffer was full."""
 
     def __init__(self, capacity: int = CAPACITY):
         self.capacity = capacity
@@ -49,7 +49,7 @@ class Ring:
 
     @property
     def held(self) -> int:
-        """Number of waiting bytes."""
+        """The number of bytes in the buffer."""
         return self._held
 
     def put(self, piece: Piece) -> None:
@@ -63,14 +63,14 @@ class Ring:
                 self._held -= len(self._pieces.popleft().data)
 
     def take(self) -> Sequence[Piece]:
-        """All waiting bytes, oldest first."""
+        """Takes all bytes out of the buffer, the oldest first."""
         with self._lock:
             pieces, self._pieces, self._held = self._pieces, deque(), 0
         return pieces
 
     def follow(self, following: bool) -> None:
-        """Begins or ends following, in which a consumer receives all bytes. In both cases the waiting bytes are discarded. The
-        count of dropped bytes restarts when following begins."""
+        """Starts or ends the operation for a consumer, in which the buffer keeps all bytes. Either call discards the bytes in the
+        buffer. Starting also sets the number of dropped bytes to zero."""
         with self._lock:
             self._pieces, self._held, self._following = deque(), 0, following
             if following:
@@ -78,7 +78,8 @@ class Ring:
 
 
 class SerialStream:
-    """A serial port and the thread that reads it. name: name of the port, for messages; now: time [s] by the bench's clock."""
+    """A serial port and the thread that reads it. name: name of the port, used in messages; now: function that returns the time [s
+    by the bench's clock]."""
 
     def __init__(
         self, port: SerialPort, name: str, now: Callable[[], float], capacity: int = CAPACITY, bulk: bool = False
@@ -92,8 +93,8 @@ class SerialStream:
 
     @classmethod
     def open(cls, name: str, baud: int, now: Callable[[], float], capacity: int = CAPACITY) -> SerialStream:
-        """Opens a port. name: /dev/ttyUSB0, COM3, or a URL that pyserial knows, such as socket://host:port. Raises
-        `InstrumentError`."""
+        """Opens a port. name: name of the port, such as /dev/ttyUSB0 or COM3, or a URL that pyserial supports, such as
+        socket://host:port. Raises `InstrumentError` if the port cannot be opened."""
         import serial
 
         url = "://" in name
@@ -111,15 +112,15 @@ class SerialStream:
         return cls(port, name, now, capacity, bulk=url)
 
     def take(self) -> Sequence[Piece]:
-        """The bytes received since the last call. Raises `InstrumentError` if the port no longer exists and all earlier bytes have
-        been returned."""
+        """The bytes received since the last call. Raises `InstrumentError` if the port no longer exists and all bytes received
+        before have been returned."""
         pieces = self.ring.take()
         if not pieces and self._failure is not None:
             raise InstrumentError(self._failure)
         return pieces
 
     def write(self, data: bytes) -> None:
-        """Sends a command. Raises `InstrumentError`."""
+        """Sends a command. Raises `InstrumentError` if the port does not accept it."""
         try:
             self._port.write(data)
         except Exception as error:  # pyserial raises what the operating system does
@@ -128,7 +129,7 @@ class SerialStream:
             ) from None
 
     def close(self) -> None:
-        """Ends the thread and closes the port. May be called twice."""
+        """Ends the thread that reads, and closes the port. It may be called twice."""
         self._closing.set()
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout=2.0)
