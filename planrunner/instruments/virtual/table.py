@@ -1,5 +1,4 @@
-"""The virtual position/rate table: one to three axes with limits; a pointing error at every orientation, and a rate error.
-"""
+"""The virtual position/rate table: one to three axes with limits; a pointing error at every orientation, and a rate error."""
 
 from __future__ import annotations
 

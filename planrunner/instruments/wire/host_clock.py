@@ -194,9 +194,9 @@ class HostClock:
 
 
 def line_under(points: Array) -> tuple[float, float]:
-    """Slope and offset of the line that lies below all points (n, 2) and is, on average, closest to them. The line contains an edge
-    of the lower convex hull of the points: the one above whose range of abscissae the mean abscissa lies. The abscissae must
-    increase."""
+    """Slope and offset of the line that lies below all points (n, 2) and is, on average, closest to them. The line contains the
+    edge of the lower convex hull of the points whose range of abscissae contains the mean abscissa of all points. The abscissae
+    must increase."""
     hull: list[tuple[float, float]] = []
     for x, y in points.tolist():
         while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]) >= (y - hull[-2][1]) * (
