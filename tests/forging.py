@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from planrunner.archive.run_folder import RunWriter, Witness
-from planrunner.archive.run_reader import RunReader
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Rest, Segment
+from tests.archive.analyses import add_analysis
 
 MACHINERY = {".lock", ".origin"}
 """Files without evidence: the lock, and the mark of the computer."""
@@ -34,7 +34,7 @@ def write_run(root: Path, analyses: int = 2, bench: bytes = b"name: bench\n", wi
             writer.acknowledge(index + 1.0, {}, {})
         writer.finish()
     for number in range(analyses):
-        RunReader.open(writer.path).add_analysis({"results.json": b'{"x": %d}' % number, "summary.md": b"# x\n"})
+        add_analysis(writer.path, {"results.json": b'{"x": %d}' % number, "summary.md": b"# x\n"})
     return writer.path
 
 

@@ -252,7 +252,6 @@ HEAVY = (
     "numpy.random",
     "pint",
     "planrunner.estimators.analysis",
-    "planrunner.observation.left_out",
     "planrunner.observation.screening",
     "pyarrow",
     "pyvisa",

@@ -272,7 +272,7 @@ class RunWriter:
                 ) from None
             raise
 
-    # -- state of a reopened run @@@RULE------------------------------------------------------------------------------
+    # -- state of a reopened run ---------------------------------------------------------------------------------------
 
     @property
     def next_segment(self) -> int:

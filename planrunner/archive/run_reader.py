@@ -14,7 +14,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
-from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
+from planrunner.archive.analyses import Basis, StoredAnalysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
 from planrunner.archive.reading_progress import RowsRead
@@ -180,12 +180,6 @@ class RunReader:
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:
         """The samples of a segment in blocks of bounded size; all channels if `channels` is None."""
         return _blocks((SegmentData(self.folder, part) for part in item.parts), channels)
-
-    # -- analyses ------------------------------------------------------------------------------------------------------
-
-    def add_analysis(self, files: Mapping[str, bytes]) -> StoredAnalysis:
-        """Stores an analysis that was made from the data of this reader; see `analyses.add_analysis`."""
-        return add_analysis(self.folder, files, self.basis)
 
     # -- integrity -----------------------------------------------------------------------------------------------------
 

@@ -1,13 +1,81 @@
-"""The specification of a sensor: limits of its constant errors. A diagnosis compares its results with these limits."""
+"""The specification of a sensor: limits of its constant errors, as declared or as usual for its grade.
+
+A diagnosis compares its results with these limits. This comparison is necessary because the simulation fits biases and scale
+factors: even a very large value leaves no gap between simulation and measurement. If the bench file declares no limits, the usual
+limits of the sensor's grade apply.
+
+Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed.,
+2013, table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to
+1000 ppm, laser gyros below 100 ppm). consumer: data sheet PS-MPU-6000A-00, rev. 3.4, 2013, sections 6.1 and 6.2 (tolerances of
+zero-rate and zero-g output, sensitivity and cross-axis sensitivity). industrial: our judgement, between tactical and consumer, for
+factory-calibrated MEMS units. Noise: Groves, table 4.2, and data sheets of quiet units (ADIS16475: 0.15 deg/√h; MPU-6000: 0.005
+deg/s/√Hz, 400 µg/√Hz).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
 
-from planrunner.bench.grades import GRADE_NAMES, GRADES
 from planrunner.plan.kinds import Choice, Record, optional
 from planrunner.plan.model import SymmetricKind
 from planrunner.plan.quantity import Quantity, parse_symmetric
+
+
+class Sense(Enum):
+    """The quantity that a sensor measures, which decides which limits apply."""
+
+    RATE = "angular rate"
+    FORCE = "specific force"
+
+
+SENSES: Mapping[str, Sense] = MappingProxyType(
+    {
+        "gyro_bias": Sense.RATE,
+        "gyro_scale_factor": Sense.RATE,
+        "gyro_misalignment": Sense.RATE,
+        "accel_bias": Sense.FORCE,
+        "accel_scale_factor": Sense.FORCE,
+        "accel_misalignment": Sense.FORCE,
+    }
+)
+"""Terms of the nominal model that have limits."""
+
+
+@dataclass(frozen=True)
+class Grade:
+    """Usual limits of one grade. quietest: smallest usual white noise; for a gyro, the angle random walk in deg/√h, and for an
+    accelerometer, the one-sided density in µg/√Hz. usual: usual limit of each term in `SENSES`, in the order of `SENSES`."""
+
+    name: str
+    quietest: Mapping[Sense, float]
+    usual: tuple[str, ...]
+
+    def limits(self) -> Mapping[str, Quantity]:
+        """Maps each term of the nominal model to its upper limit."""
+        read = {name: parse_symmetric(text) for name, text in zip(SENSES, self.usual, strict=True)}
+        return {name: limit for name, limit in read.items() if limit is not None}
+
+
+def _grade(name: str, walk: float, density: float, *usual: str) -> Grade:
+    return Grade(name, MappingProxyType({Sense.RATE: walk, Sense.FORCE: density}), usual)
+
+
+GRADES = (
+    _grade("navigation", 0.0, 0.0, "±0.1 deg/h", "±0.01 %", "±0.06 deg", "±1 mg", "±0.1 %", "±0.06 deg"),
+    _grade("tactical", 0.005, 5.0, "±100 deg/h", "±0.1 %", "±0.06 deg", "±10 mg", "±0.1 %", "±0.06 deg"),
+    _grade("industrial", 0.05, 15.0, "±0.5 deg/s", "±1 %", "±0.5 deg", "±30 mg", "±1 %", "±0.5 deg"),
+    _grade("consumer", 0.15, 60.0, "±20 deg/s", "±3 %", "±1.15 deg", "±80 mg", "±3 %", "±1.15 deg"),
+)
+"""From the best to the loosest."""
+GRADE_NAMES = tuple(grade.name for grade in GRADES)
+
+
+def grade_of(sense: Sense, noise: float) -> Grade:
+    """The lowest grade in which sensors with such low noise are usual. noise: the white noise in the unit of `Grade.quietest`."""
+    return next(grade for grade in reversed(GRADES) if grade.quietest[sense] <= noise)
 
 
 class Specification(Record):

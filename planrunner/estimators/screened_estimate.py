@@ -14,7 +14,7 @@ from planrunner.archive.recording import Find, FindKind, RecordedSegment
 from planrunner.base.said import Inserted, Said, said
 from planrunner.estimators.interface import Estimate, EstimationError, UnfitDataError
 from planrunner.estimators.tables import Cell, Role, Table, TableColumn, by_columns
-from planrunner.observation.left_out import rows_of, without_bad
+from planrunner.observation.screening import rows_of, without_bad
 
 NAMED = 3  # finds in a sentence
 LISTED = 100  # finds in a table

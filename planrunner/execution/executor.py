@@ -23,8 +23,7 @@ from planrunner.execution.lookout import EVERY, Lookout, StoppedAtOnceError
 from planrunner.execution.operator import Boundary, Operator
 from planrunner.execution.outcome import Failure, Outcome
 from planrunner.execution.progress import Meter, ProgressCallback, seconds_behind, with_lengths
-from planrunner.execution.reaching import Patience, Reaching
-from planrunner.execution.readings import Holding, LimitPassedError
+from planrunner.execution.reaching import Holding, LimitPassedError, Patience, Reaching
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import (
     Closes,
@@ -291,7 +290,7 @@ class _Execution:
             f"{name}.{key}": float(value) for name, item in self.readable.items() for key, value in item.read().items()
         }
 
-    # -- messages to the operator @@@RULE ------------------------------------------------------------------------------
+    # -- messages to the operator --------------------------------------------------------------------------------------
 
     def _say(self, activity: str) -> None:
         self.activity = activity

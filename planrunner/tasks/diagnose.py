@@ -40,7 +40,7 @@ from planrunner.tasks.check import Sound, check_plan
 from planrunner.tasks.run import sound_run
 
 if TYPE_CHECKING:
-    from planrunner.bench.grades import Sense
+    from planrunner.bench.specification import Sense
     from planrunner.error_model.observed import Observed
     from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
     from planrunner.gap.hypotheses.declarations import WrongDeclaration
@@ -201,7 +201,7 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
     sensor's grade, which follows from its noise. The values come from the fit of the simulation or from the diagnosis. If the
     uncertainty of a value is larger than the usual limit, the plan does not determine this value, so the value shows nothing about
     the sensor."""
-    from planrunner.bench.grades import SENSES, grade_of
+    from planrunner.bench.specification import SENSES, grade_of
     from planrunner.gap.answer.parameters import nominal_values
     from planrunner.reporting.rounding import rounded
 
@@ -234,7 +234,7 @@ def _noise(found: Diagnosis) -> dict[Sense, float]:
     declared noise or, without a declaration, the measured noise."""
     import math
 
-    from planrunner.bench.grades import Sense
+    from planrunner.bench.specification import Sense
 
     weighing = found.grounds.weighing
     seen, measured = weighing.declared, weighing.white / math.sqrt(weighing.declared.sample_rate)
@@ -383,8 +383,7 @@ _EXAMINE = "examine the recording; an error of single samples does not cause a g
 def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:
     """The recording without spikes and repeated samples, as estimates use it; the log names these samples. Bursts and stretches
     with clipped or stuck samples are kept, because the diagnosis explains them."""
-    from planrunner.observation.left_out import without_bad
-    from planrunner.observation.screening import screened
+    from planrunner.observation.screening import screened, without_bad
 
     used = {"", *(output.name for output in sensor.outputs)}
     left_out: list[tuple[RecordedSegment, Find]] = []

@@ -26,14 +26,11 @@ from planrunner.base.findings import InputError
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Rest, Schedule, Segment
+from tests.archive.analyses import add_analysis
 
 
 def segment(index: int, **given: Any) -> Segment:
     return Segment(index, f"P{index + 1}", None, "unknown", Rest(), **{"dwell": 1.0, **given})
-
-
-def add_analysis(run: Path, files: dict[str, bytes]) -> Path:
-    return RunReader.open(run).add_analysis(files).path
 
 
 def analyses(run: Path) -> list[Path]:
@@ -259,9 +256,9 @@ def test_space_is_asked_before_the_first_move(tmp_path: Path, monkeypatch: pytes
 
 
 def test_analyses_are_numbered_and_never_touched(run: Path) -> None:
-    first = add_analysis(run, {"results.json": b"{}", "report.html": b"<html>"})
+    first = add_analysis(run, {"results.json": b"{}", "report.html": b"<html>"}).path
     before = {path.name: path.read_bytes() for path in first.iterdir()}
-    second = add_analysis(run, {"results.json": b"{1}"})
+    second = add_analysis(run, {"results.json": b"{1}"}).path
     assert [path.name for path in analyses(run)] == ["1", "2"]
     assert {path.name: path.read_bytes() for path in first.iterdir()} == before
     assert [one.path for one in RunReader.open(run).analyses] == [first, second]
@@ -270,7 +267,7 @@ def test_analyses_are_numbered_and_never_touched(run: Path) -> None:
 
 @pytest.mark.parametrize("change", ["edit", "remove", "add"])
 def test_a_changed_analysis_is_found(run: Path, change: str) -> None:
-    folder = add_analysis(run, {"results.json": b"{}", "summary.md": b"#"})
+    folder = add_analysis(run, {"results.json": b"{}", "summary.md": b"#"}).path
     if change == "edit":
         (folder / "results.json").write_bytes(b"{ }")
     elif change == "remove":
@@ -284,15 +281,16 @@ def test_a_changed_analysis_is_found(run: Path, change: str) -> None:
 def test_what_a_killed_analysis_leaves_is_passed_over(run: Path) -> None:
     add_analysis(run, {"a": b"1"})
     (run / "analyses" / ".123-abcd.partial").mkdir()
-    assert add_analysis(run, {"a": b"2"}).name == "2"
+    assert add_analysis(run, {"a": b"2"}).path.name == "2"
     RunReader.open(run).check_digests()
 
 
 def test_two_analyses_at_the_same_time_get_two_numbers(run: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from planrunner.archive.run_reader import RunReader\n"
+        "from planrunner.archive.analyses import add_analysis\n"
         f"reader = RunReader.open(Path({str(run)!r}))\n"
-        "for i in range(15): reader.add_analysis({'a': sys.argv[1].encode() + bytes([i])})"
+        "for i in range(15): add_analysis(reader.folder, {'a': sys.argv[1].encode() + bytes([i])}, reader.basis)"
     )
     running = [subprocess.Popen([sys.executable, "-c", script, name]) for name in ("one", "two")]
     assert [process.wait() for process in running] == [0, 0]

@@ -25,6 +25,7 @@ from planrunner.base.findings import InputError
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Rest, Schedule, Segment
+from tests.archive.analyses import add_analysis
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="links, pipes and devices as POSIX has them")
 SCHEDULE = Schedule(tuple(Segment(i, f"P{i + 1}", None, "unknown", Rest(), dwell=1.0) for i in range(2)), 2.0)
@@ -64,7 +65,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     sealed, cut = write_run(root, 2), write_run(root, 1)
     for run, count in ((sealed, 2), (cut, 1)):
         for number in range(count):
-            RunReader.open(run).add_analysis({"results.json": b"{}", "summary.md": b"# %d" % number})
+            add_analysis(run, {"results.json": b"{}", "summary.md": b"# %d" % number})
     (cut / "watchdog.txt").write_text("the table was stopped\n")
     return sealed, cut
 
@@ -558,7 +559,7 @@ def older(analysis: Path) -> None:
 
 @pytest.mark.parametrize("change", CHAIN)
 def test_analyses_are_a_chain(sealed: Path, change: str) -> None:
-    RunReader.open(sealed).add_analysis({"results.json": b"{}"})
+    add_analysis(sealed, {"results.json": b"{}"})
     assert verify(sealed) == []
     CHAIN[change](sealed / "analyses")
     missing = change in ("removed", "the first removed")
@@ -571,7 +572,7 @@ def test_older_run_folders_are_read_and_their_chain_goes_on(sealed: Path) -> Non
     for number in (1, 2):
         older(sealed / "analyses" / str(number))
     assert verify(sealed) == []
-    RunReader.open(sealed).add_analysis({"results.json": b"{}"})
+    add_analysis(sealed, {"results.json": b"{}"})
     assert verify(sealed) == []
     rewrite(sealed / "analyses" / "2")  # the third carries its digest
     assert "run-analysis-chain" in codes(sealed)
@@ -580,10 +581,10 @@ def test_older_run_folders_are_read_and_their_chain_goes_on(sealed: Path) -> Non
 def test_analyses_outlive_a_segment_that_is_taken_again(sealed: Path) -> None:
     with RunWriter.reopen(sealed, reason="the door stood open") as writer:
         writer.reject(1, "the door stood open")
-        assert RunReader.open(sealed).add_analysis({"results.json": b"{}"}).number == 3
+        assert add_analysis(sealed, {"results.json": b"{}"}).number == 3
         take(writer, SCHEDULE.segments[1])
         writer.finish()
-    assert RunReader.open(sealed).add_analysis({"results.json": b"{}"}).number == 4
+    assert add_analysis(sealed, {"results.json": b"{}"}).number == 4
     assert verify(sealed) == []
 
 

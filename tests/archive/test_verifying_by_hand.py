@@ -13,7 +13,6 @@ import pytest
 
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_log import ENTRIES, FOLDER, RunLog
-from planrunner.archive.run_reader import RunReader
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Rest, Segment
@@ -21,6 +20,7 @@ from planrunner.signing.run_signatures import sign_run
 from planrunner.signing.stamping import Stamper
 from planrunner.signing.time_stamps import parse_authority
 from planrunner.tasks.stamp import stamp_seal
+from tests.archive.analyses import add_analysis
 from tests.forging import write_run
 from tests.signing.test_signatures import ANNA, BEN
 from tests.stamp_authority import LocalAuthority
@@ -46,7 +46,7 @@ def run(tmp_path: Path) -> Path:
             writer.acknowledge(index + 1.0, {}, {})
         writer.finish()
     for number in range(2):
-        RunReader.open(writer.path).add_analysis({"results.json": b'{"x": %d}' % number})
+        add_analysis(writer.path, {"results.json": b'{"x": %d}' % number})
     return writer.path
 
 

@@ -10,7 +10,7 @@ import pytest
 from planrunner.archive.recording import Find, FindKind, RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.instruments.interfaces import Block
-from planrunner.observation.left_out import rows_of, without_bad
+from planrunner.observation.screening import rows_of, without_bad
 from planrunner.plan.schedule import Rest, Segment
 
 TIME = np.arange(1000) / 10

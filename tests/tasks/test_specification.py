@@ -9,8 +9,8 @@ import pytest
 
 from planrunner.base.findings import Finding
 from planrunner.base.shipped import shipped
-from planrunner.bench.grades import GRADES, SENSES, Sense, grade_of
 from planrunner.bench.model import parse_bench
+from planrunner.bench.specification import GRADES, SENSES, Sense, grade_of
 from planrunner.cli import main
 from planrunner.gap.answer import parameters
 from planrunner.gap.answer.diagnosis import DiagnosisOptions

@@ -309,6 +309,12 @@ class ShapedOverSegments(HasShape, Protocol):
     def at(self, observed: Observed, value: float) -> Variant: ...
 
 
+def products(vector: Array) -> list[tuple[str, Array]]:
+    """Names and values (N,) of the products of two components of a vector (N, 3): first the squares xx, yy, zz, then xy, yz, zx."""
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)]
+    return [("xyz"[i] + "xyz"[j], vector[:, i] * vector[:, j]) for i, j in pairs]
+
+
 def per_axis(
     observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
 ) -> list[Column]:

@@ -10,8 +10,8 @@ from pathlib import Path
 from planrunner.archive import formats
 from planrunner.archive.provenance import versions
 from planrunner.archive.run_folder import RunWriter
-from planrunner.archive.run_reader import RunReader
 from planrunner.archive.storage import Storage
+from tests.archive.analyses import add_analysis
 
 BEGIN = datetime(2024, 1, 1, 8, tzinfo=UTC)
 
@@ -124,7 +124,7 @@ def add_results(run: Path, made: MadeRun) -> None:
         "failures": {},
         "segments": [],
     }
-    RunReader.open(run).add_analysis({"results.json": formats.to_bytes(results)})
+    add_analysis(run, {"results.json": formats.to_bytes(results)})
 
 
 def make_series(
