@@ -207,6 +207,16 @@ class ErrorsAtSegments:
         """The values of an effect's shape that the catalogue gives for these segments, ascending."""
         return effect.grid(self._planned)
 
+    def course(self, output: int, effect: Effect, amplitudes: Array) -> tuple[Array, Array]:
+        """Course of an effect with a shape within each segment, in one output at the planned stimulus. Returns the positions along a
+        segment, (L,), from −0.5 to 0.5, and the values there, (n, L). amplitudes: one for each column of the effect in this output."""
+        errors, observed = self.outputs[output], self._planned
+        part = next(one for one in errors.chosen if one.effect is effect)
+        _, rows, _ = amplitudes_of(part, errors, observed, _columns(part.effect, observed, part.shape))
+        values = np.split(amplitudes @ np.array(rows), observed.bounds[1:-1])
+        along = np.polynomial.legendre.leggauss(_ALONG_SHAPED)[0] / 2
+        return along, np.array([own.reshape(-1, len(along)).mean(axis=0) for own in values])
+
     def of_outputs(self) -> tuple[OutputColumns, ...]:
         """The columns of each output at the planned stimulus."""
         return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))

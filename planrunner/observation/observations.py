@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from enum import StrEnum
 
@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.statistics import statistics_of
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
+from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.observation.refusals import EstimationError, UnfitDataError
 
@@ -160,6 +162,21 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         np.array([recorded.share for recorded in segments]),
         tuple(recorded.statistics.course for recorded in segments),
     )
+
+
+def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Array], Array]) -> float:
+    """Standard error of a channel's mean over a segment, from the scatter about a known course of the channel. The samples are read
+    once more. If there are no samples but only published statistics, the standard error is that of these statistics. course: gives
+    the course at times (k,), s since the beginning of the segment, in the unit of the channel."""
+    whole = recorded.statistics
+
+    def left() -> Iterator[Block]:
+        for block in recorded.blocks((channel,)):
+            yield Block(block.time, {channel: block.channels[channel] - course(block.time - whole.start)})
+
+    found = statistics_of(left(), (channel,), whole.count + whole.rejected, motion=recorded.segment.motion)
+    known = found if found.batches > 1 else whole
+    return float(known.standard_error[known.of(channel)])
 
 
 def _correlation(scatter: Array) -> Array:

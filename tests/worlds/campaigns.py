@@ -35,7 +35,8 @@ class Device(Protocol):
 @dataclass(frozen=True)
 class Campaign:
     """plan, bench: texts; the bench has blanks `{tilt}` in arcsec, `{rate}` in ppm, `{flicker}` and `{count}` by channel. channels:
-    name → unit; white: (k,), of one sample; estimate: name in the plan."""
+    name → unit; white: (k,), of one sample; estimate: name in the plan. unsigned: channels that read nothing but their own constant error,
+    so that a reversed one is a sound channel of another device."""
 
     plan: str
     bench: str
@@ -47,6 +48,12 @@ class Campaign:
     device: Callable[[np.random.Generator], Device]
     declared: float = 1.0  # the unit of the bench's noise, in the channels' unit
     without: Sequence[str] = ()  # worlds that say nothing of it
+    unsigned: Sequence[str] = ()
+
+    @property
+    def signed(self) -> tuple[int, ...]:
+        """The other channels, by number."""
+        return tuple(k for k, name in enumerate(self.channels) if name not in self.unsigned)
 
     @property
     def mean(self) -> Array:
@@ -688,6 +695,8 @@ instruments:
         partial(NavigatingUnit, step=step),
         # Both steps have one position. No rate is held. At 10 Hz, vibration at 20 Hz is a constant.
         without=("positions 5 arcsec, stated", "rates 10 ppm, stated", "20 Hz line"),
+        # Its axes stay level, and at rest its x points east.
+        unsigned=("accel_x", "accel_y") if step.moves else ("gyro_x", "accel_x", "accel_y"),
     )
 
 

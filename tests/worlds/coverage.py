@@ -90,7 +90,9 @@ def recorded(campaign: Campaign, world: World, draw: np.random.Generator) -> tup
     values = device.outputs(seen) + campaign.white * draw.standard_normal((len(seen.time), len(campaign.white)))
     share = (seen.time - seen.time[0]) / (seen.time[-1] - seen.time[0])
     celsius = None if world.celsius is None else world.celsius(share)
-    made = Recorded(seen.time, seen.step, values, campaign.white, campaign.mean, campaign.sampling, celsius)
+    made = Recorded(
+        seen.time, seen.step, values, campaign.white, campaign.mean, campaign.sampling, celsius, campaign.signed
+    )
     return dict(device.truth), made if world.fault is None else replace(made, values=world.fault(made, draw))
 
 

@@ -6,7 +6,7 @@ one world serves every sensor.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ Fault = Callable[["Recorded", np.random.Generator], Array]
 class Recorded:
     """values: (n, k) with white noise; time: (n,), s; step: (n,), numbers; white: (k,), of one sample; mean: (k,), standard deviation that
     white noise alone leaves in the mean of a step of usual length; sampling: Hz. celsius: (n,), of the sensor, in worlds that have a
-    thermometer."""
+    thermometer. signed: channels whose sign shows, None for all of them."""
 
     time: Array
     step: NDArray[np.int64]
@@ -34,6 +34,7 @@ class Recorded:
     mean: Array
     sampling: float
     celsius: Array | None = None
+    signed: Sequence[int] | None = None
 
 
 @dataclass(frozen=True)
@@ -182,9 +183,10 @@ def _line(made: Recorded, draw: np.random.Generator) -> Array:
 
 
 def _reversed(made: Recorded, draw: np.random.Generator) -> Array:
-    """One channel with the wrong sign."""
+    """One channel with the wrong sign, of those whose sign shows."""
     out = made.values.copy()
-    out[:, draw.integers(out.shape[1])] *= -1
+    signed = range(out.shape[1]) if made.signed is None else made.signed
+    out[:, signed[draw.integers(len(signed))]] *= -1
     return out
 
 

@@ -358,7 +358,7 @@ def _fitted(
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]
     together = observe(recorded, [one.name for one in group.outputs], request.sensor)
-    group = with_shapes(group, together)
+    group, together = with_shapes(group, together, recorded)
     seen, abouts = [], []
     for k, one in enumerate(group.outputs):
         whole = _of_channel(together, k)

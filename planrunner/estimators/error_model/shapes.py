@@ -4,22 +4,28 @@ For a given value of the shape, the amplitudes are fitted linearly, so that the 
 Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At
 the shape that is found, the derivative with respect to the shape is a further column of the final fit, so that all uncertainties
 include the uncertainty of the shape.
+
+Such an effect also changes the output within a segment. This change is not noise. A first fit gives the course of the effect within
+each segment. The noise is then measured about this course, and a second fit uses this noise.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import ShapedOverSegments, shown_by
 from planrunner.error_model.segment_columns import EffectPart
 from planrunner.estimators import least_squares
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, with_shape
 from planrunner.estimators.interface import UnfitDataError
 from planrunner.estimators.least_squares import LinearFit
-from planrunner.observation.observations import Observations, within_segment_noise
+from planrunner.observation.observations import Observations, about_course, within_segment_noise
 
 _PRECISION = 1e-6  # of the shape's logarithm; the fit then adds a linear step
 _LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the means do not show a shape
@@ -32,20 +38,43 @@ def shaped_part(output: ModelledOutput) -> EffectPart | None:
     return next((one for one in output.errors.chosen if isinstance(one.effect, ShapedOverSegments)), None)
 
 
-def with_shapes(group: Together, together: Observations) -> Together:
-    """The group of outputs with the shapes of its effects at their best values. For each shape, the model gets a further column:
-    the derivative with respect to this shape.
+def with_shapes(
+    group: Together, together: Observations, recorded: Sequence[RecordedSegment]
+) -> tuple[Together, Observations]:
+    """The group of outputs with the shapes of its effects at their best values, and the observations with the noise about the
+    courses of these effects. For each shape, the model gets a further column: the derivative with respect to this shape.
 
-    together: observations of the group's outputs. Raises `UnfitDataError` if the observations do not determine a shape.
+    together: observations of the group's outputs in the recorded segments. Raises `UnfitDataError` if the observations do not
+    determine a shape.
     """
     for k, output in enumerate(group.outputs):
         part = shaped_part(output)
         if part is not None:
-            group = _found(group, k, part, together)
-    return group
+            together = _about(*_found(group, k, part, together), k, together, recorded)
+            group, _ = _found(group, k, part, together)
+    return group, together
 
 
-def _found(group: Together, k: int, part: EffectPart, together: Observations) -> Together:
+def _about(
+    group: Together, amplitudes: Array, k: int, together: Observations, recorded: Sequence[RecordedSegment]
+) -> Observations:
+    """The observations with standard errors of the k-th output from the scatter about the course of its effect. amplitudes: of the
+    effect, in the unit of the output."""
+    from scipy.interpolate import PchipInterpolator
+
+    part = shaped_part(group.outputs[k])
+    assert part is not None
+    along, values = group.model.course(k, part.effect, amplitudes)
+    error = together.standard_error.copy()
+    for row, (item, own) in enumerate(zip(recorded, values, strict=True)):
+        if np.isfinite(error[row, k]):
+            seconds = item.statistics.duration
+            error[row, k] = about_course(item, group.outputs[k].name, PchipInterpolator((along + 0.5) * seconds, own))
+    return replace(together, standard_error=error)
+
+
+def _found(group: Together, k: int, part: EffectPart, together: Observations) -> tuple[Together, Array]:
+    """The group with the best shape of an effect in its k-th output, and the amplitudes of this effect, in the unit of the output."""
     from scipy.optimize import minimize_scalar
 
     effect = part.effect
@@ -89,4 +118,4 @@ def _found(group: Together, k: int, part: EffectPart, together: Observations) ->
         )
     reported = one.reported(fit.coefficients[:, None])[:, 0]
     sizes = {one.columns.amplitudes[place].name: float(reported[place] * one.coefficients[place].si) for place in at}
-    return with_shape(group, k, replace(part, shape=math.exp(log), sizes=sizes))
+    return with_shape(group, k, replace(part, shape=math.exp(log), sizes=sizes)), fit.coefficients[at]

@@ -90,7 +90,7 @@ def align(
     begin = _first(pieces, still)
     mean, rest = _at_rest(begin, still)
     white = rest.white
-    _check_at_rest(recorded.label, mean, site)
+    _check_at_rest(recorded.label, reader.channels, mean, site)
     start = coarse(mean[:3], mean[3:])
     turned = not isinstance(recorded.segment.motion, Rest)
     density = to_navigation(start, white**2)
@@ -282,8 +282,9 @@ def _quiet(label: str, mean: Array, site: Site) -> Said:
     )
 
 
-def _check_at_rest(label: str, mean: Array, site: Site) -> None:
-    """Checks that the unit is at rest. mean: (6,), rad/s and m/s², the mean readings at the first stop."""
+def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site) -> None:
+    """Checks that the unit is at rest. channels: (6,), names of the channels; mean: (6,), rad/s and m/s², the mean readings at the
+    first stop."""
     if not np.isfinite(mean).all():
         raise UnfitDataError(f"segment '{label}' has too few usable samples: record it again")
     force = float(np.linalg.norm(mean[3:]))
@@ -296,6 +297,11 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
     if _rate_error(mean, site) > _EARTH_TOLERANCE * site.earth_rate:
         found, earth = _rates(mean, site)
         shown = np.degrees([*found, *earth]) * 3600
+        if reversed_ := _would_agree(channels, mean, site):
+            raise UnfitDataError(
+                f"segment '{label}': the gyros measure {shown[1]:.4g} deg/h up, but the Earth turns with {shown[3]:.4g}; with the "
+                f"opposite sign of {' or of '.join(reversed_)}, the two would agree: check the signs of the channels"
+            )
         raise UnfitDataError(
             f"segment '{label}': the gyros measure {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, but the "
             "Earth turns with "
@@ -303,6 +309,14 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
             "latitude; gyros with "
             "such errors cannot find north"
         )
+
+
+def _would_agree(channels: Sequence[str], mean: Array, site: Site) -> list[str]:
+    """The channels of which one with the opposite sign would make the rates at rest agree with the Earth's rate."""
+    signs = 1.0 - 2.0 * np.eye(len(mean))
+    errors = [_rate_error(sign * mean, site) for sign in signs]
+    limit = _EARTH_TOLERANCE * site.earth_rate
+    return [name for name, error in zip(channels, errors, strict=True) if error <= limit]
 
 
 def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tuple[Said, ...]]:
