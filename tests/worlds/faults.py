@@ -186,7 +186,7 @@ def _reversed(made: Recorded, draw: np.random.Generator) -> Array:
     """One channel with the wrong sign, of those whose sign shows."""
     out = made.values.copy()
     signed = range(out.shape[1]) if made.signed is None else made.signed
-    out[:, signed[draw.integers(len(signed))]] *= -1
+    out[:, signed[int(draw.integers(len(signed)))]] *= -1
     return out
 
 
