@@ -1,1 +1,1 @@
-"""Inertial navigation: WGS-84, strapdown mechanisation, alignment at rest, and the growth of errors."""
+"""Inertial navigation: the ellipsoid WGS-84, strapdown mechanisation, alignment at rest, and the growth of errors."""

@@ -1,14 +1,16 @@
-"""Alignment at rest: coarse alignment from the directions of gravity and Earth rotation, fine alignment from the velocity, which should
-be zero.
+"""Alignment at rest. The coarse alignment uses the directions of gravity and of the Earth's rotation; the fine alignment uses the
+velocity, which should be zero.
 
-Coarse: the mean specific force f points up, and its cross product with the mean rate, ω × f, points east (Britting, "Inertial
-Navigation Systems Analysis", 1971, chapter 9). Fine: the navigator starts with the coarse attitude. As the unit does not move, the
-computed velocity is an error. This velocity is the measurement of a Kalman filter with the linear error equations, which gives tilt
-and azimuth with their covariance (gyrocompassing). Swaying is permitted, because the gyros measure it.
+In the coarse alignment, the mean specific force f points up, and the cross product ω × f with the mean rate ω points east
+(Britting, "Inertial Navigation Systems Analysis", 1971, chapter 9). In the fine alignment, the navigator starts with the coarse
+attitude. As the unit does not move, any computed velocity is an error. This velocity is the measurement for a Kalman filter with
+the linear error equations. The filter estimates tilt and azimuth with their covariance (gyrocompassing). Swaying is permitted,
+because the gyros measure it.
 
-While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`). If
-the unit is turned about the vertical from stop to stop, they can be distinguished. The filter then includes them as states, together with
-the gyro errors that the turns cause through scale factor and misalignment, in proportion to the rate of turn.
+While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`).
+If the unit is turned about the vertical, with stops in between, they can be distinguished. The filter then includes as states the
+constant sensor errors, and the gyro errors that the turns cause through scale factor and misalignment, in proportion to the rate of
+turn.
 """
 
 from __future__ import annotations
@@ -35,12 +37,12 @@ _PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; so wid
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Result of an alignment. rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16), covariance of the
-    remaining errors: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body
-    axes. constant: (6,), estimates of the constant sensor errors, rad/s and m/s². consistency: root mean square of the innovations
-    divided by the value expected from the noise; 1 or less is normal. largest: the largest innovation, m/s. followed: (16, 6, m),
-    the remaining errors if one of the 6 sensors has an error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0
-    unless the intervals are requested."""
+    """Result of an alignment. rotation: (3, 3), body axes as columns in East-North-Up. covariance: (16, 16), covariance of the
+    errors that remain: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn, in body
+    axes. constant: (6,), estimates of the constant sensor errors, rad/s and m/s². consistency: root mean square of the innovations,
+    each divided by its expected standard deviation; about 1 is normal, and less than 1 is harmless. largest: the largest
+    innovation, m/s. followed: (16, 6, m), the errors that remain if one of the 6 sensors has an error of 1 rad/s or 1 m/s² in one
+    of m intervals of the alignment; m = 0 unless the intervals are requested."""
 
     rotation: Array
     covariance: Array
@@ -51,12 +53,12 @@ class Alignment:
 
     @property
     def tilt_covariance(self) -> Array:
-        """Covariance of the tilt and azimuth errors, (3, 3), rad²."""
+        """The covariance (3, 3) of the tilt and azimuth errors, rad²."""
         return self.covariance[TILT, TILT]
 
 
 def coarse(rate: Array, force: Array) -> Array:
-    """The body axes as columns in East-North-Up, (3, 3), from mean rate and specific force in body axes, (3,) each."""
+    """The body axes (3, 3) as columns in East-North-Up. rate, force: mean rate and mean specific force in body axes, (3,) each."""
     up = force / np.linalg.norm(force)
     east = np.cross(rate, up)
     east /= np.linalg.norm(east)
@@ -64,8 +66,8 @@ def coarse(rate: Array, force: Array) -> Array:
 
 
 class FineAlignment:
-    """The Kalman filter of the fine alignment. It takes the velocities of the navigator at one output time (knot) after another,
-    and gives the attitude at the end."""
+    """The Kalman filter of the fine alignment. It takes the velocities of the navigator at one output time (knot) after another; at
+    the end, it returns the attitude."""
 
     def __init__(
         self,
@@ -75,10 +77,10 @@ class FineAlignment:
         constant: Array | None = None,
         follow: float | None = None,
     ):
-        """density: (6, 6), in navigation axes, variance per second of the integrated gyros [rad²/s] and accelerometers [(m/s)²/s].
-        seconds: time between knots, the output times of the navigator. constant: (6,), standard uncertainty of the constant errors
-        before alignment; None if they are not estimated. follow: length of the intervals for `Alignment.followed`, s; None if they
-        are not requested."""
+        """density: (6, 6), in navigation axes, variance per second of the integrated outputs of the gyros [rad²/s] and
+        accelerometers [(m/s)²/s]. seconds: time between knots, the output times of the navigator. constant: (6,), standard
+        uncertainty of the constant sensor errors before the alignment; None if they are not estimated. follow: length of the
+        intervals for `Alignment.followed`, s; None if the intervals are not requested."""
         self._transition = np.eye(_ALL)
         self._transition[:SIZE, :SIZE], self._response = equations.step(seconds)
         self._added = np.zeros((_ALL, _ALL))
@@ -91,8 +93,9 @@ class FineAlignment:
         self._followed = np.zeros((_ALL, 0))
 
     def take(self, velocities: Array, rotations: Array, turns: Array) -> None:
-        """Processes measurements. velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as
-        columns, averaged over the time before each knot; turns: (m,), mean rate about the vertical in that time, rad/s."""
+        """Processes the measurements at the next m knots. velocities: (m, 2), velocity east and north, m/s; rotations: (m, 3, 3),
+        body axes as columns, averaged over the time before each knot; turns: (m,), mean rate about the vertical in this time,
+        rad/s."""
         for first in range(0, len(velocities), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             transitions = self._transitions(rotations[part], turns[part])
@@ -100,7 +103,7 @@ class FineAlignment:
                 self._update(found, transition)
 
     def _transitions(self, rotations: Array, turns: Array) -> Array:
-        """Transition matrices of the errors over the time before each knot, (m, 16, 16)."""
+        """The transition matrices (m, 16, 16) of the errors over the time before each knot."""
         found = np.repeat(self._transition[None], len(rotations), axis=0)
         by_gyros = self._response[:, :3] @ rotations
         found[:, :SIZE, SIZE : SIZE + 3] = by_gyros
@@ -127,8 +130,8 @@ class FineAlignment:
         self._largest = max(self._largest, *map(abs, innovation.tolist()))
 
     def _follow(self, kept: Array, transition: Array, interval: int) -> None:
-        """Updates the errors that remain after the measurement because of sensor errors in this interval and in earlier intervals.
-        The initial states of the alignment do not contain these sensor errors, so their responses begin at zero."""
+        """Updates the errors that remain after a measurement because of sensor errors in this interval and in earlier intervals.
+        These sensor errors are not in the initial states of the alignment, so the responses to them start at zero."""
         missing = INPUTS * (interval + 1) - self._followed.shape[1]
         errors = np.hstack([self._followed, np.zeros((_ALL, max(missing, 0)))])
         errors = transition @ errors
@@ -136,7 +139,8 @@ class FineAlignment:
         self._followed = kept @ errors
 
     def finish(self, rotation: Array) -> Alignment:
-        """The aligned attitude. rotation: (3, 3), attitude of the navigator, less than one knot interval after the last knot."""
+        """Returns the result of the alignment. rotation: (3, 3), attitude of the navigator less than one knot interval after the
+        last knot."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
         constant = self._state[SIZE : SIZE + INPUTS].copy()

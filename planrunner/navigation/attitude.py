@@ -1,9 +1,9 @@
-"""Attitude: body axes in East-North-Up as quaternion, matrix, and heading, pitch and roll.
+"""Attitude: the body axes in East-North-Up, as a quaternion, as a matrix, or as heading, pitch and roll.
 
-The body's x, y, z axes are right, forward, up: with heading, pitch and roll zero they point east, north, up. Heading is the angle
-of the y axis from true north, clockwise seen from above. Pitch is the angle of the y axis above the horizon. Roll is the rotation
-about the y axis, positive if the x axis is below the horizon. Quaternions are scalar first and rotate body vectors into navigation
-axes.
+The x, y, z axes of the body point right, forward and up. If heading, pitch and roll are zero, they point east, north and up.
+Heading is the angle of the y axis from true north, clockwise as seen from above. Pitch is the angle of the y axis above the
+horizon. Roll is the rotation about the y axis, positive if the x axis is below the horizon. A quaternion has its scalar first, and
+rotates vectors from body axes to navigation axes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from planrunner.base.arrays import Array
 
 
 def matrix(quaternion: Array) -> Array:
-    """The body axes as columns in East-North-Up, (…, 3, 3), from quaternions (…, 4)."""
+    """The body axes (…, 3, 3) as columns in East-North-Up, from quaternions (…, 4)."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -27,8 +27,8 @@ def matrix(quaternion: Array) -> Array:
 
 
 def quaternion(rotation: Array) -> Array:
-    """The quaternion (4,), scalar first, of a rotation matrix (3, 3) (Shepperd, J. Guidance and Control 1, 1978: the largest component
-    first)."""
+    """The quaternion (4,), scalar first, of a rotation matrix (3, 3). The largest component is computed first (Shepperd, J.
+    Guidance and Control 1, 1978)."""
     r, trace = rotation, float(np.trace(rotation))
     squares = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
     k = int(np.argmax(squares))
@@ -45,7 +45,7 @@ def quaternion(rotation: Array) -> Array:
 
 
 def small_rotation(vector: Array) -> Array:
-    """The rotation matrix (3, 3) of a rotation vector [rad] (3,) (Rodrigues)."""
+    """The rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
     angle = float(np.linalg.norm(vector))
     skew = np.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]])
     if angle == 0:
@@ -54,13 +54,13 @@ def small_rotation(vector: Array) -> Array:
 
 
 def turned_about_up(before: Array, after: Array) -> Array:
-    """Angle [rad] of the rotation about the vertical between attitudes (…, 3, 3), right-handed."""
+    """The angle [rad] of the rotation about the vertical that leads from one attitude to another, both (…, 3, 3); right-handed."""
     change = after @ np.swapaxes(before, -1, -2)
     return np.asarray(np.arctan2(change[..., 1, 0] - change[..., 0, 1], change[..., 0, 0] + change[..., 1, 1]))
 
 
 def angles(rotation: Array) -> Array:
-    """Heading (0 … 2π), pitch and roll [rad], shape (3,)."""
+    """Heading (0 … 2π), pitch and roll of an attitude, shape (3,), rad."""
     heading = math.atan2(rotation[0, 1], rotation[1, 1]) % (2 * math.pi)
     pitch = math.atan2(rotation[2, 1], math.hypot(rotation[2, 0], rotation[2, 2]))
     roll = math.atan2(-rotation[2, 0], rotation[2, 2])
@@ -68,8 +68,8 @@ def angles(rotation: Array) -> Array:
 
 
 def angle_sensitivities(rotation: Array) -> Array:
-    """The derivatives ∂(heading, pitch, roll)/∂φ (3, 3) for an attitude that is rotated by a small φ [rad] in navigation axes: C →
-    (1 + φ×)·C."""
+    """The derivatives ∂(heading, pitch, roll)/∂φ (3, 3) if an attitude C is rotated by a small φ [rad] in navigation axes: C → (1 +
+    φ×)·C."""
     step = 1e-6
     columns = []
     for axis in range(3):

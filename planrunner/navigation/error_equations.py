@@ -55,16 +55,16 @@ class ErrorEquations:
         return cls(dynamics, inputs)
 
     def step(self, seconds: float) -> tuple[Array, Array]:
-        """Transition (7, 7) over a time, and the response (7, 6) to inputs that are constant over it."""
+        """The transition matrix (7, 7) over a time, and the response (7, 6) to inputs that are constant during this time."""
         both = np.zeros((SIZE + INPUTS, SIZE + INPUTS))
         both[:SIZE, :SIZE], both[:SIZE, SIZE:] = self.dynamics, self.inputs
         found = exponential(both * seconds)
         return found[:SIZE, :SIZE], found[:SIZE, SIZE:]
 
     def noise(self, density: Array, seconds: float) -> Array:
-        """Covariance (7, 7) that white input noise adds over a time (Van Loan, IEEE Trans. Automatic Control 23, 1978).
+        """The covariance (7, 7) that white noise of the inputs adds over a time (Van Loan, IEEE Trans. Automatic Control 23, 1978).
 
-        density: (6, 6), variance per second of the integrated inputs: rad²/s and (m/s)²/s."""
+        density: (6, 6), variance per second of the integrated inputs, in rad²/s and (m/s)²/s."""
         both = np.zeros((2 * SIZE, 2 * SIZE))
         both[:SIZE, :SIZE] = -self.dynamics
         both[:SIZE, SIZE:] = self.inputs @ density @ self.inputs.T
@@ -74,7 +74,8 @@ class ErrorEquations:
         return np.asarray((covariance + covariance.T) / 2)
 
     def covariances(self, start: Array, density: Array, seconds: float, count: int) -> Iterator[Array]:
-        """Yields the covariance (7, 7) after 1, 2 … `count` intervals of `seconds`, beginning with the covariance `start`."""
+        """Yields the covariance (7, 7) after 1, 2 … `count` intervals of `seconds`; `start` is the covariance before the first
+        interval."""
         transition, added = self.step(seconds)[0], self.noise(density, seconds)
         covariance = start
         for _ in range(count):
@@ -82,7 +83,8 @@ class ErrorEquations:
             yield covariance
 
     def responses(self, start: Array, inputs: Array, seconds: float) -> Array:
-        """State (n, 7, k) after each of n intervals of `seconds`. start: (7, k); inputs: (n, 6, k), averaged over each interval."""
+        """The states (n, 7, k) after each of n intervals of `seconds`. start: (7, k), initial states; inputs: (n, 6, k), averaged
+        over each interval."""
         transition, response = self.step(seconds)
         found = np.empty((len(inputs), *start.shape))
         state = start
@@ -92,10 +94,11 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """The tilt after alignment at rest, (3, 6), for a constant input error of 1 rad/s or 1 m/s². It is the tilt of the stationary
-        solution.
+        """The tilt (3, 6) after an alignment at rest, for a constant error of 1 rad/s or 1 m/s² in each input. It is the tilt of
+        the stationary solution.
 
-        φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), the limit of gyrocompassing.
+        For the errors ε and ∇: φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), which is the limit of
+        gyrocompassing.
         """
         g, rate_n, rate_u = self.dynamics[3, 4], -self.dynamics[4, 6], self.dynamics[4, 5]
         found = np.zeros((3, INPUTS))
@@ -105,7 +108,8 @@ class ErrorEquations:
 
 
 def exponential(matrix: Array) -> Array:
-    """The matrix exponential by scaling and squaring of its series. It is meant for the small, well-scaled matrices of this module."""
+    """The matrix exponential, computed from its series by scaling and squaring. It is meant for the small, well-scaled matrices of
+    this module."""
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, math.ceil(math.log2(norm)) + 1) if norm > 0 else 0
     scaled = matrix / 2.0**halvings

@@ -1,8 +1,8 @@
 """The strapdown mechanisation, sample by sample, compiled by numba.
 
-Axes: body x, y, z; navigation East-North-Up on WGS-84. One step takes the increments of angle and velocity over the interval that ends at
-a sample (Savage, "Strapdown Inertial Navigation Integration Algorithm Design", J. Guidance, Control, and Dynamics 21, 1998; Titterton and
-Weston, "Strapdown Inertial Navigation Technology", 2nd ed., chapters 3 and 11):
+The body axes are x, y, z; the navigation axes are East-North-Up on WGS-84. One step takes the increments of angle and velocity over
+the interval that ends at a sample (Savage, "Strapdown Inertial Navigation Integration Algorithm Design", J. Guidance, Control, and
+Dynamics 21, 1998; Titterton and Weston, "Strapdown Inertial Navigation Technology", 2nd ed., chapters 3 and 11):
 
     rotation vector   φ  = Δθ + Δθ₋×Δθ/12                                  (coning, from this and the last increment)
     velocity, body    Δv = Δu + Δθ×Δu/2 + Δθ×(Δθ×Δu)/6 + (Δθ₋×Δu + Δu₋×Δθ)/12   (rotation and sculling)
@@ -11,9 +11,10 @@ Weston, "Strapdown Inertial Navigation Technology", 2nd ed., chapters 3 and 11):
     position          trapezoid of v, with radii and latitude of the middle of the interval
 
 Earth rate and transport rate are evaluated at the middle of the interval, so the error of a step is of third order in dt. Only the
-state vector is carried from sample to sample, so the result does not depend on how samples are divided into blocks.
+state vector is carried from sample to sample, so the result does not depend on the division of the samples into blocks.
 
-All arithmetic is on scalars, because small arrays would cost more than the arithmetic. The compiler inlines the functions into one loop.
+All arithmetic is on scalars, because small arrays would take longer than the arithmetic itself. The compiler inlines the functions
+into one loop.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ _SMALL = 0.01  # rad²; below, the series of the half-angle functions are exact 
 
 @compiled()
 def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
-    """Rotation vector and velocity increment in body axes. t, u: angle and velocity increments of this interval; a, b: angle and
-    velocity increments of the preceding interval."""
+    """The rotation vector and the velocity increment of an interval, in body axes. t, u: angle and velocity increments of this
+    interval; a, b: angle and velocity increments of the preceding interval."""
     tx, ty, tz = t
     ux, uy, uz = u
     ax, ay, az = a
@@ -64,7 +65,7 @@ def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _turned(q, v):  # type: ignore[no-untyped-def]
-    """A body vector transformed to navigation axes."""
+    """Rotates a vector from body axes to navigation axes."""
     w, x, y, z = q
     dx, dy, dz = v
     cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
@@ -77,8 +78,8 @@ def _turned(q, v):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _earth_at(latitude, height, north, rate, factor):  # type: ignore[no-untyped-def]
-    """Properties of the Earth `north` metres north of a latitude: 1/(radius + height) in the meridian and in the prime vertical, secant and
-    tangent of the latitude, gravity, and the Earth's rate north and up."""
+    """Properties of the Earth at a place `north` metres north of a latitude. Returns 1/(radius + height) in the meridian and in the
+    prime vertical, secant and tangent of the latitude, gravity, and the components of the Earth's rate to the north and up."""
     sine, cosine = math.sin(latitude), math.cos(latitude)
     w = 1.0 - ECCENTRICITY_SQUARED * sine * sine
     w *= math.sqrt(w)
@@ -122,8 +123,8 @@ def _product(p, q):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
-    """The attitude after two rotations: the body's rotation vector, and a rotation vector (e, n, u) of the navigation axes. The
-    resulting quaternion is normalised."""
+    """The attitude after the body has rotated by the rotation vector `body` and the navigation axes by the rotation vector (e, n,
+    u). The resulting quaternion is normalised."""
     bx, by, bz = body
     s, c = _half_angle(bx * bx + by * by + bz * bz)
     turned = _product(q, (c, s * bx, s * by, s * bz))
@@ -135,8 +136,8 @@ def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
-    """Velocity after an interval, and the rate of the navigation axes at its middle. d: velocity increment in navigation axes at the
-    beginning; place: result of `_earth_at`."""
+    """The velocity after an interval, and the rate of the navigation axes in the middle of the interval. d: velocity increment, in
+    the navigation axes at the start of the interval; place: result of `_earth_at`."""
     ve, vn, vu = v
     de, dn, du = d
     to_north, to_east, _, tangent, gravity, earth_n, earth_u = place
@@ -154,13 +155,13 @@ def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
 
 @compiled()
 def advance(state, increments, interval, aiding, earth, gains, held, every, knots):  # type: ignore[no-untyped-def]
-    """Advances `state` (18,) over n samples in place; returns the number of output points (knots) written.
+    """Advances `state` (18,) in place over n samples; returns the number of knots (output points) that were written.
 
-    increments: (6, n), angle [rad] and velocity [m/s] about and along body x, y, z. interval: (n,), s. aiding: (n,) reference
-    height [m] for the damped vertical channel, or (1,) for a constant one. earth: (rotation rate [rad/s], factor on normal
-    gravity). gains: (3,) of the third-order loop [1/s, 1/s², 1/s³], zeros for a free vertical channel. held: whether height and
-    vertical velocity keep their values. every: number of steps between knots, counted since the state was made. knots: (m, 10),
-    written in order.
+    increments: (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z. interval: (n,), length of the sampling
+    intervals, s. aiding: (n,), reference height [m] for the damped vertical channel, or (1,) if it is constant. earth: (rotation
+    rate [rad/s], factor on normal gravity). gains: (3,), gains of the third-order vertical loop [1/s, 1/s², 1/s³]; zeros for a free
+    vertical channel. held: True if height and vertical velocity keep their values. every: number of steps between two knots,
+    counted since the state was made. knots: (m, 10), output, filled in order.
     """
     q = (state[0], state[1], state[2], state[3])
     ve, vn, vu = state[4], state[5], state[6]

@@ -1,4 +1,5 @@
-"""A strapdown navigator: its state and its update with blocks of increments. The module `kernel` contains the arithmetic."""
+"""A strapdown navigator: its state, and the update of the state with blocks of increments. The module `kernel` contains the
+arithmetic."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ LOOP_TIME = 100.0  # s; time constant of the damped vertical channel
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """Output of the navigator at m moments. attitude: (m, 4), quaternions; velocity: (m, 3), m/s, east, north, up; latitude, longitude:
-    (m,), rad; height: (m,), m."""
+    """The output of the navigator at m times (knots). attitude: (m, 4), quaternions; velocity: (m, 3), m/s, east, north, up;
+    latitude, longitude: (m,), rad; height: (m,), m."""
 
     attitude: Array
     velocity: Array
@@ -26,14 +27,15 @@ class Knots:
 
 
 def loop_gains() -> Array:
-    """Gains of the third-order vertical loop with all three poles at 1/`LOOP_TIME` (Widnall and Sinha, J. Guidance and Control 3, 1980),
-    where 2·g/R compensates for the instability of the free channel."""
+    """Gains of the third-order vertical loop that place all three poles at 1/`LOOP_TIME` (Widnall and Sinha, J. Guidance and
+    Control 3, 1980). The term 2·g/R compensates for the instability of the free channel."""
     g = float(normal_gravity(0.0))
     return np.array([3 / LOOP_TIME, 3 / LOOP_TIME**2 + 2 * g / SEMI_MAJOR_AXIS, 1 / LOOP_TIME**3])
 
 
 class Navigator:
-    """Attitude, velocity and position, updated with each increment. Memory and result do not depend on the size of the blocks."""
+    """Computes attitude, velocity and position by integrating increments. The memory that is needed and the result do not depend on
+    the size of the blocks."""
 
     def __init__(
         self,
@@ -47,10 +49,10 @@ class Navigator:
         every: int = 1,
         last: Array | None = None,
     ):
-        """quaternion: body to East-North-Up, scalar first (4,). velocity: (3,), m/s. position: latitude, longitude [rad], height
-        [m]. vertical: `held`, `damped` or `free`; `held` keeps height and vertical velocity. gravity_factor: factor on normal
-        gravity. every: number of steps between output points (knots). last: (6,), the increments before the first step, for coning
-        and sculling; zeros if None."""
+        """quaternion: (4,), scalar first, from body axes to East-North-Up. velocity: (3,), m/s. position: latitude, longitude
+        [rad], height [m]. vertical: `held`, `damped` or `free`; `held` means that height and vertical velocity keep their values.
+        gravity_factor: factor on normal gravity. every: number of steps between two output points (knots). last: (6,), the
+        increments of the interval before the first step, for coning and sculling; None means zeros."""
         from planrunner.navigation import kernel
 
         self._kernel = kernel
@@ -67,10 +69,10 @@ class Navigator:
         self._height = np.array([position[2]])
 
     def advance(self, increments: Array, interval: Array, reference_height: Array | None = None) -> Knots:
-        """Takes n increments and returns the output points (knots) that lie among them.
+        """Processes n increments; returns the output points (knots) within them.
 
-        increments: (6, n), angle [rad] and velocity [m/s] on body x, y, z over the intervals (n,) [s]. reference_height: (n,) or (1,), m,
-        for the damped channel; by default the initial height.
+        increments: (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z over intervals of the lengths (n,) [s].
+        reference_height: (n,) or (1,), m, for the damped vertical channel; by default the initial height.
         """
         knots = np.empty((interval.size // self.every + 1, self._kernel.KNOT))
         aiding = self._height if reference_height is None else reference_height
@@ -98,7 +100,7 @@ class Navigator:
 
     @property
     def rotation(self) -> Array:
-        """The body axes as columns in East-North-Up, (3, 3)."""
+        """The body axes (3, 3) as columns in East-North-Up."""
         return attitude.matrix(self.state[:4])
 
     @property
@@ -113,5 +115,5 @@ class Navigator:
 
     @property
     def last(self) -> Array:
-        """The latest increments, (6,)."""
+        """The most recent increments, (6,)."""
         return self.state[self._kernel.LAST_ANGLE : self._kernel.STEPS].copy()

@@ -1,8 +1,8 @@
 """The ellipsoid WGS-84: radii of curvature and normal gravity.
 
-Constants and formulas: NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above the ellipsoid
-is the second-order series of that document, along the normal of the ellipsoid. Its inclination to the normal, 8·10⁻⁹ m/s² for each metre of
-height, is neglected.
+Constants and formulas follow NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above
+the ellipsoid is the second-order series of that document, in the direction of the normal of the ellipsoid. The inclination of
+gravity to this normal, 8·10⁻⁹ m/s² for each metre of height, is neglected.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ ROTATION_RATIO = 0.00344978650684  # ω²·a²·b/GM
 
 
 def radii(latitude: ArrayLike) -> tuple[Array, Array]:
-    """Radii of curvature [m] at latitude [rad]: in the meridian (north) and in the prime vertical (east)."""
+    """The radii of curvature [m] at a latitude [rad]: in the meridian (for motion to the north) and in the prime vertical (for
+    motion to the east)."""
     w = 1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
     prime_vertical = SEMI_MAJOR_AXIS / np.sqrt(w)
     return np.asarray(prime_vertical * (1 - ECCENTRICITY_SQUARED) / w), np.asarray(prime_vertical)
 
 
 def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> Array:
-    """Gravity [m/s^2] at latitude [rad] and height above the ellipsoid [m], positive down."""
+    """Gravity [m/s^2] at a latitude [rad] and a height above the ellipsoid [m]; positive means down."""
     s = np.sin(latitude) ** 2
     h = np.asarray(height, dtype=float) / SEMI_MAJOR_AXIS
     surface = GRAVITY_AT_EQUATOR * (1 + SOMIGLIANA * s) / np.sqrt(1 - ECCENTRICITY_SQUARED * s)
@@ -39,8 +40,8 @@ def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> Array:
 def separation(
     latitude: ArrayLike, longitude: ArrayLike, to_latitude: ArrayLike, to_longitude: ArrayLike, height: ArrayLike = 0.0
 ) -> tuple[Array, Array]:
-    """East and north distance [m] from positions [rad] to other positions at the same height [m]. The distances are arcs of
-    parallel and meridian at the middle latitude, correct to third order."""
+    """Distances [m] to the east and to the north from positions [rad] to other positions [rad] at the same height [m]. They are
+    arcs of the parallel and of the meridian at the middle latitude, correct to third order."""
     middle = (np.asarray(latitude) + np.asarray(to_latitude)) / 2
     north, east = radii(middle)
     turn = np.remainder(np.asarray(to_longitude) - np.asarray(longitude) + np.pi, 2 * np.pi) - np.pi

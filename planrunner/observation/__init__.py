@@ -1,2 +1,2 @@
-"""Converts a recording to data for fits: samples, still spans, means with their covariance, and temperatures, each with the planned
-state."""
+"""Converts a recording to data for fits: samples, still spans, means with their covariance, and temperatures, together with the
+planned states."""

@@ -1,14 +1,14 @@
-"""Spikes in recorded angles: single samples that do not lie on the course of the motion.
+"""Spikes in recorded angles: single samples that do not agree with the motion around them.
 
-Encoders and gimbals may keep one value for a long time, and while the base rocks, each sample differs from the one before by far
-more than a harmful spike. A sample is therefore compared with the value that its six neighbours give at its place. This is the
-interpolation through six equally spaced points, whose error for a sine with the phase step φ is (2·sin(φ/2))⁶/20 of the amplitude:
-3·10⁻⁴ for 15 samples per period. A sample is a spike if it lies farther from this value than the noise or the motion around it
-explains, and if all its neighbours lie on the course of the motion as soon as the sample is replaced. The second condition excludes
+Encoders and gimbals may keep one value for a long time; and while the base rocks, successive samples differ by far more than a
+harmful spike. A sample is therefore compared with the value that its six neighbours predict for its place. This value is the
+interpolation through six equally spaced points. For a sine with the phase step φ, its error is (2·sin(φ/2))⁶/20 of the amplitude:
+3·10⁻⁴ for 15 samples per period. A sample is a spike under two conditions: it lies farther from this value than the noise or the
+motion around it explains; and as soon as it is replaced, all its neighbours agree with the motion. The second condition excludes
 steps, and sudden starts and stops. A small sudden change of the rate looks nearly like a spike; the better fit decides.
 
-The samples next to the ends have fewer than three neighbours on one side. They are compared with the parabola through the next three
-samples. The first and the last sample are not examined, because a motion may begin or end there.
+The samples next to the ends of a segment have fewer than three neighbours on one side. They are compared with the parabola through
+the next three samples. The first and the last sample are not examined, because a motion may begin or end there.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class AngleSpikes:
     """Examines the samples of one channel in one pass over a segment."""
 
     def __init__(self, channel: str, radian: float, count: float, factor: float) -> None:
-        """radian: one radian in the channel's unit. count: declared resolution in the channel's unit, 0 if none is declared.
+        """radian: one radian in the channel's unit. count: declared resolution in the channel's unit; 0 if none is declared.
         factor: number of standard deviations that a spike must exceed."""
         self.channel, self.radian, self.count, self.factor = channel, radian, count, factor
         self.parts: list[tuple[Array, RowNumbers, Array]] = []
@@ -58,7 +58,7 @@ class AngleSpikes:
         self.found: list[Find] = []
 
     def add(self, values: Array, first: int, time: Array) -> None:
-        """Takes the next samples. first: row number of the first of them. Samples that are not finite are ignored."""
+        """Adds the next samples. first: row number of the first of these samples. Samples that are not finite are left out."""
         for low in range(0, len(values), _PIECE):
             part = slice(low, low + _PIECE)
             self._add(values[part], first + low, time[part])
@@ -74,7 +74,7 @@ class AngleSpikes:
             self._examine(last=False)
 
     def finish(self) -> list[Find]:
-        """All findings. Call it once, after the last samples."""
+        """Returns all findings. It must be called once, after the last samples."""
         self._examine(last=True)
         return self.found
 
@@ -95,7 +95,7 @@ class AngleSpikes:
         self.parts, self.held, self.begun = [(values[kept].copy(), rows[kept], time[kept])], min(n, 2 * _CONTEXT), True
 
     def _spikes(self, values: Array, low: int, high: int) -> list[tuple[int, float, float]]:
-        """Place, deviation and noise of each spike from `low` to `high`."""
+        """The place, the deviation and the noise of each spike with an index from `low` up to but not including `high`."""
         turn = 2 * math.pi * self.radian
         x = np.unwrap(values, period=turn) if np.ptp(values) > turn / 2 else values
         off = np.zeros(len(x))
@@ -126,7 +126,8 @@ class AngleSpikes:
         return max(_COUNTS * self.count, _SMALLEST * self.radian)
 
     def _judged(self, x: Array, k: int, scale: float) -> list[tuple[int, float, float]]:
-        """Place, deviation and noise of the sample k if it is a spike, which is then replaced in x; otherwise empty."""
+        """If the sample k is a spike, returns its place, its deviation and the noise, and replaces the sample in x; otherwise
+        returns an empty list."""
         off = float(_off_course(x[k - _SIDE : k + _SIDE + 1])[0])
         least = max(self.factor * scale, self._smallest)
         if abs(off) <= least or abs(off) <= self._seen_counts(x, k):
@@ -143,14 +144,14 @@ class AngleSpikes:
         return [(k, off, scale / _FACTOR)]
 
     def _seen_counts(self, x: Array, k: int) -> float:
-        """The smallest deviation that cannot come from rounding, as far as the other samples show the count."""
+        """The smallest deviation that cannot come from rounding, judged from the steps between the other samples."""
         bends = np.abs(np.diff(x, 2))
         bends[max(k - 2, 0) : k + 1] = 0.0
         bends = bends[bends > _ROUNDED * self.radian]
         return min(_COUNTS * float(bends.min(initial=math.inf)), _COARSE * self.radian)
 
     def _at_the_end(self, x: Array) -> list[tuple[int, float, float]]:
-        """A spike among the first samples of x; for the last samples of a segment, x is reversed."""
+        """Finds a spike among the first samples of x. For the last samples of a segment, x must be reversed."""
         scale = _SCALE * float(np.median(np.abs(_off_parabola(x))))
         for k in range(1, _SIDE):
             off = float(_off_parabola(x[k : k + 4])[0])
@@ -165,15 +166,15 @@ class AngleSpikes:
 
 
 def _off_course(x: Array) -> Array:
-    """Deviations (n − 6,) of the samples that have three neighbours on each side from the interpolation through these six."""
+    """The deviations (n − 6,) of samples from the interpolation through their six neighbours, three on each side."""
     return np.correlate(x, _WEIGHTS, "valid")
 
 
 def _off_parabola(x: Array) -> Array:
-    """Deviations (n − 3,) of the samples from the parabola through the next three."""
+    """The deviations (n − 3,) of samples from the parabola through the next three samples."""
     return np.correlate(x, _PARABOLA, "valid")
 
 
 def _after_fit(x: Array, pattern: Array) -> float:
-    """Sum of the squares of x that remains after a fit of `pattern`."""
+    """The sum of squares of x that remains after `pattern` has been fitted to x."""
     return float(x @ x - (x @ pattern) ** 2 / (pattern @ pattern))

@@ -1,11 +1,11 @@
-"""Long recordings in bounded memory: one pass over a segment's blocks averages consecutive samples into bins.
+"""Averages a long recording in limited memory: one pass over the blocks of a segment averages consecutive samples in bins.
 
-A recording of up to `BUDGET` samples is used unchanged. In a longer recording the bins are made large enough to keep to the budget, but
+A recording of up to `BUDGET` samples is not averaged. In a longer recording, the bins are large enough to keep to this budget; but
 a turn or a period of rocking has at least `PER_PERIOD` bins, and a segment at least `FEWEST`. During motion, the number of bins
-therefore depends on the number of turns, not on the number of samples. Some properties can only be measured on single samples. The same
-pass measures them: the white noise level, from the same orders of the cosine transform as in a short recording; the count; and
-outliers, which are replaced by interpolation between their neighbours. Frequencies above half the bin rate are lost, and so are fewer
-than `size` samples at the end of a segment.
+therefore depends on the number of turns, not on the number of samples. Some properties can be measured only on single samples. The
+same pass measures them: the white noise level, from the same orders of the cosine transform as in a short recording; the size of a
+count; and outliers, which are replaced by interpolation between their neighbours. Frequencies above half the bin rate are lost; so
+are up to `size` − 1 samples at the end of a segment, which do not fill a bin of `size` samples.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ _ROUNDS = 4
 
 @dataclass
 class Averaged:
-    """One segment in bins. begin: time of the first sample, s; step: time between samples, s; time: (n,), times of the bins, s;
-    table: channel → (n,), in the channel's unit; rejected: number of rows with a NaN. The other fields are as in `Bins`, in SI."""
+    """One segment, averaged in bins. begin: time of the first sample, s; step: time between samples, s; time: (n,), times of the
+    bins, s; table: the means (n,) of each channel, in the channel's unit; rejected: number of rows left out because of a NaN. The
+    other fields are as in `Bins`, in SI."""
 
     begin: float = np.nan
     step: float = np.nan
@@ -51,7 +52,7 @@ class Averaged:
 
 
 def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
-    """Samples per bin for each segment (S,); None if the recording is used unchanged."""
+    """The number of samples per bin for each segment (S,); None if the recording is not averaged."""
     counts = np.array([item.statistics.count for item in recording])
     if counts.sum() <= BUDGET:
         return None
@@ -64,7 +65,7 @@ def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
 
 
 def _most(item: RecordedSegment) -> int:
-    """The largest bin size that still resolves a segment's motion."""
+    """The largest bin size that still resolves the motion of a segment."""
     known = item.statistics
     most = known.count // FEWEST
     period = period_of(item.segment.motion)
@@ -74,7 +75,7 @@ def _most(item: RecordedSegment) -> int:
 
 
 def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
-    """The bins of a recording, combined from the bins of its segments."""
+    """Combines the bins of all segments to those of the recording."""
     levels = [reduce(np.union1d, each) for each in zip(*(part.levels for part in parts), strict=True)]
     return Bins(
         size,
@@ -87,8 +88,8 @@ def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
 
 
 def seen_along(bins: Bins, along: Array) -> Bins:
-    """Bins of the readings of a triad, projected on one direction for each segment. along: (S, 3), unit vectors. The projected readings
-    have no count."""
+    """Bins of the readings of a triad after these have been projected onto one direction for each segment. along: (S, 3), unit
+    vectors. The projected readings have no count size."""
     energy = np.einsum("si,sij,sj->s", along, bins.energy, along)[:, None, None]
     return replace(bins, energy=energy, spikes=bins.spikes.sum(keepdims=True), levels=(np.empty(0),))
 
@@ -102,9 +103,9 @@ def averaged(
     size: int,
     encoder: tuple[str, float] | None = None,
 ) -> Averaged:
-    """A segment averaged in bins of `size` samples, in one pass. names: channels, the K measured ones first; factors: (K,), factors
-    from their units to SI; counts: (K,), size of one count, SI; smallest: (K,), the smallest noise for the detection of outliers,
-    SI. encoder: a channel of `names` that wraps, and the number of its units per turn."""
+    """Averages a segment in bins of `size` samples, in one pass. names: names of the channels, first those of the K measured
+    channels; factors: (K,), factors from the channels' units to SI; counts: (K,), size of one count, SI; smallest: (K,), smallest
+    noise that the detection of outliers assumes, SI. encoder: name of a channel that wraps, and the number of its units per turn."""
     out = Averaged(energy=np.zeros((len(factors),) * 2), spikes=np.zeros(len(factors), dtype=np.int64))
     out.levels = [np.empty(0) for _ in factors]
     times, means, last = [], [], None
@@ -133,7 +134,7 @@ def averaged(
 
 
 def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Iterator[Block]:
-    """Blocks without rows that contain a NaN; these rows are counted."""
+    """Yields the blocks without those rows that contain a NaN; counts these rows."""
     for block in item.blocks(names):
         good = np.isfinite(block.time)
         for name in names:
@@ -144,14 +145,15 @@ def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Itera
 
 
 def _look_at(values: Array, counts: Array, out: Averaged) -> None:
-    """Collects levels of the channels until the declared count is confirmed."""
+    """Collects the levels of each channel until they confirm its declared count."""
     for channel, step in enumerate(counts):
         if step > 0 and not settled(out.levels[channel]):
             out.levels[channel] = np.union1d(out.levels[channel], levels_of(values[channel], float(step)))
 
 
 def _upper(values: Array, out: Averaged) -> None:
-    """Energy in the upper three quarters of the orders of a piece, from one eighth of the sampling rate upwards."""
+    """Adds up the energy in the upper three quarters of the orders of a piece, which is from one eighth of the sampling rate
+    upwards."""
     from scipy.fft import dct
 
     quarter = values.shape[1] // 4
@@ -162,11 +164,11 @@ def _upper(values: Array, out: Averaged) -> None:
 
 
 def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Samples (K, n) in which linear interpolation replaces outliers, and the number of outliers (K,). An outlier is far from the mean
-    of its four neighbours.
+    """Replaces outliers in samples (K, n) by linear interpolation; also returns the number of outliers (K,). An outlier lies far
+    from the mean of its four neighbours.
 
-    For white noise, the difference of a sample from this mean has 1.25 times the variance of the noise. Of several outliers within two
-    samples the largest is replaced first.
+    For white noise, the difference between a sample and this mean has 1.25 times the variance of the noise. If there are several
+    outliers within two samples, the largest is replaced first.
     """
     from scipy.ndimage import maximum_filter1d
 
@@ -190,7 +192,8 @@ def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.in
 
 
 def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Iterator[tuple[Array, Array]]:
-    """The same samples as (time (n,), values (k, n)) in pieces. Every piece except the last has exactly `rows` rows."""
+    """Divides the samples anew, into pieces of `rows` rows, each with the time (n,) and the values (k, n). Only the last piece may
+    be shorter."""
     time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
     for block in blocks:
         taken, count = 0, len(block.time)

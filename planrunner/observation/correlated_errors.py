@@ -1,8 +1,8 @@
-"""Errors of the segments' means that are correlated between segments: declared flicker, and errors of the table.
+"""Errors that correlate the means of different segments: declared flicker, and errors of the table.
 
-A correlated error states how every observation follows r independent inputs that share one stated uncertainty. This determines two
-things: the contribution to the covariance of the observations, by which they are weighted, and the sensitivity of each result to
-the inputs.
+A correlated error describes how every observation depends on r independent inputs that have a common stated uncertainty. Two things
+follow from this: the contribution to the covariance of the observations, which determines their weights, and the sensitivity of
+each result to the inputs.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _RESOLVED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrelatedError:
-    """A correlated error. changes: maps the index of each affected output to (n, r), the change of each observation per unit of
-    each input. parts: names of the r inputs, as for `Influence`. within: maps the index of an output to (n,), the contribution of
-    the error to the variance within the segments, per unit² of the input. channel: the channel whose noise the error is; empty for
-    errors that are not noise."""
+    """An error that changes several observations together. changes: by the index of each affected output, the changes (n, r) of the
+    observations per unit of each input. parts: names of the r inputs, as for `Influence`. within: by the index of an output, the
+    contribution (n,) of the error to the variance within the segments, per unit² of the input. channel: for an error that is noise
+    of a channel, the name of this channel; otherwise empty."""
 
     quantity: InputQuantity
     changes: Mapping[int, Array]
@@ -35,34 +35,37 @@ class CorrelatedError:
     channel: str = ""
 
     def covariance(self, one: int, other: int) -> Array | float:
-        """Contribution to the covariance between the observations of two outputs, (n, n); 0.0 unless the error acts on both."""
+        """The contribution (n, n) to the covariance between the observations of two outputs; 0.0 unless the error acts on both
+        outputs."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
 
     def through(self, functionals: Array, in_scatter: bool = False) -> Influence:
-        """Influence on q quantities that are linear functions of the observations, given by functionals (q, m, n)."""
+        """The influence of the error on q quantities. functionals: (q, m, n), coefficients with which each quantity depends
+        linearly on the observations."""
         moved = sum(functionals[:, output] @ change for output, change in self.changes.items())
         return Influence(self.quantity, np.asarray(moved), in_scatter, self.parts)
 
 
 def functionals_of(gains: Array) -> Array:
-    """Coefficients, output after output, as functionals of all observations, (m·p, m, n), from gains (m, p, n)."""
+    """Arranges the gains (m, p, n) of m outputs with p coefficients each as functionals (m·p, m, n) of all observations, output
+    after output."""
     m, p, n = gains.shape
     stacked: Array = np.einsum("apn,ab->apbn", gains, np.eye(m)).reshape(m * p, m, n)
     return stacked
 
 
 def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
-    """Contribution of correlated errors to the variance within the segments, (n,)."""
+    """The contribution (n,) of correlated errors to the variance within the segments."""
     shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
     return sum(shares, 0.0)
 
 
 def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> Array:
-    """Changes of the n observations of each output per standard uncertainty of every input, (outputs, n, r); 0 for an effect that
-    does not act on the output. If L₁ and L₂ belong to two outputs, L₁·L₂ᵀ is the contribution of the effects to the covariance
-    between their observations."""
+    """The changes (outputs, n, r) of the n observations of each output per standard uncertainty of every input; 0 for an error that
+    does not act on an output. If L₁ and L₂ are the changes of two outputs, L₁·L₂ᵀ is the contribution of the errors to the
+    covariance between their observations."""
     roots = []
     for effect in effects:
         columns = next(iter(effect.changes.values())).shape[1]
@@ -74,8 +77,8 @@ def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> A
 
 
 def mixed(spread: Array, roots: Array) -> Array:
-    """Covariance (…, n, n) of the observations of outputs: noise of standard uncertainty `spread` (…, n), and the contribution of
-    the effects, from `roots` (…, n, r)."""
+    """The covariance (…, n, n) of the observations of outputs. It is the sum of noise with the standard uncertainty `spread` (…, n)
+    and of the contribution of correlated errors with the roots (…, n, r)."""
     covariance = np.asarray(roots @ roots.swapaxes(-1, -2))
     i = np.arange(spread.shape[-1])
     variances = covariance[..., i, i] + spread**2

@@ -1,10 +1,10 @@
-"""Courses that a slow drift of the outputs may take during a test: in time, with temperature, and with the rate of change of the
+"""Courses of a slow drift of the outputs during a test: functions of the time, of the temperature, or of the rate of change of the
 temperature.
 
-A drift is a nuisance: its courses are fitted together with the coefficients, so that the uncertainties of the coefficients include
-a contribution of the unknown drift. A course is described by its mean over each segment, minus its average over the recorded time
-of all segments of the estimate. A constant is therefore the value for the whole test: at the average time, at the average
-temperature and at its average rate of change. Thus a constant has the same meaning for outputs that use only some of the segments.
+A drift is a nuisance: its courses are fitted together with the coefficients, so that the unknown drift contributes to the
+uncertainties of the coefficients. A course is described by its mean over each segment, minus its average over the recorded time of
+all segments that the estimate uses. A constant is therefore a value for the whole test: at its average time, at its average
+temperature, and at its average rate of change. A constant thus has the same meaning for outputs that use only some of the segments.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _STEADY = 1e-9  # K: a smaller change of the temperature is rounding
 
 
 def drift() -> tuple[str, ...]:
-    """The key `drift` of estimators that fit constants to segments."""
+    """Makes the key `drift` of estimators that fit constants to segments."""
     words: tuple[str, ...] = key(
         ListOf(Choice((BY_EVIDENCE, NONE, *ORDERS, *WITH_TEMPERATURE)), single=True, minimum=1),
         "Drift of the outputs during the test that is fitted together with the coefficients: in time (`quadratic` includes `linear`, and "
@@ -46,7 +46,7 @@ def drift() -> tuple[str, ...]:
 
 
 def thermometer() -> str | None:
-    """The key that names the channel whose mean is the temperature of a segment."""
+    """Makes the key that names the channel with the temperature of a segment."""
     channel: str | None = optional(
         CHANNEL,
         "The sensor's own thermometer, for a drift with temperature; by default the only recorded channel that is a temperature.",
@@ -57,10 +57,10 @@ def thermometer() -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourse:
-    """One course of drift. columns: (n, r), the same course for r parts of an output; they do not have the unit of the output. per:
-    the unit by which a fitted amplitude is divided. parts: names of the parts, if there are several. order: power of the time for a
-    course in time, otherwise 0. changed: change of the recorded temperature between segments, K, if the course follows it and the
-    change is significant; otherwise 0."""
+    """One course of a drift, as columns for a fit. columns: (n, r), the same course for r parts of an output, without the unit of
+    the output. per: the unit by which the unit of the output is divided to give the unit of a fitted amplitude. parts: names of the
+    parts if there are several. order: power of the time if the course is a function of time, otherwise 0. changed: change of the
+    recorded temperature between segments, K, if the course follows the temperature and the change is significant; otherwise 0."""
 
     name: str
     per: str
@@ -72,9 +72,9 @@ class DriftCourse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourses:
-    """The courses that may be fitted. by_evidence: if True, a course is fitted only if the data show it; otherwise all courses are
-    fitted. fits: number of separate fits in which the same drift is sought. shown: names of the courses that one of these fits
-    shows; they are fitted where the segments allow it."""
+    """The courses of a drift that may be fitted. by_evidence: True if a course is fitted only if the data show it; False if all
+    courses are fitted. fits: number of separate fits in which the same drift is looked for. shown: names of the courses that one of
+    these fits shows; every fit includes them if its segments allow it."""
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = True
@@ -86,8 +86,8 @@ NO_DRIFT = DriftCourses()
 
 
 def asked(words: Sequence[str]) -> tuple[str, ...]:
-    """The courses that a plan asks for, including the lower orders in time; for `by_evidence`, the courses that may be tried. Raises
-    `EstimationError` for options that exclude each other."""
+    """The names of the courses that a plan requests, including the lower orders in time; for `by_evidence`, the courses that are
+    tried. Raises `EstimationError` for options that exclude each other."""
     alone = [word for word in words if word in (BY_EVIDENCE, NONE)]
     if alone and len(set(words)) > 1:
         other = next(word for word in words if word != alone[0])
@@ -111,9 +111,9 @@ def drift_of(
 ) -> DriftCourses:
     """The courses for the observations of recorded segments.
 
-    channel: the thermometer, if the plan names one. segments: segments of the observations, in their order; empty if the
-    observations are parts of segments with unknown temperature. test: all segments of the estimate. Raises `EstimationError` if the
-    plan asks for a temperature that is not recorded.
+    channel: the thermometer that the plan names, or None. segments: the segments of the observations, in the same order; empty if
+    the observations are parts of segments and have no known temperature. test: all segments that the estimate uses. Raises
+    `EstimationError` if the plan requests a drift with a temperature that is not recorded.
     """
     names, by_evidence = asked(words), BY_EVIDENCE in words
     if not names or (by_evidence and observations.expected):
@@ -144,10 +144,11 @@ def drift_of(
 def courses_by_evidence(
     start: Array, end: Array, seconds: Array, kelvin: Array | None, observed: int
 ) -> tuple[DriftCourses, DriftCourses]:
-    """The courses that n observations may show, and the same courses over all r rows.
+    """The courses that n observations may show; and the same courses for all r rows, which are the observations and further times.
 
-    start, end: (r,), s, first for the observations, then for further times; seconds: (r,), recorded time of each observation, s,
-    and 0 at the further times; kelvin: (r,), temperatures, None if they are not recorded. observed: number n of observations.
+    start, end: (r,), s, first those of the observations, then those of the further times; seconds: (r,), recorded time of each
+    observation, s, and 0 at the further times; kelvin: (r,), temperatures, K, None if they are not recorded. observed: number n of
+    observations.
     """
     rows = list(range(observed))
     names = asked((BY_EVIDENCE,))
@@ -165,8 +166,8 @@ def _courses(
     names: Sequence[str],
     by_evidence: bool,
 ) -> list[DriftCourse]:
-    """The courses among `names`; courses with the temperature only if the temperature is known and changes between the given rows.
-    Arrays: (n,), as in `in_time`."""
+    """The courses whose names are among `names`. Courses with the temperature are included only if the temperature is known and
+    changes between the given rows. start, end, seconds and kelvin have the shape (n,), as in `in_time`."""
     courses = list(in_time(start, end, seconds))
     if kelvin is not None:
         changed = float(np.ptp(kelvin[rows]))
@@ -177,8 +178,8 @@ def _courses(
 
 
 def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)) -> tuple[DriftCourse, ...]:
-    """Powers of the time since the middle of the test, h, up to the highest order. start, end: (n,), s; seconds: (n,), recorded time of
-    the used samples, s."""
+    """Courses that are powers of the time [h] since the middle of the test, up to the highest order. start, end: (n,), s; seconds:
+    (n,), recorded time of the used samples, s."""
     middle = (float(start.min()) + float(end.max())) / 2
     low, high = (start - middle) / _HOUR, (end - middle) / _HOUR
     made = []
@@ -190,8 +191,9 @@ def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)
 
 
 def _with_temperature(middle: Array, kelvin: Array, seconds: Array, names: Sequence[str]) -> tuple[DriftCourse, ...]:
-    """The courses with temperature among `names`. middle: (n,), s; kelvin: (n,), temperatures of the segments. The rate of change
-    of the temperature is the slope of the line through the neighbouring segments."""
+    """The courses with the temperature whose names are among `names`. middle: (n,), middle times of the segments, s; kelvin: (n,),
+    temperatures of the segments, K. The rate of change of the temperature is computed from the temperatures of the neighbouring
+    segments."""
     if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
         return ()
     by_level, by_rate = WITH_TEMPERATURE
@@ -209,14 +211,15 @@ def _centred(values: Array, seconds: Array) -> Array:
 
 
 def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | None, by_evidence: bool) -> str | None:
-    """The thermometer that is recorded in all segments, as for `thermometer_of`."""
+    """The thermometer that is recorded in all segments, chosen as in `thermometer_of`."""
     return thermometer_of(_common(segments), channel, by_evidence)
 
 
 def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: bool) -> str | None:
-    """The channel of the temperature; None if there is none and the plan does not require it.
+    """The channel that contains the temperature; None if there is no such channel and the plan does not require one.
 
-    units: units of the channels that every segment has; channel: the channel that the plan names, if any. Raises `EstimationError`.
+    units: units of the channels that every segment has; channel: the channel that the plan names, or None. Raises `EstimationError`
+    if the named channel is not a recorded temperature, or if the plan requires a thermometer and there is not exactly one.
     """
     thermometers = [name for name in sorted(units) if _is_temperature(units[name])]
     if channel is not None:
@@ -243,7 +246,7 @@ def _is_temperature(text: str) -> bool:
 
 
 def _common(segments: Sequence[RecordedSegment]) -> dict[str, str]:
-    """Units of the channels that every segment has."""
+    """The units of those channels that every segment has."""
     if not segments:
         return {}
     shared = set.intersection(*(set(one.statistics.channels) for one in segments))
@@ -251,7 +254,7 @@ def _common(segments: Sequence[RecordedSegment]) -> dict[str, str]:
 
 
 def _temperatures(segments: Sequence[RecordedSegment], channel: str) -> Array:
-    """Mean temperatures, K, (n,)."""
+    """The mean temperatures (n,) of the segments, K."""
     means = np.array([one.statistics.mean[one.statistics.of(channel)] for one in segments])
     scales = [unit(one.units[channel]) for one in segments]
     return np.asarray(means * [one.factor for one in scales] + [one.offset for one in scales])

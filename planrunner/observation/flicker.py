@@ -1,9 +1,11 @@
-"""Effect of an output's bias instability on the means of segments: flicker noise, whose slow part correlates all segments of a test.
+"""The effect of an output's bias instability on the means of segments. It is flicker noise, whose slow part correlates all segments
+of a test.
 
-Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). Its spectrum has no lower
-limit, so a constant is defined only as the average over some time span. Here the plan states this span, and a constant is the average
-over the span around the test. No cut-off frequency is then needed, because the covariance of means minus the average over the span is
-finite. Its kernel is −ln|t − t′|/π, whose double integrals over segments are known in closed form.
+Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). The spectrum of flicker
+has no lower limit, so a constant can be defined only as an average over some time span. The plan states this span; a constant is
+the average over the span, in whose middle the test lies. No cut-off frequency is then needed, because the means have a finite
+covariance after the average over the span has been subtracted. This covariance has the kernel −ln|t − t′|/π, whose double integrals
+over segments are known in closed form.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ SPAN = parse_quantity("24 h")
 
 
 def drift_span() -> Quantity:
-    """The key that states the time span over which a constant is the average, for estimators that report constants."""
+    """Makes the key for the time span over which a constant is the average."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
         "A reported constant is the mean over this time span, which has the test in its middle and is at least as long as the test. "
@@ -37,7 +39,8 @@ def drift_span() -> Quantity:
 
 
 def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """One effect for each output whose bias instability is stated. span: time span around the test that defines a constant, s."""
+    """The correlated error of each output whose bias instability is stated. span: time span around the test, over which a constant
+    is the average, s."""
     outputs = observations.channels
     stated = {
         k: quantity for k, name in enumerate(outputs) if (quantity := inputs.of_output(Aspect.BIAS_INSTABILITY, name))
@@ -48,7 +51,7 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
 def _effects(
     observations: Observations, stated: Mapping[int, InputQuantity], span: float
 ) -> tuple[CorrelatedError, ...]:
-    """Flicker of the outputs with these indices."""
+    """The flicker of those outputs whose bias instability is given, by the index of the output."""
     if not stated:
         return ()
     root = _root(mean_covariance(observations.start, observations.end, span))
@@ -60,8 +63,9 @@ def _effects(
 
 
 def _root(covariance: Array) -> Array:
-    """L with L·Lᵀ = covariance (n, n). A Cholesky factor takes a tenth of the time of eigenvectors. Eigenvectors are needed only if
-    the covariance is singular, for example for a test without gaps that fills the whole span."""
+    """A matrix L for which L·Lᵀ is the covariance (n, n). A Cholesky factor is used if possible, because it takes a tenth of the
+    time of eigenvectors. Eigenvectors are needed only if the covariance is singular, for example for a test without gaps that fills
+    the whole span."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -69,23 +73,26 @@ def _root(covariance: Array) -> Array:
 
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """Flicker with B = 1, in the output's unit, for each output whose bias instability the bench file does not give. There are no
-    effects for expected observations, because these contain only declared effects. span: time span around the test that defines a
-    constant, s."""
+    """The flicker with B = 1, in the output's unit, of each output for which the bench file states no bias instability. For
+    expected observations there is none, because these contain only declared effects. span: time span around the test, over which a
+    constant is the average, s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
     return _effects(observations, silent, span)
 
 
 def of_unit_size(channel: str, unit: str) -> InputQuantity:
-    """The coefficient B of a channel whose bias instability is not stated: B is one unit, so that its influences are per unit."""
+    """The coefficient B of a channel whose bias instability is not stated. B is set to one unit, so that influences of the flicker
+    are per unit of B."""
     return InputQuantity(Aspect.BIAS_INSTABILITY.of(channel), 0.0, unit, 1.0)
 
 
 def mean_covariance(start: Array, end: Array, span: float) -> Array:
-    """Covariance (n, n) of the means, over n segments, of flicker with B = 1 minus its average over `span` around them.
+    """The covariance (n, n) of means over n segments of flicker noise with B = 1, after its average over `span` [s] around the
+    segments has been subtracted.
 
-    start, end: (n,), s. A span shorter than the time from the first start to the last end is replaced by that time.
+    start, end: (n,), start and end times of the segments, s. A span shorter than the time from the first start to the last end is
+    extended to that time.
     """
     first, last = float(start.min()), float(end.max())
     middle, half = (first + last) / 2, max(span, last - first) / 2
@@ -96,12 +103,13 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
 
 
 def weighted_covariance(weights: Array, step: float, span: float) -> Array:
-    """Covariance (…, q, q) of q weighted sums of means over n consecutive intervals of `step` [s]. The means are those of flicker with B
-    = 1 minus its average over `span` [s] around the intervals. weights: (…, q, n).
+    """The covariance (…, q, q) of q weighted sums of means over n consecutive intervals of the length `step` [s]. The means are
+    those of flicker noise with B = 1, after its average over `span` [s] around the intervals has been subtracted. weights: (…, q,
+    n).
 
-    The result is that of `mean_covariance` for intervals of equal length. The covariance of two means then depends only on the distance
-    of their intervals. Its product with the weights is therefore a convolution (a Toeplitz matrix embedded in a circulant one), and n may
-    be thousands.
+    For intervals of equal length, the result agrees with that of `mean_covariance`. The covariance of two means then depends only
+    on the distance between their intervals. The product of this covariance with the weights is therefore a convolution (a Toeplitz
+    matrix embedded in a circulant one), so that n may be thousands.
     """
     n = weights.shape[-1]
     low: Array = step * np.arange(n, dtype=np.float64)
@@ -121,16 +129,16 @@ def weighted_covariance(weights: Array, step: float, span: float) -> Array:
 
 
 def _mean_logarithm(low: Array, high: Array) -> Array:
-    """Average of ln|t − t′| over t in one interval and t′ in another, (n, n)."""
+    """The average of ln|t − t′| over t in one interval and t′ in another, for all pairs of n intervals, (n, n)."""
     return _between(low, high, low, high)
 
 
 def _between(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
-    """Average of ln|t − t′| over t in one of n intervals and t′ in one of m others, (n, m).
+    """The average of ln|t − t′| over t in one of n intervals and t′ in one of m other intervals, (n, m).
 
-    It is computed from the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends. For intervals that are
-    short compared with their distance d, these differences cancel; there the average is ln d − (a² + b²)/(24·d²), with an error of
-    fourth order in a/d and b/d.
+    It is computed from the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends. If the lengths a and b of
+    the intervals are small compared with their distance d, these differences cancel. The average is then computed as ln d − (a² +
+    b²)/(24·d²), with an error of fourth order in a/d and b/d.
     """
     if len(low) > _ROWS:
         parts = [slice(first, first + _ROWS) for first in range(0, len(low), _ROWS)]
@@ -152,13 +160,13 @@ _ROWS = 64  # computed at a time, so that the parts of the sum stay in the proce
 
 
 def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) -> Array:
-    """Contribution (n,) of flicker with B = 1 to the square of each mean's standard error, if the standard error is estimated from b batch
-    means: ln b/(π·(b − 1)).
+    """The contribution (n,) of flicker with B = 1 to the square of the standard error of each mean. If the standard error is
+    estimated from b batch means, the contribution is ln b/(π·(b − 1)).
 
-    A mean over the time T has the variance (c − ln T + 3/2)/π with some constant c. The variance of one batch mean therefore exceeds that
-    of the mean of all batches by ln b/π. If functions of time are fitted to the batch means, the fit removes a part of the flicker. The
-    contribution is then tr(R·K·R)/(b·ν), where R is the projection onto what the fit leaves, K the covariance of the batch means, and ν
-    the number of degrees of freedom. courses: the fitted functions, as in `Observations`.
+    A mean over the time T has the variance (c − ln T + 3/2)/π, where c is a constant. The variance of one batch mean is therefore
+    larger than that of the mean of all batches by ln b/π. If functions of time are fitted to the batch means, the fit removes a
+    part of the flicker. The contribution is then tr(R·K·R)/(b·ν), where R is the projection onto what the fit leaves, K the
+    covariance of the batch means, and ν the number of degrees of freedom. courses: the fitted functions, as in `Observations`.
     """
     b = np.maximum(batches, 2).astype(float)
     plain = np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)

@@ -1,5 +1,5 @@
-"""Detection of a channel's count, the step of which all values are multiples. Levels are collected piece by piece in hundredths of the
-declared count."""
+"""Finds the count of a channel, which is the step of which all values are multiples. Levels are the distinct values in units of the
+declared count, rounded to hundredths; they are collected piece by piece."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ _PIECE = 4096  # values taken at once
 
 
 def levels_of(values: Array, step: float) -> Array:
-    """The distinct values (n,) in declared counts, ascending."""
+    """The distinct values (n,) in units of the declared count, in ascending order."""
     return np.unique(np.round(values / step, 2))
 
 
 def coarsening(levels: Array) -> float:
-    """The common step of the levels in declared counts; 1 if no coarser step is found."""
+    """The smallest step between the levels, in units of the declared count; 1 if this step is not clearly coarser than the declared
+    count, or if there are too few levels."""
     if len(levels) < DISTINCT:
         return 1.0
     smallest = float(np.diff(levels).min())
@@ -32,17 +33,18 @@ def coarsening(levels: Array) -> float:
 
 
 def settled(levels: Array) -> bool:
-    """Whether further values cannot change the result, because the declared count is already confirmed."""
+    """True if the levels already confirm the declared count, so that further values cannot change the result."""
     return len(levels) >= DISTINCT and coarsening(levels) == 1.0
 
 
 def holds(levels: Array) -> bool:
-    """Whether levels, in declared counts, are whole numbers, so that the values are multiples of the declared count."""
+    """True if the levels are whole numbers of declared counts, so that the values are multiples of the declared count."""
     return float(np.abs(levels - np.round(levels)).max(initial=0.0)) <= 2 * OFF_LATTICE
 
 
 def undeclared_step(values: Array) -> float:
-    """The count of a channel (N,) without a declared count, in its unit; 0 if its values are not multiples of any count."""
+    """The count of a channel that has no declared count, in the channel's unit; 0 if its values (N,) are not multiples of any
+    count."""
     some = values[:: max(len(values) // _PIECE, 1)]
     distinct = np.unique(np.round((some - some.min()) / max(float(np.ptp(some)), 1e-300), 9))
     steps = np.diff(distinct) * float(np.ptp(some))
@@ -57,7 +59,7 @@ def undeclared_step(values: Array) -> float:
 
 
 def seen_levels(values: Array, step: float) -> Array:
-    """The levels of values (N,), collected piece by piece until further levels cannot change the result."""
+    """The levels of the values (N,). They are collected piece by piece, until further values cannot change the result."""
     levels = np.empty(0)
     for first in range(0, len(values), _PIECE):
         levels = np.union1d(levels, levels_of(values[first : first + _PIECE], step))

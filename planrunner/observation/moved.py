@@ -1,4 +1,4 @@
-"""The motion of a sensor that no table commanded. The channels that the plan names for it give the motion."""
+"""The motion of a sensor that was not commanded by a plan. Recorded channels, which the plan names, show this motion."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _UNIT = 0.05  # deviation of the norm of a quaternion from 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionShown:
-    """A motion from recorded channels. table: angle, rate and acceleration of an axis with an encoder, (n,) each, zero without an
-    encoder. course: the motion, if other channels show it; None with an encoder. averaging: number of samples to average. usable:
-    (n,), True for samples with neighbours on both sides. differences: True if rates are differences between the two neighbours of a
-    sample."""
+    """A motion that recorded channels show. table: angle, rate and acceleration of an axis with an encoder, (n,) each; zero without
+    an encoder. course: the motion if channels other than an encoder show it; None if an encoder shows it. averaging: number of
+    consecutive samples to average. usable: (n,), True for samples with neighbours on both sides. differences: True if rates are
+    computed as differences between the two neighbours of a sample."""
 
     table: Mapping[str, Array]
     course: BodyMotion | None
@@ -34,8 +34,8 @@ class MotionShown:
     differences: bool = False
 
     def as_shown(self, values: Array) -> Array:
-        """Outputs (n, k) with the same averaging as the motion. If rates are differences, the outputs are averaged by Simpson's rule over
-        the interval of each difference, so that they do not contain more of a fast motion than the reference."""
+        """Averages outputs (n, k) in the same way as the motion. If rates are differences, the outputs are averaged by Simpson's
+        rule over the interval of each difference, so that they contain a fast motion to the same degree as the reference."""
         if not self.differences:
             return values
         found = values.copy()
@@ -46,10 +46,10 @@ class MotionShown:
 def recorded_course(
     motion: RecordedMotion, attitude: Array | None, site: Site, time: Array, shown: Mapping[str, Array]
 ) -> MotionShown:
-    """The motion at n samples. attitude: attitude of the sensor at the first sample of the segment; time: (n,), s; shown: channel →
-    (n,), SI.
+    """The motion at n samples, computed from recorded channels. attitude: attitude of the sensor at the first sample of the
+    segment; time: (n,), s; shown: the values (n,) of each channel, SI.
 
-    Raises `ObservationError` if the channels cannot show the motion.
+    Raises `ObservationError` if the motion cannot be computed from these channels.
     """
     step = float(np.median(np.diff(time)))
     size = max(1, round(motion.averaging / step)) if motion.averaging else 1
@@ -87,8 +87,8 @@ def recorded_course(
 
 
 def supposed_course(time: Array, site: Site) -> MotionShown:
-    """An assumed motion about all axes, for a segment that has not been recorded. It contains everything that an effect needs in
-    order to act. Reported numbers must not depend on this motion."""
+    """An assumed motion about all axes, used for a segment that has not been recorded. It is such that every effect can act.
+    Numbers that are reported must not depend on this motion."""
     since = time - time[0]
     rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
     zero = np.zeros(len(time))
@@ -97,5 +97,5 @@ def supposed_course(time: Array, site: Site) -> MotionShown:
 
 
 def _stacked(names: tuple[str, ...], shown: Mapping[str, Array]) -> Array | None:
-    """The channels as columns (n, k); None if there are no channels."""
+    """The named channels as columns (n, k); None if no channels are named."""
     return np.column_stack([shown[name] for name in names]) if names else None

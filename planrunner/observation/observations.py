@@ -1,4 +1,4 @@
-"""Observations: the segments' means of some channels, with their uncertainty from the scatter within the segments."""
+"""Observations: the means of channels over segments, with uncertainties from the scatter within the segments."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ SIGNIFICANCE = (
 class Observations:
     """Means of k channels over n segments, in the channels' units.
 
-    mean: (n, k). standard_error: (n, k), standard error of each mean, from the scatter within its segment; NaN if the segment is
-    too short. batches: (n,), number of batches for this standard error. start, end: (n,), beginning and end of the recorded
-    interval, half-open, s on the run's clock. correlation: (k, k), correlation of the channels' noise, over all segments. expected:
-    True if the observations are predicted from a schedule; means then have no noise, and standard errors come from the declared
-    noise. share: (n,), fraction of the samples that are used; None if all are used. courses: (n,), the course of each segment as in
-    `Statistics`; None without motion. within: number of further observations at the end that are not means but contrasts within
-    segments; their standard errors are known.
+    mean: (n, k). standard_error: (n, k), standard error of each mean, estimated from the scatter within its segment; NaN if the
+    segment is too short. batches: (n,), number of batches from which the standard errors of a segment are estimated. start, end:
+    (n,), start and end of the recorded interval, s on the run's clock; the end does not belong to the interval. correlation: (k,
+    k), correlation between the noise of the channels, over all segments. expected: True if the observations are predicted from a
+    schedule; the means then contain no noise, and the standard errors come from the declared noise. share: (n,), fraction of the
+    samples of each segment that are used; None if all are used. courses: (n,), for each segment the functions of time that its
+    motion causes, as in `Statistics`; None without motion. within: number of observations at the end that are not means but
+    contrasts within segments; the standard errors of these are known.
     """
 
     channels: tuple[str, ...]
@@ -56,7 +57,7 @@ class Observations:
 
     @property
     def of_means(self) -> Observations:
-        """The observations of the means alone, without the contrasts within segments."""
+        """The observations without the contrasts within segments."""
         if not self.within:
             return self
         n = len(self.labels) - self.within
@@ -75,19 +76,19 @@ class Observations:
 
     @property
     def freedom(self) -> Array:
-        """Degrees of freedom of the standard errors, (n,); 0 if they are unknown."""
+        """Degrees of freedom (n,) of the standard errors; 0 if they are unknown."""
         taken = 0.0 if self.courses is None else np.array([np.sum(course**2) for course in self.courses])
         return np.asarray(np.maximum(self.batches - 1 - taken, 0.0))
 
     @property
     def seconds(self) -> Array:
-        """Recorded time that is used, s, (n,)."""
+        """The recorded time (n,) that is used in each segment, s."""
         lasted: Array = self.end - self.start
         return lasted if self.share is None else lasted * self.share
 
 
 class Weighting(StrEnum):
-    """The noise by which the segments of a channel are weighted. The values are words for reports."""
+    """The noise that determines the weights of the segments of a channel. Reports show the values of this enumeration."""
 
     DECLARED = "declared noise"
     EQUAL = "equal"
@@ -97,8 +98,9 @@ class Weighting(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WithinSegmentNoise:
-    """Within-segment standard uncertainty of one channel's means. sigma: (n,), all positive. known: False if the samples within the
-    segments give no information; sigma is then 1. degrees_of_freedom: degrees of freedom of sigma."""
+    """The standard uncertainty of the means of one channel due to the noise within segments. sigma: (n,), standard uncertainties,
+    all positive. known: False if the samples give no information about the noise; sigma is then 1. degrees_of_freedom: degrees of
+    freedom of sigma, over all segments together."""
 
     sigma: Array
     known: bool
@@ -107,17 +109,18 @@ class WithinSegmentNoise:
 
     @property
     def unequal(self) -> bool:
-        """Whether the weights differ by more than the jitter of recorded times causes."""
+        """True if the weights of the segments differ by more than the jitter of recorded times causes."""
         return bool(self.sigma.max() > 1.05 * self.sigma.min())
 
 
 def weights_of(channels: Sequence[str], noises: Sequence[WithinSegmentNoise]) -> dict[str, str]:
-    """The words about the weights of each channel, for the settings that an estimate reports."""
+    """For each channel, the text that describes its weights, for the settings that an estimate reports."""
     return {name: noise.weighting.value for name, noise in zip(channels, noises, strict=True)}
 
 
 def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor: SensorModel) -> Observations:
-    """The observations of some channels. Raises `EstimationError` if a channel is missing, changes its unit, or has no samples."""
+    """Makes the observations of the named channels. Raises `EstimationError` if a channel is missing, changes its unit, or has no
+    usable samples."""
     if not segments:
         raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
     places: dict[tuple[str, ...], list[int]] = {}
@@ -180,7 +183,7 @@ def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Arra
 
 
 def _correlation(scatter: Array) -> Array:
-    """Correlation (k, k) from sums of products of deviations."""
+    """The correlation (k, k), computed from sums of products of deviations."""
     size = np.sqrt(scatter.diagonal())
     sizes = size[:, None] * size
     correlation = np.where(sizes > 0, scatter / np.where(sizes > 0, sizes, 1.0), 0.0)
@@ -189,11 +192,11 @@ def _correlation(scatter: Array) -> Array:
 
 
 def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], channels: Sequence[str]) -> Array:
-    """Correlation of the channels' means, (k, k). It is the correlation of the samples, (k, k), which is known best, unless the
-    correlation of the batch means differs significantly (Fisher's z, with Bonferroni's bound over the pairs). The two correlations
-    differ if the samples have a common part that averages out, such as a vibration.
+    """The correlation (k, k) between the means of the channels. It is the correlation of the samples, which is the most certain,
+    unless the correlation of the batch means differs significantly from it (Fisher's z, with Bonferroni's bound over the pairs).
+    The two correlations differ if the samples of several channels have a common part that averages out, such as a vibration.
 
-    The transform of a correlation coefficient r from ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
+    Fisher's transform of a correlation coefficient r with ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
     k, scatter, freedom = len(channels), np.zeros((len(channels),) * 2), 0.0
     for own in (recorded.statistics for recorded in segments):
         if own.freedom > 0 and len(own.mean_covariance):
@@ -210,8 +213,8 @@ def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], c
 
 
 def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
-    """Beginnings and ends [s] of the recorded segments. If the recorded times are not on one clock, so that segments overlap, the
-    planned beginnings are used."""
+    """The start and end times [s] of the recorded segments. If segments overlap, their recorded times do not come from one clock;
+    the planned start times are then used."""
     start = np.array([recorded.statistics.start for recorded in segments])
     length = np.array([max(recorded.statistics.duration, 1e-9) for recorded in segments])
     order = np.argsort(start)
@@ -224,12 +227,13 @@ def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
 def within_segment_noise(
     observations: Observations, channel: int, explained: Array | float = 0.0
 ) -> WithinSegmentNoise:
-    """The noise of one channel's means, for weights and for uncertainties.
+    """The noise of the means of one channel, for weights and for uncertainties.
 
-    The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran,
-    Statistical Methods, 13.10) finds that this product differs between the segments; then each segment keeps its own value. Thus,
-    equal noise gives weights by recorded time only, and chance differences between short segments do not influence the weights.
-    explained: (n,), part of the variance of the means that has another known cause and is subtracted.
+    The variance of a mean multiplied by its recorded time is pooled over the segments, unless Bartlett's test (Snedecor and
+    Cochran, Statistical Methods, 13.10) finds that this product differs between the segments. In that case, each segment keeps its
+    own value. With equal noise, the weights therefore depend only on the recorded time, and chance differences between short
+    segments do not influence them. explained: (n,), part of the variance of the means that has another known cause; it is
+    subtracted.
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
@@ -243,8 +247,8 @@ def within_segment_noise(
 
 
 def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentNoise:
-    """The noise of n means, as for `within_segment_noise`, from their standard errors (n,), recorded times (n,), s, and the degrees of
-    freedom of the standard errors (n,)."""
+    """The noise of n means, pooled as in `within_segment_noise`. error: (n,), standard errors; seconds: (n,), recorded times, s;
+    freedom: (n,), degrees of freedom of the standard errors."""
     degrees = np.where(np.isfinite(error), freedom, 0.0)
     usable = (degrees > 0) & (error > 0)
     n = len(error)
@@ -259,12 +263,13 @@ def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentN
 
 
 def _left(variance: Array, explained: Array | float) -> Array:
-    """Standard uncertainties (n,) without the explained part of the variance, but at least one hundredth of the observed ones."""
+    """The standard uncertainties (n,) after the explained part of the variance has been subtracted, but at least one hundredth of
+    the observed ones."""
     return np.sqrt(np.maximum(variance - explained, _LEAST**2 * variance))
 
 
 def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
-    """Bartlett's test of g positive variances (g,) with their degrees of freedom (g,) against the pooled variance."""
+    """True if Bartlett's test finds that g positive variances (g,), with degrees of freedom (g,), differ from the pooled variance."""
     from scipy.special import chdtrc
 
     total, groups = float(degrees.sum()), len(degrees)
@@ -274,7 +279,8 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
 
 
 def dithered(sensor: SensorModel, channel: str, variance: float | Array) -> NDArray[np.bool_]:
-    """Whether noise of this variance [unit²] between the samples of a channel dithers its mean (`NoiseModel.dithers`)."""
+    """True if noise with this variance [unit²] between samples is large enough to dither the mean of the channel
+    (`NoiseModel.dithers`)."""
     return _noise(sensor, channel).dithers(variance)
 
 
@@ -283,8 +289,8 @@ def _noise(sensor: SensorModel, channel: str) -> NoiseModel:
 
 
 def _rounding(sensor: SensorModel, channel: str, variances: Array) -> Array:
-    """Contribution of rounding to the uncertainty of each mean, (n,): resolution/√12 if the noise is too small to dither the
-    rounding."""
+    """The contribution (n,) of rounding to the uncertainty of each mean: resolution/√12 if the noise is too small to dither the
+    rounding, otherwise zero."""
     noise = _noise(sensor, channel)
     return np.where(noise.dithers(variances), 0.0, noise.resolution / math.sqrt(12))
 

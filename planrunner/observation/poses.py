@@ -1,14 +1,15 @@
-"""Poses in unknown orientations as observations. For a sensor that is turned by hand, only |f| = g is known while it rests.
+"""Poses in unknown orientations as observations. For a sensor that is turned by hand, only the magnitude |f| = g of the specific
+force is known while it rests.
 
-A pose's readings are a = M·f + b + noise with |f| = g. The components perpendicular to f depend on the unknown orientation, which uses
-up two numbers per pose. One observation per sample remains, along u = f/g:
+The readings in a pose are a = M·f + b + noise. The components of the readings that are perpendicular to f depend on the unknown
+orientation, which takes up two numbers per pose. One observation per sample remains: the component along u = f/g,
 
     u·a = g + u·b + g·uᵀ(M − 1)u + noise.
 
-Therefore errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) cannot be observed. Of the six misalignments, only
-the sums of opposite ones, the three non-orthogonalities, can be observed. u follows from the mean of the pose and the fitted nominal
-model by Gauss-Newton steps. An effect of size δ beyond the nominal model rotates u by at most δ and changes u·a by g·δ²/2, which is of
-second order.
+Errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) can therefore not be observed. Of the six misalignments,
+only the sums of opposite ones can be observed; these are the three non-orthogonalities. u is found from the mean of the pose and
+the fitted nominal model by Gauss-Newton steps. An effect of size δ that the nominal model does not contain rotates u by at most δ.
+This changes u·a by g·δ²/2, which is of second order.
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
-    """Whether all segments rest in unknown orientations. Segments whose motion the recording shows need no orientation.
+    """True if all segments are at rest in unknown orientations. Segments whose motion is recorded need no orientation.
 
-    Raises `ObservationError` if only some of the segments are in unknown orientations, or if one of these moves."""
+    Raises `ObservationError` if only some of the segments are in unknown orientations, or if a segment in an unknown orientation
+    moves."""
     unknown = [
         item.label
         for item in recording
@@ -62,11 +64,11 @@ def poses(
     *,
     only: Collection[str] | None = None,
 ) -> Observed:
-    """Recorded poses for a diagnosis: one channel `accel`, the accelerometer reading along gravity.
+    """Recorded poses as input of a diagnosis. There is one channel `accel`, the reading of the accelerometers along gravity.
 
-    nominal: terms that the simulation fits, used to find directions. Gyros are omitted, because at rest in an unknown orientation
-    they show only a bias. Raises `ObservationError` if there is no complete triad of accelerometers, or if the readings are not
-    near a sphere.
+    nominal: terms that the nominal simulation fits; they are used to find the directions of gravity. Gyros are left out, because at
+    rest in an unknown orientation they show only a bias. Raises `ObservationError` if there is no complete triad of accelerometers,
+    or if the readings are not near a sphere.
     """
     recording = in_time_order(recording)
     found = [channel for channel in channels_of(recording[0], sensor, only) if channel.kind == "accel"]
@@ -114,7 +116,8 @@ def poses(
 
 
 def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array:
-    """The directions of specific force (S, 3) in the sensor's axes, from mean readings (S, 3), m/s², and the nominal model fitted to them.
+    """The directions (S, 3) of the specific force in the sensor's axes. They are found from mean readings (S, 3), m/s², while the
+    nominal model is fitted to these readings.
 
     Raises `ObservationError` if the fit does not converge.
     """
@@ -141,7 +144,8 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
 
 
 def _columns(unit: Array, gravity: float, nominal: Sequence[str]) -> Array:
-    """Changes along `unit` (S, 3) caused by the nominal terms among bias, scale factors and non-orthogonalities."""
+    """Columns with the changes of the reading along `unit` (S, 3) per unit of each nominal term: bias, scale factors and
+    non-orthogonalities, as far as they are in `nominal`."""
     parts = [np.empty((len(unit), 0))]
     if "accel_bias" in nominal:
         parts.append(unit)
@@ -153,7 +157,7 @@ def _columns(unit: Array, gravity: float, nominal: Sequence[str]) -> Array:
 
 
 def _changed(step: Array, nominal: Sequence[str]) -> tuple[Array, Array]:
-    """Converts a step in the parameters of `_columns` to changes of bias (3,) and matrix (3, 3)."""
+    """Converts a step in the parameters of `_columns` to changes of the bias (3,) and of the matrix (3, 3)."""
     bias, matrix, left = np.zeros(3), np.zeros((3, 3)), list(step)
     if "accel_bias" in nominal:
         bias, left = np.array(left[:3]), left[3:]
@@ -166,7 +170,7 @@ def _changed(step: Array, nominal: Sequence[str]) -> tuple[Array, Array]:
 
 
 def _attitude(up: Array) -> Array:
-    """An attitude (3, 3) in which the vertical is along `up` in sensor axes; its azimuth is arbitrary."""
+    """An attitude (3, 3) whose vertical has the direction `up` in sensor axes; its azimuth is arbitrary."""
     helper = np.eye(3)[int(np.argmin(np.abs(up)))]
     east = np.cross(helper, up)
     east /= np.linalg.norm(east)

@@ -1,10 +1,10 @@
-"""Errors for recordings that are not suitable for a diagnosis or an estimate."""
+"""Errors that report that a recording is not suitable for a diagnosis or an estimate."""
 
 from __future__ import annotations
 
 
 class ObservationError(Exception):
-    """The recording cannot be diagnosed. The message gives the reason; the hint gives the remedy, if known."""
+    """Reports that a recording cannot be diagnosed. The message states the reason; the hint states what to do, if this is known."""
 
     def __init__(self, message: str, hint: str = ""):
         super().__init__(message)
@@ -12,10 +12,11 @@ class ObservationError(Exception):
 
 
 class EstimationError(Exception):
-    """The data or the segments are not suitable for this estimate. The message gives the reason, for a quality engineer.
+    """Reports that the data or the segments are not suitable for an estimate. The message states the reason in words that a quality
+    engineer understands.
 
-    hint: the remedy, if it is other than to choose other segments or another estimator. key: the key of the estimate that must be
-    corrected, if there is one.
+    hint: what to do, unless this is to choose other segments or another estimator. key: the key of the estimate that must be
+    corrected, if any.
     """
 
     def __init__(self, message: str, hint: str = "", key: str = ""):
@@ -25,5 +26,5 @@ class EstimationError(Exception):
 
 
 class UnfitDataError(EstimationError):
-    """The plan is correct, but the recorded data are not suitable for the estimate: the fault is in the item under test or in the
-    recording."""
+    """Reports that the plan is correct but the recorded data are not suitable for the estimate: the fault is in the item under test
+    or in the recording."""

@@ -1,4 +1,4 @@
-"""Input of a diagnosis: samples with their planned states, as an `Observed` over the whole run."""
+"""Input of a diagnosis: the samples and their planned states over the whole run, as an `Observed`."""
 
 from __future__ import annotations
 
@@ -50,15 +50,17 @@ def observed(
     power_on: float = 0.0,
     free_angle: bool = False,
 ) -> Observed:
-    """The recorded segments of a run, in order of time, as slow noise and hysteresis require.
+    """Makes the input of a diagnosis from the recorded segments of a run. The segments are put in order of time, because slow noise
+    and hysteresis require it.
 
-    only: the channels to use, by default all; measured: channels that are used as measurements regardless of their names and units.
-    Names give their axes (`axis_of`); angular-rate channels are gyros and acceleration channels accelerometers, whatever their
-    names. angle_channel: the table's encoder; temperature_channel: thermometer; supply_channel: voltmeter of the supply;
-    pressure_channel: barometer. If the channel of a quantity is not given, the plan's values of this quantity are used. power_on:
-    recording time of power-on, s. free_angle: whether the input once per turn is noise if its phase is unknown, as in a diagnosis
-    (`Observed.unknown_phase`). The angle of a table without encoder is then the one that agrees best with the Earth rate. Otherwise,
-    it is zero at the first sample unless gravity shows it. Raises `ObservationError` if the recording cannot be diagnosed.
+    only: names of the channels to use, by default all; measured: channels that are used as measurements, whatever their names and
+    units. By default, the name of a channel gives its axis (`axis_of`), and its unit makes it a gyro (angular rate) or an
+    accelerometer (acceleration). angle_channel: encoder of the table; temperature_channel: thermometer; supply_channel: voltmeter
+    of the supply; pressure_channel: barometer. If the channel of a quantity is not given, the values of this quantity in the plan
+    are used. power_on: time of power-on, in the time of the recording, s. free_angle: True if an input once per turn whose phase is
+    unknown counts as noise, as in a diagnosis (`Observed.unknown_phase`). The angle of a table without encoder is then the one that
+    agrees best with the Earth's rate. If it is False, this angle is zero at the first sample, unless gravity shows it. Raises
+    `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -120,7 +122,7 @@ def channels_of(first: RecordedSegment, sensor: SensorModel, only: Collection[st
 
 
 def measures_motion(text: str) -> bool:
-    """Whether a channel with this unit measures angular rate or acceleration, so that it is diagnosed."""
+    """True if a channel with this unit measures angular rate or acceleration, so that it is diagnosed."""
     return unit(text).dimension in KINDS
 
 
@@ -135,9 +137,9 @@ def _part(
     size: int | None,
     free_angle: bool,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
-    """Reads one segment. Returns its planned states and its samples, or means over `size` samples, without rows that contain NaN;
-    these rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and the course of a motion
-    that attitude and angle do not give. limits: full scale of each output."""
+    """Reads one segment, without the rows that contain a NaN. Returns its planned states with its samples or, if `size` is given,
+    means over `size` samples; the rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and
+    the motion, if attitude and angle do not describe it. limits: full scale of each output."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
         return _moved_part(item, motion, site, limits, channels, monitors, power_on, size)
@@ -176,8 +178,8 @@ def _start_angle(
     values: Array,
     free_angle: bool,
 ) -> float:
-    """The angle [rad] of a table without encoder at the first sample: from gravity if gravity shows it, otherwise from all channels if
-    the angle is free, and zero if it is not."""
+    """The angle [rad] of a table without encoder at the first sample. If gravity shows this angle, it is found from the
+    accelerometers. Otherwise it is found from all channels if `free_angle` is True, and is zero if not."""
     accelerometers = [channel.axis for channel in channels if channel.kind == "accel"]
     by_gravity = angle_from(motion, attitude, site, accelerometers) is AngleFrom.GRAVITY
     if not by_gravity and not free_angle:
@@ -202,8 +204,8 @@ def _moved_part(
     power_on: float,
     size: int | None,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
-    """The same as `_part`, for a motion that the recording shows. Samples at full scale are omitted, because the motion is not known
-    there."""
+    """Does the same as `_part` for a segment whose motion is recorded. Samples at full scale are left out, because the motion is
+    not known there."""
     own = [channel.name for channel in channels if channel.name in motion.channels]
     if own:
         message = f"'{own[0]}' shows the motion of segment '{item.label}', so it cannot be compared with this motion"
@@ -241,8 +243,9 @@ def rows_of(
     size: int | None = None,
     encoder: str | None = None,
 ) -> Averaged:
-    """A segment's rows without a NaN; if `size` is given, means over this number of rows. extra: further channels, of which `encoder`
-    wraps. Raises `ObservationError`."""
+    """Reads the rows of a segment that contain no NaN; if `size` is given, means over this number of rows. extra: names of further
+    channels, of which the channel `encoder` wraps. Raises `ObservationError` if a channel is missing or there are too few usable
+    rows."""
     names = [*(channel.name for channel in channels), *extra]
     missing = [name for name in names if name not in item.units]
     if missing:
@@ -261,7 +264,7 @@ def rows_of(
 
 
 def _expected(item: RecordedSegment, channels: Sequence[Channel], names: Sequence[str], size: int) -> Averaged:
-    """The times of the planned samples, with the expected means as values."""
+    """The times of the planned samples; every value is the expected mean."""
     known = item.statistics
     time: Array = known.start + known.period * (
         np.arange(known.count // size, dtype=np.float64) * size + (size - 1) / 2

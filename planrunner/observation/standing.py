@@ -1,8 +1,9 @@
-"""Channels that keep one value from the beginning of a segment to its end.
+"""Finds channels that keep one value from the start of a segment to its end.
 
-Such a segment itself does not show the noise of the channel. The noise is taken from other segments at rest or at a constant rate in
-which the same channel changes, or from the bench file. A channel is stuck if noise of this size would leave one count. Coarse counts at
-rest, signals without noise, and channels that keep one value in most segments, such as set points, are therefore not reported.
+Such a segment does not show the noise of the channel. The noise is therefore taken from the bench file, or from other segments at
+rest or at a constant rate in which the channel changes. The channel counts as stuck if noise of this size would have left the
+count. Coarse counts at rest, signals without noise, and channels that keep one value in most segments, such as setpoints, are
+therefore not reported.
 """
 
 from __future__ import annotations
@@ -32,11 +33,10 @@ PER_SIGMA = 1.954
 def with_standing(
     recording: Sequence[RecordedSegment], sensor: SensorModel, channels: Collection[str], chance: float
 ) -> tuple[RecordedSegment, ...]:
-    """The segments with a finding for each channel that keeps one value although its noise would have changed it. The finding is
-    only reported and does not count as bad, because without its samples the channel would have no data left. A person has to
-    decide.
+    """Adds a finding to each segment for each channel that keeps one value although its noise would have changed it. The finding
+    does not count as bad, because without its samples the channel would have no data left. A person must decide what to do.
 
-    chance: a channel is reported as stuck if noise leaves it at one value with at most this probability.
+    chance: a channel counts as stuck if the probability that noise leaves it at one value is at most this.
     """
     found: dict[int, list[Find]] = {}
     for name in channels:
@@ -63,14 +63,14 @@ def _steady(item: RecordedSegment) -> bool:
 
 
 def _range(item: RecordedSegment, name: str) -> float:
-    """Largest minus smallest sample; NaN without samples."""
+    """The largest minus the smallest sample of a channel; NaN if there are no samples."""
     place = item.statistics.of(name)
     return float(item.statistics.maximum[place] - item.statistics.minimum[place])
 
 
 def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name: str, chance: float) -> bool:
-    """Whether the noise that the channel has in other segments would have changed its value in this segment. The noise is taken
-    from the nearest segments in which the channel changes."""
+    """True if the noise of the channel in other segments would have changed its value in this segment. The noise is taken from the
+    nearest segments in which the channel changes."""
     still = isinstance(item.segment.motion, Rest)
     alike = [one for one in changing if not still or isinstance(one.segment.motion, Rest)]
     nearest = sorted(alike, key=lambda one: abs(one.statistics.start - item.statistics.start))[:_COMPARED]
@@ -78,7 +78,7 @@ def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name:
 
 
 def _samples(item: RecordedSegment, name: str) -> Array:
-    """The first samples of a channel, without missing numbers."""
+    """The first samples of a channel; missing numbers are left out."""
     parts, count = [], 0
     for block in item.blocks((name,)):
         values = np.asarray(block.channels[name], dtype=float)[: _READ - count]
@@ -90,7 +90,7 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
-    """Whether noise like that of (n,) values would change the value at least once within this number of samples."""
+    """True if noise like that of the values (n,) would change the value at least once within `samples` samples."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
@@ -103,9 +103,9 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
-    """Whether white noise of this standard deviation leaves one count within this number of samples. This is so if the probability
-    that the noise stays within the count is at most `chance`. Up to 0.3 count² of the variance may come from the counts: a channel
-    that alternates between two counts without any noise has this variance."""
+    """True if white noise with the standard deviation `noise` leaves one count within `samples` samples. The criterion is that the
+    probability of staying within the count is at most `chance`. Of the variance, 0.3 count² is not attributed to noise, because a
+    channel that alternates between two counts without any noise has such a variance."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False
@@ -114,7 +114,7 @@ def leaves_count(noise: float, count: float, samples: int, chance: float) -> boo
 
 
 def _by_declaration(item: RecordedSegment, output: OutputModel | None, rate: float, chance: float) -> bool:
-    """Whether the noise that the bench file declares for single samples would have moved the channel."""
+    """True if the noise that the bench file declares for single samples would have moved the channel."""
     if output is None or not output.noise.white > 0 or output.noise.counted:
         return False
     noise = output.noise.white * math.sqrt(item.segment.sample_rate or rate)

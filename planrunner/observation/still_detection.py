@@ -1,4 +1,4 @@
-"""Detects still spans in a long recording in one pass: spans in which the standard deviation in a sliding window stays small."""
+"""Finds still spans in a long recording in one pass. In a still span, the standard deviation in a sliding window stays small."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _MOST_BATCHES = 64
 
 @dataclass(frozen=True, slots=True)
 class StillSpan:
-    """One span of time in which the sensor is still. count: number of samples. mean, standard_error: (k,), of the detection's
-    channels in their units; the standard error of the mean comes from `batches` consecutive batch means, NaN where there are fewer
-    than two."""
+    """A span of time in which the sensor is still. count: number of samples. mean, standard_error: (k,), means of the detection's
+    channels, and their standard errors, in the units of the channels. The standard errors are computed from `batches` consecutive
+    batch means; NaN if there are fewer than two."""
 
     span: Span
     count: int
@@ -34,11 +34,12 @@ class StillSpan:
 
 
 def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSpan]:
-    """The still spans of a recorded segment with their means, in one pass over its samples, block by block.
+    """Finds the still spans of a recorded segment and their means, in one pass over the samples.
 
-    A sample is still when, in the window of length `detection.window` centred on it, the standard deviation of every channel stays below
-    `detection.threshold`; a span is a run of still samples at least `at_least` long. The span therefore stays half a window away from the
-    motion at both ends. A window across a gap in time or a missing value is not still. Raises `EstimationError`.
+    A sample is still if the standard deviation of every channel, in a window of the length `detection.window` around the sample, is
+    below `detection.threshold`. A span is a run of still samples with a duration of at least `at_least`. A span therefore begins
+    and ends half a window away from the motion. A window that contains a gap in time or a missing value is not still. Raises
+    `EstimationError` if a channel is missing or is not an acceleration.
     """
     limits = _limits(recorded, detection)
     found: list[StillSpan] = []
@@ -60,12 +61,12 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
 
 
 def _limits(recorded: RecordedSegment, detection: Detection) -> Array:
-    """The threshold in the unit of each channel, shape (k,)."""
+    """The threshold (k,) in the unit of each channel."""
     return detection_limits(detection, recorded.units, f"segment '{recorded.label}'")
 
 
 def longest_span(dwell: float, detection: Detection) -> float:
-    """The longest span [s] that can be found in a dwell at rest: half a window is lost at either end."""
+    """The longest span [s] that can be found in a dwell at rest; half a window is lost at each end."""
     return dwell - detection.window.value
 
 
@@ -73,8 +74,8 @@ _CHANNELS = "name the accelerometers of the sensor under `channels` of `segments
 
 
 def detection_limits(detection: Detection, units: Mapping[str, str], what: str) -> Array:
-    """The threshold in the unit of each channel, shape (k,). units: units of the recorded channels; what: name of the recording, for
-    messages. Raises `EstimationError`."""
+    """The threshold (k,) in the unit of each channel. units: units of the recorded channels; what: name of the recording, used in
+    messages. Raises `EstimationError` if a channel is missing or is not an acceleration."""
     limits = []
     for channel in detection.channels:
         if channel not in units:
@@ -93,8 +94,8 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
 def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
 ) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int]]:
-    """For each stretch of samples that are centres of windows: time, values (n, k), whether each sample is still, and samples per
-    window."""
+    """Yields the samples that are centres of windows, in stretches: their times, their values (n, k), whether each sample is still,
+    and the number of samples per window."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length = 0
@@ -115,7 +116,8 @@ def _centred(
 
 
 def _sliding_variance(values: Array, length: int) -> Array:
-    """Sample variance of every window of `length` rows, shape (n − length + 1, k); infinite if a value is missing."""
+    """The sample variance in every window of `length` rows, shape (n − length + 1, k); infinite if a value in the window is
+    missing."""
     known = np.isfinite(values)
     centred = np.where(known, values, 0.0)
     centred = np.where(known, centred - centred.mean(axis=0), 0.0)
@@ -130,7 +132,8 @@ def _sliding_variance(values: Array, length: int) -> Array:
 
 @dataclass
 class _Growing:
-    """A span that has not ended. It keeps sums of batches of `size` samples, and joins batches in pairs if there are too many."""
+    """A still span that has not ended yet. It keeps sums over batches of `size` samples; if there are too many batches, they are
+    joined in pairs."""
 
     size: int
     period: float
@@ -142,7 +145,7 @@ class _Growing:
 
     @property
     def span(self) -> Span:
-        """The span from the first sample to one period after the last."""
+        """The time from the first sample to one sample period after the last."""
         return Span(self.start, self.last + self.period)
 
     def add(self, times: Array, values: Array) -> None:

@@ -1,6 +1,7 @@
-"""The surroundings of a sensor at each sample: its temperature, its supply voltage and the ambient pressure.
+"""The surroundings of a sensor at each sample: its temperature, its supply voltage, and the ambient pressure.
 
-They come from recorded channels, whose noise is smoothed, or from the plan. Voltage and pressure are relative to their reference values.
+They come from recorded channels, whose noise is smoothed, or from the plan. Voltage and pressure are stated as differences from
+their reference values.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ _ALIKE = 0.01  # probability at and above which the temperatures of segments cou
 
 @dataclass(frozen=True, slots=True)
 class Temperature:
-    """Temperature of one segment. celsius: (n,); rate: (n,), K/s; uncertainty: standard uncertainty of a temperature that does not
-    change, from the thermometer's noise; NaN if the temperature changes or comes from the plan."""
+    """The temperature during one segment. celsius: (n,), temperature, degC; rate: (n,), rate of change, K/s; uncertainty: standard
+    uncertainty of a constant temperature due to the noise of the thermometer; NaN if the temperature changes or comes from the
+    plan."""
 
     celsius: Array
     rate: Array
@@ -36,7 +38,7 @@ class Temperature:
 
 
 def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> Temperature:
-    """The smoothed thermometer reading, or the planned temperature."""
+    """The smoothed reading of the thermometer or, if `kelvin` is None, the planned temperature."""
     if kelvin is None:
         planned = item.segment.begins_at
         celsius = REFERENCE_TEMPERATURE if planned is None else planned - ZERO_CELSIUS
@@ -49,10 +51,11 @@ def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> 
 
 
 def smoothed(time: Array, values: Array) -> Temperature:
-    """A polynomial through a segment's values, (n,), and its derivative. Smoothing keeps the thermometer's noise out of the stimulus.
+    """Fits a polynomial to the values (n,) of a segment; returns the polynomial and its derivative at the samples. The noise of the
+    thermometer is thus kept out of the data that an effect of temperature depends on.
 
-    Coefficients are added as long as each of them improves the likelihood by `_WORTH`. A constant temperature needs one coefficient, an
-    approach to a setpoint several.
+    Coefficients are added as long as each one increases twice the log likelihood by at least `_WORTH`. A constant temperature needs
+    one coefficient; an approach to a setpoint needs several.
     """
     middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
     scaled = (time - middle) / half
@@ -72,8 +75,9 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
-    """Replaces the temperatures of constant-temperature segments with a common setpoint by their mean, if the thermometer does not
-    distinguish them (χ² at 1 %). known: standard uncertainty of each segment's temperature, NaN if it is not constant."""
+    """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer does not show a
+    difference between them (χ² test at 1 %). known: standard uncertainty of the temperature of each segment, NaN if it is not
+    constant."""
     from scipy.special import chdtrc
 
     setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]
@@ -92,7 +96,8 @@ def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Arra
 
 
 def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Array:
-    """Sign of the last change of temperature in every segment, (S,): from setpoints if they are planned, otherwise from means."""
+    """The sign (S,) of the last change of temperature up to each segment, from setpoints if they are planned, otherwise from mean
+    temperatures."""
     signs, last, before = [], 0.0, None
     for item, mean in zip(recording, means, strict=True):
         now = item.segment.ramp_to if item.segment.ramp_to is not None else item.segment.temperature
@@ -106,9 +111,9 @@ def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Arr
 
 @dataclass(frozen=True, slots=True)
 class Monitors:
-    """Channels that show the state of the sensor besides its motion; None for a state that comes from the plan. thermometer: channel
-    with the temperature of the sensor; voltmeter: channel with its supply voltage; barometer: channel with the ambient pressure.
-    nominal_supply: V."""
+    """Names of the channels that show the state of the sensor besides its motion; None for a state that comes from the plan.
+    thermometer: channel with the temperature of the sensor; voltmeter: channel with its supply voltage; barometer: channel with the
+    ambient pressure. nominal_supply: nominal supply voltage, V."""
 
     thermometer: str | None = None
     voltmeter: str | None = None
@@ -120,7 +125,7 @@ class Monitors:
         return [one for one in (self.thermometer, self.voltmeter, self.barometer) if one is not None]
 
     def excess_of(self, item: RecordedSegment, time: Array, table: Mapping[str, Array]) -> dict[str, Array]:
-        """`overvoltage` and `overpressure` of a segment at its samples (n,), smoothed where they are recorded."""
+        """The `overvoltage` and the `overpressure` at the samples (n,) of a segment; recorded values are smoothed."""
         planned = planned_excess(item.segment, self.nominal_supply)
         found = {}
         for name, channel, reference, stated in (
