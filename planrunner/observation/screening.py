@@ -1,24 +1,25 @@
 """Screening: finds spikes, bursts, stuck and clipped stretches, lost and repeated samples, and steps; leaves out wrong samples.
 
-Samples are read in pieces of fixed size from the segment's beginning, so that the findings do not depend on the division into blocks,
-and memory does not grow with the data. A piece needs only a few sums. Only a piece with a large change between neighbours is examined.
+Samples are read in pieces of fixed size, counted from the start of the segment. The findings therefore do not depend on the
+division into blocks, and memory does not grow with the data. For most pieces, a few sums are sufficient. Only a piece with a large
+change between neighbours is examined further.
 
-*Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it (the identifier
-of Hampel, 1985). The factor g is chosen for the number of samples so that a white Gaussian sample is an outlier with the probability
-`CHANCE` (Davies and Gather, "The Identification of Multiple Outliers", J. Am. Stat. Assoc. 88 (1993) 782-792). The local median follows
-motion, so that a turning or rocking sensor is compared with its own course. The scale is the median absolute deviation from that course
-(Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation", ibid. 1273-1283). This deviation vanishes where more than half of
-the samples have one value. The scale is therefore never less than a trimmed mean of the deviations, half a count, or a part of the usual
-change from sample to sample.
+*Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it (the
+identifier of Hampel, 1985). The factor g is chosen for the number of samples so that a white Gaussian sample is an outlier with the
+probability `CHANCE` (Davies and Gather, "The Identification of Multiple Outliers", J. Am. Stat. Assoc. 88 (1993) 782-792). The
+local median follows the motion, so that a turning or rocking sensor is compared with its own motion. The scale is the median
+absolute deviation from the local median (Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation", ibid. 1273-1283).
+This deviation vanishes where more than half of the samples have one value. The scale is therefore never less than a trimmed mean of
+the deviations, half a count, or a part of the usual change from sample to sample.
 
 *Stuck.* Runs of equal samples are compared with the other runs of the same segment. A stretch is stuck if it is more than `RUN`
-times as long as 99 % of them, and if noise as large as that of the segment would have moved its samples to another count. Coarse
-counts, in which the noise does not reach the next count, therefore never count as stuck; neither do smooth signals.
+times as long as 99 % of them, and if noise as large as the noise of the segment would have moved its samples to another count.
+Coarse counts, in which the noise does not reach the next count, therefore never count as stuck; the same holds for smooth signals.
 
-*Segments without wrong samples.* Means, scatter and extremes of a channel are computed without its bad samples. For integration and
-filtering, samples are read one by one. A short bad stretch is then filled by a straight line from the level before it to the level
-after it. A long stretch reads as missing numbers, which each reader treats like samples that were never recorded. A repeated sample
-is dropped.
+*Segments without wrong samples.* Mean, standard deviation and extremes of a channel are computed without its bad samples. For
+integration and filtering, which read samples one by one, a short bad stretch is filled by a straight line from the level before it
+to the level after it. In a longer stretch, the values become missing numbers, which readers treat like samples that were never
+recorded. Repeated samples are dropped.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ _CLIPPED = 10  # samples at the largest value
 
 
 def screened(recording: Sequence[RecordedSegment], sensor: SensorModel) -> tuple[RecordedSegment, ...]:
-    """The segments with their findings. Segments that were not screened while they were read are read again."""
+    """Adds findings to the segments. Segments that were not screened when they were recorded are read again."""
     watch = watch_of(sensor)
     found = [item if item.finds is not None or item.expected else _screened(item, watch) for item in recording]
     channels = [output.name for output in sensor.outputs if varies(output)]
@@ -108,13 +109,13 @@ _STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])
 
 
 def varies(output: OutputModel) -> bool:
-    """Whether an output always has noise. Thermometers and encoders may keep one value."""
+    """True if an output always shows noise. Thermometers and encoders may keep one value, so they are excluded."""
     return not output.constant and unit(output.unit).dimension not in _STANDING
 
 
 def watch_of(sensor: SensorModel) -> WatcherOf:
-    """Makes watchers that screen the sensor's outputs, and that search all recorded angles for spikes. Thermometers are not
-    screened, because they may keep one value for a long time."""
+    """Returns a function that makes a screening for each segment: it screens the sensor's outputs and searches all recorded angles
+    for spikes. Thermometers are not screened, because they may keep one value for a long time."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
         counts, scales, angles = {}, {}, []
@@ -134,7 +135,7 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
 
 
 def _angle(name: str) -> float | None:
-    """The size of an angle's unit in rad; None for a unit of another quantity, or an unknown one."""
+    """The size of a unit of angle in rad; None if the unit is unknown or belongs to another quantity."""
     try:
         found = unit(name)
     except UnknownUnitError:
@@ -143,8 +144,8 @@ def _angle(name: str) -> float | None:
 
 
 def threshold(samples: int) -> float:
-    """The factor g: a sample is an outlier if its distance exceeds g scale estimates, for a window of this number of samples. For few
-    samples, g is larger because the scale is less certain."""
+    """The factor g for windows with this number of samples: a sample is an outlier if its distance exceeds g scale estimates. g is
+    larger for few samples, because the scale estimate is then less certain."""
     from scipy.special import stdtrit
 
     return -float(stdtrit(max(0.3 * samples, 3.0), CHANCE / 2))
@@ -152,8 +153,8 @@ def threshold(samples: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """A run of equal samples. row, time: row and time of the first sample; last: time of the last sample, s; before, after: the
-    samples on either side."""
+    """A run of equal samples. row, time: row and time of the first sample of the run; last: time of its last sample, s; before,
+    after: values of the samples next to the run on either side."""
 
     row: int
     length: int
@@ -166,7 +167,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True)
 class _Last:
-    """The last sample of a channel before the samples that are examined."""
+    """The last sample of a channel before the samples that are examined now."""
 
     row: int
     time: float
@@ -175,9 +176,9 @@ class _Last:
 
 @dataclass
 class _Window:
-    """A piece of one channel with the neighbouring samples that exist. low, high: the piece's own samples are values[low:high];
-    usual, count: mean change between neighbours, and count, as known when the piece was examined; places: (n,), indices of the
-    samples before the large changes of the piece."""
+    """A piece of one channel, together with neighbouring samples as far as they exist. low, high: bounds of the piece, which is
+    values[low:high]; usual, count: mean change between neighbours, and size of a count, as known when the piece was examined;
+    places: (n,), index of the sample before each large change in the piece."""
 
     values: Array
     rows: RowNumbers
@@ -189,13 +190,13 @@ class _Window:
     places: RowNumbers
 
     def preceded(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """The window with the preceding samples added."""
+        """Adds preceding samples to the window."""
         self.values = np.concatenate([values, self.values])
         self.rows = np.concatenate([rows, self.rows])
         self.times = np.concatenate([times, self.times])
 
     def extended(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """The window with the following samples added, as far as they belong to the context."""
+        """Adds following samples to the window, as far as they belong to the context of the piece."""
         more = slice(0, max(self.high + _BESIDE - len(self.values), 0))
         self.values = np.concatenate([self.values, values[more]])
         self.rows = np.concatenate([self.rows, rows[more]])
@@ -204,9 +205,10 @@ class _Window:
 
 @dataclass
 class _Runs:
-    """Runs of equal samples of one channel. lengths: number of runs by length, the last entry for longer runs; long: the longest
-    runs; row, time: row and time of the first sample of the current run; before: the sample before the current run; length: its
-    length so far; count: smallest change; bend, bends: sum and number of second differences."""
+    """The runs of equal samples in one channel. lengths: number of runs by their length, where the last entry counts all longer
+    runs; long: the longest runs; row, time: row and time of the first sample of the current run; before: value of the sample before
+    the current run; length: number of samples in the current run so far; count: smallest change between samples; bend, bends: sum
+    of the absolute second differences, and their number."""
 
     lengths: RowNumbers = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
     long: list[_Run] = field(default_factory=list)
@@ -219,7 +221,8 @@ class _Runs:
     bends: int = 0
 
     def add(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """Adds the next samples (n,). Except at the segment's beginning, the first of them is the last one of the preceding call."""
+        """Adds the next samples (n,). The first of them must be the last sample of the previous call, except at the start of the
+        segment."""
         if not self.length:
             self.row, self.time, self.length = int(rows[0]), float(times[0]), 1
         ends = np.append(
@@ -241,7 +244,8 @@ class _Runs:
         self.bends += max(len(values) - 2, 0)
 
     def add_changing(self, values: Array, rows: Numbered, times: Array, last: _Last | None) -> None:
-        """Adds the next samples, without the last one of the preceding call, if every sample differs from the one before."""
+        """Adds the next samples if every sample differs from the previous one. The last sample of the previous call is not
+        repeated."""
         if last is not None:
             if self.length >= RUN:
                 two = np.array([last.value, values[0]])
@@ -254,8 +258,8 @@ class _Runs:
         self.row, self.time, self.length = int(rows[-1]), float(times[-1]), 1
 
     def _hold(self, values: Array, rows: RowNumbers, times: Array, before: int, last: int, length: int) -> None:
-        """Stores a run that ends at `last`. before: index of the sample before the run, negative for a run that began in an earlier
-        piece."""
+        """Stores a run that ends at the index `last`. before: index of the sample before the run; negative if the run began in an
+        earlier piece."""
         went_on = before < 0
         row, time = (self.row, self.time) if went_on else (int(rows[before + 1]), float(times[before + 1]))
         left = self.before if went_on else float(values[before])
@@ -265,13 +269,13 @@ class _Runs:
             self.long = sorted(self.long, key=lambda one: -one.length)[:_HELD]
 
     def finish(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """Ends the last run at the last of these samples."""
+        """Ends the current run at the last of these samples."""
         self.lengths[min(self.length, _SHORT)] += 1
         if self.length >= RUN:
             self._hold(values, rows, times, -1, len(values) - 1, self.length)
 
     def stuck(self) -> list[_Run]:
-        """The stretches that keep one value longer than counts and noise explain."""
+        """The runs that are longer than the counts and the noise of the channel explain."""
         runs = int(self.lengths.sum())
         usual = int(np.searchsorted(np.cumsum(self.lengths), 0.99 * runs))
         longer = [one for one in self.long if one.length > RUN * max(usual, 1)]
@@ -295,9 +299,9 @@ class Screening:
         stopping: bool = False,
         angles: Sequence[AngleSpikes] = (),
     ):
-        """counts: channel → declared count, 0 if none is declared; full_scales: channel → full scale of either sign. Counts and
-        full scales are in the channels' units. steady: True if the segment is planned at rest or turning evenly, so that the
-        stimulus causes no changes within it. stopping: True if the segment is planned to turn from stop to stop."""
+        """counts: declared count of each channel, 0 if none is declared; full_scales: full scale of each channel, for both signs.
+        Counts and full scales are in the channel's unit. steady: True if the segment is planned at rest or at a constant rate, so
+        that the motion causes no changes within it. stopping: True if the segment is planned as turns with stops in between."""
         self.channels, self.steady, self.stopping, self.angles = tuple(counts), steady, stopping, angles
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
@@ -328,8 +332,8 @@ class Screening:
         self.work = np.empty(room)  # differences of time
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
-        """Adds the next samples. Rows with a missing number are skipped. ranges: smallest and largest values of the samples; by default
-        they are computed if they are needed."""
+        """Adds the next samples. Rows with a missing number are skipped. ranges: smallest and largest sample of each channel; by
+        default they are computed when they are needed."""
         count = len(block.time)
         rows: Numbered = range(self.row, self.row + count)
         for angle in self.angles if count else ():
@@ -376,7 +380,7 @@ class Screening:
                 self._look_at_filled()
 
     def finds(self) -> tuple[Find, ...]:
-        """All findings in order of time. It must be called once, at the end."""
+        """Returns all findings, in order of time. It must be called once, after the last samples."""
         if self.filled:
             self._look_at_filled()
         self._examine_waiting()
@@ -399,8 +403,8 @@ class Screening:
     def _look(
         self, time: Array, rows: Numbered, columns: list[Array], low: Array, high: Array, steps: tuple[float, float]
     ) -> None:
-        """Examines whole pieces, or the last one, which is shorter. low, high: limits that no channel exceeds here; steps: whether the
-        times have steps, if this is known."""
+        """Examines whole pieces or the last, shorter piece. low, high: bounds within which all samples of each channel lie; steps:
+        smallest and largest step of the time, if known."""
         for k, window in self.waiting:
             window.extended(columns[k][:_BESIDE], _numbers(rows[:_BESIDE]), time[:_BESIDE])
         self._examine_waiting()
@@ -425,8 +429,8 @@ class Screening:
     def _channel(
         self, k: int, values: Array, rows: Numbered, times: Array, means: Array | None, low: float, high: float
     ) -> None:
-        """Examines whole pieces of one channel, or its last, shorter piece. A piece has no finding if no sample is far from the
-        mean and each sample differs from the one before. This check is fast and is done for several pieces together."""
+        """Examines whole pieces of one channel, or the last, shorter piece. A piece contains nothing to report if no sample is far
+        from the mean and each sample differs from the previous one. This check is fast and is done for several pieces together."""
         last = self._last(k)
         pieces = max(len(values) // _PIECE, 1)
         size = len(values) // pieces
@@ -475,7 +479,7 @@ class Screening:
     def _piece(
         self, k: int, values: Array, rows: Numbered, times: Array, begin: int, end: int, last: _Last | None
     ) -> None:
-        """Examines one piece of a channel, from `begin` to `end` of the given samples."""
+        """Examines the piece of a channel from the index `begin` to the index `end` of the given samples."""
         own, own_rows, own_times = values[begin:end], _numbers(rows[begin:end]), times[begin:end]
         if last is not None:
             own = np.concatenate([[last.value], own])
@@ -511,12 +515,12 @@ class Screening:
         self._level(k, level)
 
     def _count(self, k: int) -> float:
-        """The channel's count, declared or detected; 0 if there is neither."""
+        """The count of the channel, either declared or detected; 0 if there is neither."""
         seen = self.runs[k].count
         return max(float(self.counts[k]), seen if math.isfinite(seen) else 0.0)
 
     def _extremes(self, k: int, values: Array, level: float) -> None:
-        """Counts samples at the largest and smallest value, and those just below it."""
+        """Counts the samples at the largest and at the smallest value, and those close to these values."""
         beside = max(0.1 * level, 1.01 * self._count(k))
         for sign, extreme, tally in ((1.0, self.largest, self.at_top), (-1.0, -self.smallest, self.at_bottom)):
             own = sign * values
@@ -533,7 +537,7 @@ class Screening:
                 self.smallest[k] = -known
 
     def _examine(self, k: int, window: _Window) -> None:
-        """Finds outliers near large changes by their distance from local medians."""
+        """Finds outliers near large changes, by their distance from local medians."""
         x = window.values
         if len(x) < _LEAST or not _stands_out(window):
             return
@@ -568,8 +572,8 @@ class Screening:
             self._note(k, window, int(group[0]), int(group[-1]) + 1)
 
     def _changes_around(self, x: Array, changes: Array) -> Array:
-        """Mean change from sample to sample around each of n samples. In a segment of stops and turns, the mean is taken over a
-        short time, and a change to a sample and back is subtracted, because it is not part of a turn. x: (n,); changes: (n - 1,),
+        """The mean change from sample to sample around each of n samples. In a segment of turns and stops, the mean is taken over a
+        short time. A change to a sample and back again is subtracted, because it is not part of a turn. x: (n,); changes: (n - 1,),
         absolute differences of x."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
@@ -581,7 +585,7 @@ class Screening:
         return np.maximum(_mean_around(padded, size) - back / size, 0.0)
 
     def _note(self, k: int, window: _Window, low: int, high: int) -> None:
-        """Stores an outlier or a burst, from one index in the window to another."""
+        """Stores a spike or a burst that covers the indices `low` to `high` of the window."""
         values, rows, times = window.values, window.rows, window.times
         around = np.concatenate([values[max(0, low - _FAR) : low], values[high : high + _FAR]])
         before, after = values[max(0, low - 4) : low], values[high : high + 4]
@@ -606,7 +610,7 @@ class Screening:
         )
 
     def _of_channel(self, k: int) -> list[Find]:
-        """The findings of one channel at the end of the segment."""
+        """The findings of one channel, after the whole segment has been read."""
         stuck = [self._stretch(k, one) for one in self.runs[k].stuck()][:_KEPT]
         if not self.steady and (len(stuck) > _MANY or 2 * sum(one.rows for one in stuck) > self.done):
             stuck = _as_one(stuck)  # a sensor that moves now and then, with coarse counts or without noise at rest
@@ -624,14 +628,14 @@ class Screening:
         return [*found, *self._flat_tops(k, found), *self._steps(k, found)]
 
     def _judged(self, one: Find) -> Find:
-        """Decides whether a burst counts as bad. At the beginning or end of a segment, a burst may be motion, so there it is only
-        reported."""
+        """Decides whether a burst counts as bad. A burst at the start or the end of a segment may be motion, so it is only reported
+        there."""
         at_an_end = one.first < _SPIKE or one.first + one.rows > self.row - _SPIKE
         return replace(one, bad=False) if one.kind is FindKind.BURST and at_an_end else one
 
     def _stretch(self, k: int, run: _Run) -> Find:
-        """The finding for a run of equal samples. The run is clipped if its value is at the full scale, or is an extreme value of
-        the segment that also occurs elsewhere."""
+        """Makes the finding for a run of equal samples. The run counts as clipped if its value is at the full scale, or is an
+        extreme value of the segment that also occurs outside the run."""
         extremes = ((self.largest[k], self.at_top[0, k]), (self.smallest[k], self.at_bottom[0, k]))
         limit = 0.99 * self.full_scales.get(self.channels[k], math.inf)
         clipped = abs(run.value) >= limit or any(run.value == value and at > run.length + 1 for value, at in extremes)
@@ -642,8 +646,8 @@ class Screening:
         return Find(kind, self.channels[k], run.row, run.length, run.time, seconds, run.value, math.nan, before, after)
 
     def _flat_tops(self, k: int, known: Sequence[Find]) -> list[Find]:
-        """Finds noise that is cut off at the largest or smallest value: many more samples are at this value than just below it.
-        known: other findings, whose samples may be at the extremes."""
+        """Finds noise that is cut off at the largest or smallest value: many more samples have this value than values close to it.
+        known: other findings, whose samples may be at the extreme values."""
         runs = self.runs[k]
         if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []
@@ -656,7 +660,8 @@ class Screening:
         return found
 
     def _steps(self, k: int, found: Sequence[Find]) -> list[Find]:
-        """Finds changes of level that persist: differences of neighbouring means far beyond those elsewhere in the segment."""
+        """Finds changes of the level that persist: the difference between neighbouring means is far larger than elsewhere in the
+        segment."""
         if not self.steady or not self.means[k]:
             return []
         means, times = np.concatenate(self.means[k]), np.concatenate(self.bin_times)
@@ -731,21 +736,21 @@ class Screening:
                     self.in_time.append(Find(kind, "", row, 1, float(time[at]), self.interval, 1.0))
 
     def _of_time(self) -> list[Find]:
-        """Findings about time, without deviations that the jitter of the clock explains."""
+        """The findings about time; deviations that the jitter of the clock explains are left out."""
         if self.pauses <= _JITTER * max(self.done, 1):
             return self.in_time
         return [one for one in self.in_time if one.kind is FindKind.LOST and one.seconds > _LONG_PAUSE * self.interval]
 
 
 def _widened(steps: tuple[float, float], others: tuple[float, float]) -> tuple[float, float]:
-    """The smallest range that contains both ranges; NaN if one of them is NaN."""
+    """The smallest range that contains two ranges; NaN if one of them is NaN."""
     low, high = np.minimum(steps[0], others[0]), np.maximum(steps[1], others[1])
     return float(low), float(high)
 
 
 def _stands_out(window: _Window) -> bool:
-    """Whether a sample beside one of a few large changes is far from the samples around it. A large change alone proves nothing,
-    because two opposite deviations of usual size can cause it."""
+    """True if a sample next to one of a few large changes lies far from the samples around it. A large change alone proves nothing,
+    because two opposite deviations of ordinary size can cause it."""
     if len(window.places) > _FEW:
         return True
     for place in window.places:
@@ -761,7 +766,7 @@ def _numbers(rows: Numbered) -> RowNumbers:
 
 
 def _as_one(finds: Sequence[Find]) -> list[Find]:
-    """Combines findings that are too many to be outliers into one finding that is not bad: they belong to the noise."""
+    """Combines findings into one that does not count as bad: they are too many to be outliers and belong to the noise."""
     if not finds:
         return []
     largest = max(finds, key=lambda one: abs(one.size))
@@ -769,8 +774,9 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
-    """Distances of some of the values (n,) from the medians of the `size` values around them. Beyond the ends, the values go on as
-    a mirror image about the line through the ends, so that a slow change of the values does not count as a distance."""
+    """The distances of selected values from the medians of the `size` values around them. Beyond the ends, the values (n,) are
+    continued by their mirror image about the straight line at the end. A slow change of the values therefore does not count as a
+    distance."""
     half = size // 2
     wide = np.pad(values, half, mode="reflect")
     if half >= _SLOPE_FROM:
@@ -784,13 +790,13 @@ def _off(values: Array, size: int, places: RowNumbers) -> Array:
 
 
 def _mean_around(values: Array, size: int) -> Array:
-    """Means of the `size` values around each of n values."""
+    """The mean of the `size` values around each of n values."""
     sums = np.concatenate(([0.0], np.cumsum(np.pad(values, size // 2, mode="reflect"))))
     return np.asarray((sums[size:] - sums[:-size]) / size)
 
 
 def _trimmed(sizes: Array) -> float:
-    """Mean of the smallest 95 % of n absolute values (n,)."""
+    """The mean of the smallest 95 % of n absolute values."""
     return float(np.sort(sizes)[: max(1, int(0.95 * len(sizes)))].mean())
 
 
@@ -799,9 +805,10 @@ FILLED = 64
 
 
 def without_bad(recorded: RecordedSegment) -> RecordedSegment:
-    """The segment without its bad samples; the segment itself if it has none.
+    """Returns the segment without its bad samples, or the same segment if it has none.
 
-    Times, counts and gaps are those of the recording. Samples are read once more for each set of channels with the same bad rows.
+    Times, counts and gaps remain those of the recording. The samples are read once more for each group of channels that have the
+    same bad rows.
     """
     bad = [one for one in recorded.finds or () if one.bad]
     if not bad:
@@ -817,7 +824,7 @@ def without_bad(recorded: RecordedSegment) -> RecordedSegment:
 
 
 def rows_of(finds: Iterable[Find]) -> int:
-    """Number of rows that the findings cover."""
+    """The number of rows that the findings cover; overlapping rows count once."""
     covered, end = 0, 0
     for one in sorted(finds, key=lambda one: one.first):
         covered += max(0, one.first + one.rows - max(end, one.first))
@@ -826,8 +833,8 @@ def rows_of(finds: Iterable[Find]) -> int:
 
 
 def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) -> tuple[Statistics, float]:
-    """Statistics of each channel from its own good rows. Covariances between channels use rows that are good in all channels. Also
-    returns the fraction of good rows in the channel with the fewest good rows."""
+    """The statistics of each channel from those of its rows that are good. Covariances between channels use only rows that are good
+    in all channels. Also returns the fraction of good rows in the channel that has the fewest of them."""
     raw = recorded.statistics
     rows = raw.count + raw.rejected
     sets: dict[frozenset[tuple[int, int]], list[str]] = {}
@@ -871,7 +878,8 @@ def _of(
 
 
 def _without(blocks: Iterable[Block], finds: Mapping[str, tuple[Find, ...]], filled: int) -> Iterator[Block]:
-    """The blocks in which bad rows are filled if at most `filled` of them are adjacent; otherwise they are missing."""
+    """Yields the blocks after bad rows have been replaced: stretches of at most `filled` bad rows are filled, longer stretches
+    become missing numbers."""
     row = 0
     for block in blocks:
         end = row + len(block.time)
