@@ -9,12 +9,12 @@ state, the chamber holds the ambient temperature, because moisture would condens
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.interfaces import Condition, InstrumentError, OwnLimits, Surroundings
 from planrunner.instruments.models import ChamberModel
-from planrunner.instruments.wire.links import LinkKeys
+from planrunner.instruments.wire.links import Commanded, CommandedDriver, Commands, LinkKeys
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS
 
@@ -29,10 +29,9 @@ class WiredChamberKeys(LinkKeys, ChamberKeys):
 K = TypeVar("K", bound=WiredChamberKeys)
 
 
-class AirCommands(Protocol):
+class AirCommands(Commands, Protocol):
     """Commands of a chamber controller; temperatures are in degC. Every failure is an `InstrumentError`."""
 
-    def identify(self) -> Mapping[str, str]: ...
     def prepare(self, ramp: float) -> None:
         """Sets the units, and the rate of change of the setpoint to `ramp` [K/min], if the controller has these settings."""
 
@@ -46,31 +45,15 @@ class AirCommands(Protocol):
     def faults(self) -> Sequence[str]:
         """The reasons why the chamber cannot continue, in words; empty if there is no fault."""
 
-    def remarks(self) -> Sequence[str]: ...
-    def close(self) -> None: ...
 
-
-class WiredChamber:
+class WiredChamber(Commanded[AirCommands]):
     """A real chamber, controlled through its `AirCommands`."""
 
     def __init__(self, commands: AirCommands, keys: ChamberKeys):
-        self.commands, self.keys = commands, keys
+        super().__init__(commands)
+        self.keys = keys
         self._target: float | None = None
         self._prepared = self._limited = False
-
-    @classmethod
-    def connect(cls, commands: AirCommands, keys: ChamberKeys) -> WiredChamber:
-        """Connects and queries the identification of the chamber. If the query fails, the link is closed. A fault of the chamber
-        does not prevent the connection, so that the chamber can be made safe."""
-        try:
-            commands.identify()
-        except BaseException:
-            commands.close()
-            raise
-        return cls(commands, keys)
-
-    def identify(self) -> Mapping[str, str]:
-        return self.commands.identify()
 
     def limit(self, limits: OwnLimits) -> Sequence[str]:
         coldest = self.keys.lowest.value - MARGIN if limits.coldest is None else limits.coldest
@@ -109,9 +92,6 @@ class WiredChamber:
     def read(self) -> Mapping[str, float]:
         return {"air_degC": self.commands.air()}
 
-    def remarks(self) -> Sequence[str]:
-        return self.commands.remarks()
-
     def make_safe(self) -> None:
         self._target = None
         ambient = self.keys.ambient.value - ZERO_CELSIUS
@@ -121,9 +101,6 @@ class WiredChamber:
         except InstrumentError:  # a connection that was lost unnoticed is opened anew
             self._prepare()
             self.commands.head_for(ambient)
-
-    def close(self) -> None:
-        self.commands.close()
 
     def _prepare(self) -> None:
         if not self._prepared:
@@ -135,25 +112,15 @@ class WiredChamber:
             raise InstrumentError("the chamber: " + "; ".join(faults))
 
 
-class ChamberDriver(Generic[K]):
-    """Base of the drivers of real chambers. K is the record with the keys of the chamber. Derived drivers define `Parameters` and
-    `commands_of`."""
+class ChamberDriver(CommandedDriver[K, AirCommands]):
+    """The driver of a real chamber. K: the record of its keys. Derived drivers give `Parameters` and `commands_of`."""
 
     role = "chamber"
-
-    @classmethod
-    def commands_of(cls, parameters: K) -> AirCommands:
-        """Makes the commands of a chamber with these keys."""
-        raise NotImplementedError
 
     @classmethod
     def model(cls, parameters: K) -> ChamberModel:
         return parameters.model()
 
     @classmethod
-    def address(cls, parameters: K) -> str:
-        return parameters.address
-
-    @classmethod
     def connect(cls, parameters: K, surroundings: Surroundings) -> WiredChamber:
-        return WiredChamber.connect(cls.commands_of(parameters), parameters)
+        return WiredChamber(cls.identified(parameters), parameters)

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from planrunner.instruments.wire.links import Commands
+
 
 @dataclass(frozen=True, slots=True)
 class AxisState:
@@ -37,14 +39,13 @@ class Sine:
     phase: float
 
 
-class AxisCommands(Protocol):
+class AxisCommands(Commands, Protocol):
     """Commands of a table controller. Axes have the numbers of the controller; angles are readings of the controller, in degrees.
     Every failure is an `InstrumentError`."""
 
     rocks: bool
     """Whether the controller has a sine motion."""
 
-    def identify(self) -> Mapping[str, str]: ...
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
         """Sets the limits that the axis enforces by itself; returns one line of text for each limit that was set."""
 
@@ -65,5 +66,3 @@ class AxisCommands(Protocol):
         """Brings every axis to rest in a controlled way."""
 
     def switch_off(self) -> None: ...
-    def remarks(self) -> Sequence[str]: ...
-    def close(self) -> None: ...

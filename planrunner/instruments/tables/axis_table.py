@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from planrunner.instruments.models import TableModel
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, Sine
 from planrunner.instruments.tables.timed_motion import TimedMotion, turns_of
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
-from planrunner.instruments.wire.links import LinkKeys
+from planrunner.instruments.wire.links import Commanded, CommandedDriver, LinkKeys
 from planrunner.physics.kinematics import (
     TableAxis,
     Unreachable,
@@ -53,11 +53,12 @@ class Aim:
     rates: Mapping[int, float] = field(default_factory=dict)
 
 
-class AxisTable:
+class AxisTable(Commanded[AxisCommands]):
     """A real table, controlled through its `AxisCommands`."""
 
     def __init__(self, commands: AxisCommands, keys: WiredTableKeys, clock: Clock, azimuth: float):
-        self.commands, self.keys, self.clock, self.azimuth = commands, keys, clock, azimuth
+        super().__init__(commands)
+        self.keys, self.clock, self.azimuth = keys, clock, azimuth
         self.axes: tuple[TableAxis, ...] = keys.model().axes
         self.counted = counted(keys)
         self._aim = Aim()
@@ -66,22 +67,6 @@ class AxisTable:
         self._home: tuple[float, ...] = ()
         self._timed = TimedMotion(clock)
         self._ready = self._limited = False
-
-    @classmethod
-    def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
-        """Connects and queries the identification of the table. If the query fails, the link is closed. A fault of the table does
-        not prevent the connection, so that the table can be made safe."""
-        try:
-            commands.identify()
-        except BaseException:
-            commands.close()
-            raise
-        return cls(commands, keys, surroundings.clock, surroundings.site.azimuth)
-
-    # -- who it is and what it keeps to --------------------------------------------------------------------------------
-
-    def identify(self) -> Mapping[str, str]:
-        return self.commands.identify()
 
     def limit(self, limits: OwnLimits) -> Sequence[str]:
         told: list[str] = []
@@ -203,9 +188,6 @@ class AxisTable:
         joints, _ = self._measured()
         return {f"{axis.name}_deg": math.degrees(joint) for axis, joint in zip(self.axes, joints, strict=True)}
 
-    def remarks(self) -> Sequence[str]:
-        return self.commands.remarks()
-
     # -- the safe state ------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
@@ -222,7 +204,7 @@ class AxisTable:
 
     def close(self) -> None:
         self._timed.call_off()
-        self.commands.close()
+        super().close()
 
     # -- how it does it ------------------------------------------------------------------------------------------------
 
@@ -377,25 +359,16 @@ def _refuse(excess: Sequence[Excess], where: str = "") -> None:
         raise InstrumentError(where + "; ".join(one.message for one in excess))
 
 
-class TableDriver(Generic[K]):
-    """Base of the drivers of real tables. K is the record with the keys of the table. Derived drivers define `Parameters` and
-    `commands_of`."""
+class TableDriver(CommandedDriver[K, AxisCommands]):
+    """The driver of a real table. K: the record of its keys. Derived drivers give `Parameters` and `commands_of`."""
 
     role = "table"
-
-    @classmethod
-    def commands_of(cls, parameters: K) -> AxisCommands:
-        """Makes the commands of a table with these keys."""
-        raise NotImplementedError
 
     @classmethod
     def model(cls, parameters: K) -> TableModel:
         return parameters.model()
 
     @classmethod
-    def address(cls, parameters: K) -> str:
-        return parameters.address
-
-    @classmethod
     def connect(cls, parameters: K, surroundings: Surroundings) -> AxisTable:
-        return AxisTable.connect(cls.commands_of(parameters), parameters, surroundings)
+        commands = cls.identified(parameters)
+        return AxisTable(commands, parameters, surroundings.clock, surroundings.site.azimuth)

@@ -4,7 +4,8 @@ On each resource, only one exchange takes place at a time. A failed link is clos
 discarded before a request. A late reply is therefore never taken for the reply to the next request. No operation waits longer than
 its time-out. PyVISA is imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
 
-This module also declares the keys in the bench file for the connection and the identification of such an instrument.
+This module also declares the keys in the bench file for the connection and the identification of such an instrument, and the bases
+of instruments and drivers that use the commands of a controller.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Number, QuantityOf, Record, Text, key, optional
@@ -439,3 +440,57 @@ class LinkKeys(Record):
                 "or set "
                 "model_contains in the bench file if this is the right instrument"
             )
+
+
+class Commands(Protocol):
+    """Commands that every controller has. Every failure is an `InstrumentError`."""
+
+    def identify(self) -> Mapping[str, str]: ...
+    def remarks(self) -> Sequence[str]: ...
+    def close(self) -> None: ...
+
+
+C = TypeVar("C", bound=Commands)
+K = TypeVar("K", bound=LinkKeys)
+
+
+class Commanded(Generic[C]):
+    """A real instrument that is operated through the commands `C` of its controller."""
+
+    def __init__(self, commands: C):
+        self.commands = commands
+
+    def identify(self) -> Mapping[str, str]:
+        return self.commands.identify()
+
+    def remarks(self) -> Sequence[str]:
+        return self.commands.remarks()
+
+    def close(self) -> None:
+        self.commands.close()
+
+
+class CommandedDriver(Generic[K, C]):
+    """The driver of an instrument that is operated through the commands `C` of its controller. K: the record of its keys. Derived
+    drivers give `Parameters` and `commands_of`."""
+
+    @classmethod
+    def commands_of(cls, parameters: K) -> C:
+        """The commands of an instrument with these keys."""
+        raise NotImplementedError
+
+    @classmethod
+    def address(cls, parameters: K) -> str:
+        return parameters.address
+
+    @classmethod
+    def identified(cls, parameters: K) -> C:
+        """The commands, after the controller has identified itself. If it does not, the link is released. A fault of the instrument
+        is no obstacle, because an instrument with a fault can still be made safe."""
+        commands = cls.commands_of(parameters)
+        try:
+            commands.identify()
+        except BaseException:
+            commands.close()
+            raise
+        return commands
