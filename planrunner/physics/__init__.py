@@ -1,1 +1,2 @@
-"""Physics: frames, Earth, table kinematics, stimulus and error-model terms. It has no I/O and no state."""
+"""Physics: frames, the Earth, kinematics of tables, the stimulus of a sensor, and the terms of error models. The modules have no
+input or output and no state."""

@@ -1,4 +1,4 @@
-"""The Earth at a test site: rotation and gravity in East-North-Up axes."""
+"""The Earth at a test site: its rotation and gravity in East-North-Up axes."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.04106
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Site of the bench. latitude, azimuth: rad; gravity: m/s^2.
+    """The site of a bench. latitude, azimuth: in rad; gravity: in m/s^2.
 
-    latitude: astronomic, defined by the plumb line. An accelerometer at rest measures along the plumb line, so this latitude gives
-    the angle between the Earth's axis and a level surface. geodetic_latitude: rad, on the ellipsoid, for positions; None if both
-    latitudes are treated as equal. The two latitudes differ by the deviation of the vertical (Torge and Müller, Geodesy, 4th ed.,
-    6.1). longitude: rad, east positive; height: m above the ellipsoid. Longitude and height are used only if positions are
-    navigated. azimuth: from true north to the table's reference direction, positive clockwise seen from above (towards east).
-    Orientation words in plans mean true directions; the joint angles of the table allow for the azimuth. magnetic_field: the
-    Earth's field in true East-North-Up, in the unit that the bench names; None if it is not known.
+    latitude: astronomic latitude, which the plumb line defines. An accelerometer at rest measures along the plumb line, so this
+    latitude determines the angle between the Earth's axis and a level surface. geodetic_latitude: latitude on the ellipsoid, rad,
+    used for positions; None if the two latitudes are treated as equal. The difference between the two latitudes is the deviation of
+    the vertical (Torge and Müller, Geodesy, 4th ed., 6.1). longitude: rad, positive to the east; height: height above the
+    ellipsoid, m. Longitude and height are used only for navigation. azimuth: angle from true north to the reference direction of
+    the table, positive clockwise as seen from above (towards east). Words for orientations in plans mean true directions; the joint
+    angles of the table take the azimuth into account. magnetic_field: the Earth's magnetic field in true East-North-Up, in the unit
+    that the bench file states; None if unknown.
     """
 
     latitude: float
@@ -38,15 +39,15 @@ class Site:
 
     @property
     def on_ellipsoid(self) -> Site:
-        """The site with the geodetic latitude as its latitude, for navigation on the ellipsoid."""
+        """A copy whose latitude is the geodetic latitude, for navigation on the ellipsoid."""
         return self if self.geodetic_latitude is None else replace(self, latitude=self.geodetic_latitude)
 
     @property
     def earth_rate_enu(self) -> NDArray[np.float64]:
-        """Earth rotation in ENU, shape (3,), rad/s."""
+        """The Earth's rotation rate (3,) in East-North-Up, rad/s."""
         return self.earth_rate * np.array([0.0, math.cos(self.latitude), math.sin(self.latitude)])
 
     @property
     def specific_force_enu(self) -> NDArray[np.float64]:
-        """Specific force at rest in ENU, shape (3,), m/s^2: an axis pointing up reads +g."""
+        """The specific force (3,) at rest in East-North-Up, m/s^2; an axis that points up reads +g."""
         return np.array([0.0, 0.0, self.gravity])

@@ -1,10 +1,10 @@
-"""Rate-table kinematics: attitude from joint angles, joint angles from attitude, reach, and the duration of moves.
+"""Kinematics of rate tables: the attitude for joint angles, the joint angles for an attitude, the reach, and the duration of moves.
 
-Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint angle zero.
-With the site's azimuth α (clockwise from north), the attitude of the platform in East-North-Up is R_z(−α)·R_1·R_2·R_3. With all
-joints at zero and α = 0, the sensor's x, y, z axes point east, north, up. Adjacent axes are at right angles. The joint angles for
-an attitude follow from the classical subproblems of screw theory (Murray, Li, Sastry, A Mathematical Introduction to Robotic
-Manipulation, 1994, section 3.3).
+Axes are listed outermost first. R_i is the rotation by the joint angle q_i, right-handed about the direction that the axis has at
+joint angle zero. If α is the azimuth of the site (clockwise from north), the attitude of the platform in East-North-Up is
+R_z(−α)·R_1·R_2·R_3. With all joints at zero and α = 0, the sensor's x, y, z axes point east, north, up. Adjacent axes are
+perpendicular to each other. The joint angles for an attitude follow from the classical subproblems of screw theory (Murray, Li,
+Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3).
 """
 
 from __future__ import annotations
@@ -32,15 +32,16 @@ AS_QUICK = 1e-3  # relative difference of duration, and of length, below which t
 
 
 class Unreachable(ValueError):  # noqa: N818 - reads as what the table says
-    """The table cannot reach an attitude or direction. The message names the axis, the angle and the limit."""
+    """Reports that the table cannot reach an attitude or a direction. The message names the axis, the angle and the limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class TableAxis:
-    """One axis of a table; the axes of a table are listed outermost first.
+    """One axis of a table. The axes of a table are listed outermost first.
 
-    direction: the axis at joint angle zero, ENU unit vector, before the site's azimuth is applied. max_rate: rad/s;
-    max_acceleration: rad/s^2; lowest, highest: joint limits, rad (infinite for a continuous axis with slip rings).
+    direction: unit vector of the axis at joint angle zero, in East-North-Up, before the azimuth of the site is applied. max_rate:
+    largest rate, rad/s; max_acceleration: largest acceleration, rad/s^2; lowest, highest: limits of the joint angle, rad (infinite
+    for a continuous axis with slip rings).
     """
 
     name: str
@@ -56,7 +57,7 @@ class TableAxis:
 
 
 def rotation_about(axis: Sequence[float], angle: float) -> Array:
-    """Right-handed rotation matrix (3, 3) by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
+    """The right-handed rotation matrix (3, 3) by `angle` [rad] about the unit vector `axis`, by Rodrigues' formula."""
     x, y, z = axis
     c, s = math.cos(angle), math.sin(angle)
     v = 1.0 - c
@@ -70,13 +71,14 @@ def rotation_about(axis: Sequence[float], angle: float) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """The cross product a × b, shape (3,). `numpy.cross` is designed for many vectors and takes ten times as long for one."""
+    """The cross product a × b, shape (3,). `numpy.cross` is designed for many vectors and takes ten times as long for a single
+    pair."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """The sensor's axes as rows in East-North-Up, shape (3, 3), at joint angles [rad] (n,) and site azimuth [rad]."""
+    """The sensor's axes (3, 3) as rows in East-North-Up. angles: (n,), joint angles, rad; azimuth: azimuth of the site, rad."""
     platform = rotation_about((0.0, 0.0, 1.0), -azimuth)
     for axis, angle in zip(axes, angles, strict=True):
         platform = platform @ rotation_about(axis.direction, angle)
@@ -86,12 +88,12 @@ def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth
 def joint_angles(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> Array:
-    """Joint angles [rad], shape (n,), for an attitude (3, 3): the solution within the limits that the table reaches fastest from
-    `near`.
+    """The joint angles (n,) [rad] for an attitude (3, 3): the solution within the limits that the table reaches fastest from the
+    joint angles `near`.
 
-    A limited axis keeps its absolute angle, so that cables unwind if necessary. A continuous axis turns the shorter way. Of equally
-    fast solutions, the one with the limited axes nearest to zero is chosen, then the one that turns in the positive direction.
-    Raises `Unreachable` with the reason.
+    The angle of a limited axis counts in full turns, so that cables unwind if necessary. A continuous axis turns the shorter way.
+    Among equally fast solutions, the one is chosen whose limited axes are nearest to zero; if this does not decide, the one that
+    turns in the positive direction. Raises `Unreachable`, which states the reason, if there is no solution.
     """
     return quickest_move(axes, target, near, azimuth)[0]
 
@@ -99,15 +101,16 @@ def joint_angles(
 def quickest_move(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> tuple[Array, float]:
-    """The joint angles as in `joint_angles`, and the time [s] of the move. Raises `Unreachable` with the reason."""
+    """The joint angles as in `joint_angles`, and the time [s] that the move takes. Raises `Unreachable`, which states the reason,
+    if the attitude cannot be reached."""
     start = np.asarray(near, dtype=float).tobytes()
     angles, seconds = _quickest_move(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth)
     return np.array(angles), seconds
 
 
 def quickest_ends(axes: Sequence[TableAxis], target: Array, starts: Array, azimuth: float = 0.0) -> Array:
-    """The joint angles that `quickest_move` gives from each of several starts (n, joints), in the same shape. The result must not
-    be modified."""
+    """The joint angles (n, joints) that `quickest_move` gives from each of n starts (n, joints). Do not modify the result: it is
+    cached."""
     return _quickest_ends(tuple(axes), np.asarray(target, dtype=float).tobytes(), starts.tobytes(), azimuth)
 
 
@@ -141,8 +144,9 @@ def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azi
 
 @lru_cache(maxsize=8192)
 def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, azimuth: float) -> tuple[Angles, ...]:
-    """Joint angles for an attitude, independent of the table's present position. In gimbal lock one angle is free, and `near`
-    determines it; the result is then empty if `near` is None. Raises `Unreachable` if the axes do not allow the attitude."""
+    """The joint angles for an attitude, without regard to the present position of the table. In gimbal lock, one angle is free. It
+    is chosen with the help of the joint angles `near`; if `near` is None, the result is empty. Raises `Unreachable` if the geometry
+    of the axes does not allow the attitude."""
     wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
     candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
     off = _misalignment(axes, candidates[0], wanted) if candidates else 0.0
@@ -155,8 +159,9 @@ def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, 
 
 
 def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> Angles:
-    """The fastest of several moves to joint angles. Of equally fast moves, it is the shortest; of equally short moves, the one with
-    the limited axes nearest to zero; and of those, the one that turns the outermost differing axis in the positive direction."""
+    """Chooses the fastest of several moves to joint angles. Among equally fast moves, the shortest is chosen; among equally short
+    ones, the one with the limited axes nearest to zero; and among those, the one in which the first axis that differs turns in the
+    positive direction."""
     if len(ways) == 1:
         return ways[0]
     ways = _least(ways, [transition_time(axes, near, way) for way in ways])
@@ -170,17 +175,17 @@ def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> A
 
 
 def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
-    """The ways with the smallest value, and other ways whose value is larger by so little that rounding or the end of a motion may
-    decide."""
+    """The moves with the smallest value. Included are moves whose value is larger by so little that rounding, or the end of a
+    previous motion, could decide between them."""
     most = min(values) * (1 + AS_QUICK) + ALIKE
     return [way for way, value in zip(ways, values, strict=True) if value <= most]
 
 
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
-    """Time [s] of a rest-to-rest move with a trapezoidal rate profile.
+    """The time [s] of a move from rest to rest with a trapezoidal rate profile.
 
-    With the rate w and the acceleration a, the table reaches w after the time w/a and the angle w²/2a. A move with |angle| < w²/a
-    therefore does not reach w. Its profile is a triangle, and it takes 2·√(|angle|/a).
+    With the rate w and the acceleration a, the table reaches w after the time w/a, when it has turned by w²/2a. A move with |angle|
+    < w²/a therefore does not reach w. Its rate profile is then a triangle, and it takes the time 2·√(|angle|/a).
     """
     distance = abs(angle)
     if distance < max_rate**2 / max_acceleration:
@@ -189,19 +194,20 @@ def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
 
 
 def transition_time(axes: Sequence[TableAxis], start: Sequence[float] | Array, end: Sequence[float] | Array) -> float:
-    """Time [s] from rest to rest between joint angles [rad]. All axes move at the same time, so the slowest one determines the
-    time."""
+    """The time [s] of a move from rest to rest between two sets of joint angles [rad]. All axes move at the same time, so the
+    slowest one determines the time."""
     moves = zip(axes, start, end, strict=True)
     return max(move_time(stop - begin, axis.max_rate, axis.max_acceleration) for axis, begin, stop in moves)
 
 
 def spin_up_time(axis: TableAxis, rate: float) -> float:
-    """Time [s] from rest to `rate` [rad/s], or back to rest."""
+    """The time [s] to accelerate from rest to `rate` [rad/s], or to brake to rest."""
     return abs(rate) / axis.max_acceleration
 
 
 def joint_directions(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """Direction of every axis at these joint angles, shape (n, 3), East-North-Up unit vectors. The result must not be modified."""
+    """The directions (n, 3) of all axes at these joint angles, as unit vectors in East-North-Up. Do not modify the result: it is
+    cached."""
     return _joint_directions(tuple(axes), np.asarray(angles, dtype=float).tobytes(), azimuth)
 
 
@@ -220,10 +226,10 @@ def _joint_directions(axes: tuple[TableAxis, ...], angles: bytes, azimuth: float
 def spin_axis(
     axes: Sequence[TableAxis], angles: Sequence[float] | Array, about: Sequence[float], azimuth: float = 0.0
 ) -> int:
-    """Index of the axis that is parallel or antiparallel to the site direction `about` at these joint angles.
+    """The index of the axis that, at these joint angles, is parallel or antiparallel to the site direction `about`.
 
-    If there are several, it is the outermost, because it carries the others. Raises `Unreachable` if there is none; the message
-    gives the directions of the axes.
+    If there are several such axes, the outermost is chosen, because it carries the others. Raises `Unreachable` if there is none;
+    the message states the angles between the axes and this direction.
     """
     cosines = joint_directions(axes, angles, azimuth) @ np.asarray(about, dtype=float)
     for index, cosine in enumerate(cosines):
@@ -237,7 +243,7 @@ def spin_axis(
 
 
 def check_geometry(axes: Sequence[TableAxis]) -> None:
-    """Raises `Unreachable` unless there are one to three axes, each perpendicular to the next outer axis."""
+    """Raises `Unreachable` unless there are one to three axes, each perpendicular to the axis that carries it."""
     if not 1 <= len(axes) <= 3:
         raise Unreachable(f"a table has one to three axes, not {len(axes)}")
     for outer, inner in pairwise(axes):
@@ -264,10 +270,11 @@ def _two_axes(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> 
 
 
 def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> list[Angles]:
-    """Every solution (two, or a choice of the one-parameter family where outer and inner axis are parallel).
+    """All solutions for three axes: two, or a selection from a one-parameter family if the outer and the inner axis are parallel.
 
-    With R_1·R_2·R_3 = W and W·a_3 = b: a_1·(R_2 a_3) = a_1·b fixes q_2 up to a sign, then q_1 turns R_2·a_3 into b, then q_3 remains. The
-    sine is computed directly as |a_1 × b|, because an arc cosine would lose half the digits near gimbal lock.
+    Let R_1·R_2·R_3 = W and W·a_3 = b. Then a_1·(R_2 a_3) = a_1·b determines q_2 up to a sign; q_1 is the angle that turns R_2·a_3
+    into b; and q_3 follows. The sine is computed directly, as |a_1 × b|, because an arc cosine would lose half of the digits near
+    gimbal lock.
     """
     first, second, third = (np.asarray(axis.direction) for axis in axes)
     carried = wanted @ third
@@ -293,8 +300,8 @@ def _inner(axes: Sequence[TableAxis], outer: float, middle: float, wanted: Array
 
 
 def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near: Sequence[float]) -> list[Angles]:
-    """Solutions in gimbal lock. With outer and inner axis parallel, only the sum of their angles counts: one of the two axes keeps
-    still, or stops at a limit.
+    """The solutions in gimbal lock. If the outer and the inner axis are parallel, only the sum of their angles matters. In each
+    solution, one of the two axes stays where it is or goes to a limit.
     """
     outer, inner = axes[0], axes[2]
     turned = rotation_about(axes[1].direction, middle) @ np.asarray(inner.direction)
@@ -308,14 +315,14 @@ def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near
 
 
 def _best_turn(axis: Sequence[float], wanted: Array) -> float:
-    """The angle about `axis` whose rotation is nearest to `wanted` (maximal trace of Rᵀ·wanted)."""
+    """The angle of the rotation R about `axis` that is nearest to the rotation `wanted` (maximal trace of Rᵀ·wanted)."""
     unit = np.asarray(axis)
     skew = np.array([wanted[2, 1] - wanted[1, 2], wanted[0, 2] - wanted[2, 0], wanted[1, 0] - wanted[0, 1]])
     return math.atan2(float(unit @ skew), float(np.trace(wanted) - unit @ wanted @ unit))
 
 
 def _angle_between(axis: Array, start: Array, end: Array) -> float | None:
-    """The angle about `axis` that rotates `start` towards `end`; None if either is parallel to the axis."""
+    """The angle about `axis` that rotates `start` towards `end`; None if one of the vectors is parallel to the axis."""
     a = start - axis * float(axis @ start)
     b = end - axis * float(axis @ end)
     if min(np.linalg.norm(a), np.linalg.norm(b)) < LOCKED:
@@ -324,19 +331,19 @@ def _angle_between(axis: Array, start: Array, end: Array) -> float | None:
 
 
 def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> float:
-    """Angle [rad] between the platform rotation at these joint angles and the wanted one."""
+    """The angle [rad] between the rotation of the platform at these joint angles and the rotation `wanted`."""
     off = attitude(axes, angles) @ wanted
     skew = np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]])
     return math.atan2(float(np.linalg.norm(skew)), float(np.trace(off)) - 1.0)
 
 
 def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[float, str] | None]:
-    """The angle equivalent to `angle` that is nearest to `near` within the limits. If no equivalent angle is within the limits, the
-    result also contains the distance to the limits, and the reason.
+    """The angle that differs from `angle` by full turns, lies within the limits, and is nearest to `near`. If no such angle lies
+    within the limits, the result also contains the distance to the limits and a text with the reason.
 
-    At a distance of half a turn, two angles are equally near. A continuous axis then turns in the positive direction. A limited
-    axis goes to the angle nearer to zero, even if the other is nearer by `NEARLY`. If both are equally far from zero, it goes to
-    the positive one.
+    Two angles that are half a turn away are equally near. A continuous axis then turns in the positive direction. A limited axis
+    goes to the angle that is nearer to zero, even if the other one is nearer to `near` by up to `NEARLY`. If both are equally far
+    from zero, it goes to the positive angle.
     """
     nearest = angle + TURN * math.floor((near - angle + ALIKE) / TURN + 0.5)
     if axis.continuous:

@@ -1,8 +1,9 @@
-"""Effect of a modulated sensor error on navigation: a rotation cycle's harmonics drive the Schuler loop.
+"""The effect of a modulated sensor error on navigation: harmonics of a rotation cycle drive the Schuler loop.
 
-With velocity v and attitude error ψ written as complex numbers (east + i·north), a gyro error ε(t) and an accelerometer error b(t) in the
-navigation frame obey v′ = −i·g·ψ + b and ψ′ = ε − i·v/R (Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd ed., 12.3),
-so v″ + ω_s²·v = −i·g·ε + b′ with ω_s² = g/R. The Earth's rotation turns the free oscillation by Ω·sin φ, as in Foucault's pendulum.
+Velocity v and attitude error ψ are written as complex numbers (east + i·north). A gyro error ε(t) and an accelerometer error b(t)
+in the navigation frame obey v′ = −i·g·ψ + b and ψ′ = ε − i·v/R (Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd
+ed., 12.3); therefore v″ + ω_s²·v = −i·g·ε + b′ with ω_s² = g/R. The Earth's rotation turns the plane of the free oscillation at the
+rate Ω·sin φ, as in Foucault's pendulum.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ def schuler_rate(site: Site) -> float:
 
 
 def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
-    """Growth of the free Schuler oscillation under a constant gyro drift: its largest amplitude within `seconds`, divided by the
-    amplitude that the same drift causes without rotation. The result is 0 if the cycle is too short for any harmonic to lie near the
-    Schuler rate.
+    """How much a rotation cycle increases the free Schuler oscillation that a constant gyro drift causes: its largest amplitude
+    within `seconds`, divided by the amplitude that the same drift causes without rotation. The result is 0 if the cycle is so short
+    that none of its harmonics lies near the Schuler rate.
 
-    A drift ε(t) leaves an oscillation of size |∫ ε·exp(−iωt) dt| at each of the two free rates ω, and their sum is the semi-major axis of
-    the ellipse that the velocity describes. Without rotation this axis is 2·|ε|/ω_s. Over n cycles the integral is that of one cycle
-    times |sin(nx)/sin(x)|, x = ω·period/2: near a harmonic it grows with every cycle.
+    A drift ε(t) leaves an oscillation of the size |∫ ε·exp(−iωt) dt| at each of the two free rates ω. The sum of the two sizes is
+    the semi-major axis of the ellipse that the velocity describes. Without rotation, this axis is 2·|ε|/ω_s. Over n cycles, the
+    integral is that of one cycle times |sin(nx)/sin(x)|, where x = ω·period/2. Near a harmonic, it grows with every cycle.
     """
     natural = schuler_rate(site)
     if round(natural * cycle.period / (2 * math.pi)) == 0:
@@ -47,10 +48,12 @@ def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
 def forced_velocity(
     cycle: RotationCycle, gyro: complex, accelerometer: complex, site: Site, harmonic: int
 ) -> tuple[complex, complex]:
-    """The velocity error [m/s] forced at plus and minus `harmonic` times the cycle's frequency, east + i·north.
+    """The velocity errors [m/s], as east + i·north, that are forced at plus and at minus `harmonic` times the frequency of the
+    cycle.
 
-    gyro [rad/s], accelerometer [m/s^2]: constant sensor errors as oriented at the first position. A harmonic of exp(iθ) with coefficient c
-    at rate ω forces c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0 is the mean velocity caused by the residual.
+    gyro [rad/s], accelerometer [m/s^2]: constant sensor errors, in their orientation at the first position. A harmonic of exp(iθ)
+    that has the coefficient c and the rate ω forces the velocity c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0 is the
+    mean velocity, which the residual of the cycle causes.
     """
     natural = schuler_rate(site)
     forced = []

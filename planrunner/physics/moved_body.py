@@ -1,8 +1,8 @@
-"""The input of a sensor whose motion was not commanded, computed from the channels of the recording that show the motion.
+"""The input of a sensor that is moved without commands. The recorded channels that show the motion determine it.
 
-A hand, a vehicle or a jig without a drive moves the sensor. An encoder, an attitude reference, or other gyros and accelerometers on
-the same body show the motion. Derivatives are differences over the neighbouring samples, so that the mean of a derivative over a
-stretch depends only on the ends of the stretch.
+The sensor is moved by hand, by a vehicle, or by a jig without a drive. An encoder, an attitude reference, or other gyros and
+accelerometers on the same body measure the motion. Derivatives are differences between the neighbouring samples, so the mean of a
+derivative over a stretch depends only on the ends of the stretch.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from planrunner.physics.earth import Site
 class BodyMotion:
     """The input of a moving sensor at n samples, along the sensor's axes.
 
-    attitude: (n, 3, 3), transforms site vectors to the sensor's axes; zeros if the recording does not show it. turn: (n, 3), rad/s,
-    rotation rate of the sensor, relative to the Earth if the attitude is known; swing: (n, 3), rad/s², angular acceleration. omega: (n,
-    3), rad/s, rotation rate relative to inertial space. force: (n, 3), m/s², specific force; zeros if the recording does not show it.
+    attitude: (n, 3, 3), transforms vectors from site axes to the sensor's axes; zeros if the recording does not show the attitude.
+    turn: (n, 3), rotation rate of the sensor, rad/s, relative to the Earth if the attitude is known; swing: (n, 3), angular
+    acceleration, rad/s². omega: (n, 3), rotation rate relative to inertial space, rad/s. force: (n, 3), specific force, m/s²; zeros
+    if the recording does not show it.
     """
 
     attitude: Array
@@ -31,11 +32,11 @@ class BodyMotion:
     force: Array
 
     def averaged(self, size: int) -> BodyMotion:
-        """Means over `size` consecutive samples."""
+        """The motion averaged over every `size` consecutive samples."""
         return BodyMotion(*(averaged(part, size) for part in self._parts))
 
     def at(self, rows: NDArray[np.bool_]) -> BodyMotion:
-        """The motion at some of the samples."""
+        """The motion at the selected samples. rows: (n,), True for these samples."""
         return BodyMotion(*(part[rows] for part in self._parts))
 
     @property
@@ -44,14 +45,14 @@ class BodyMotion:
 
 
 def averaged(values: Array, size: int) -> Array:
-    """Means (n // size, …) over `size` consecutive values (n, …). An incomplete last group is omitted."""
+    """The means (n // size, …) of every `size` consecutive values (n, …). If the last group is incomplete, it is left out."""
     whole = len(values) - len(values) % size
     return np.asarray(values[:whole].reshape(-1, size, *values.shape[1:]).mean(axis=1))
 
 
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
-    """The motion from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to East-North-Up.
-    force: (n, 3), measured specific force; by default, the specific force of a sensor that only rotates."""
+    """The motion, computed from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to
+    East-North-Up. force: (n, 3), measured specific force; by default, that of a sensor that only rotates."""
     from scipy.spatial.transform import Rotation
 
     attitude = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().swapaxes(1, 2)
@@ -62,8 +63,9 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 
 
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
-    """The motion from measured angular rates (n, 3) relative to inertial space. start: (3, 3), the attitude at the first sample;
-    None if it is unknown. If the attitude is unknown, only the measured specific force `force` (n, 3) is used."""
+    """The motion, computed from measured angular rates (n, 3) relative to inertial space. start: (3, 3), attitude at the first
+    sample, or None if it is unknown. force: (n, 3), measured specific force; by default, that of a sensor that only rotates. If the
+    attitude is unknown, the specific force is zero unless `force` is given."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))
@@ -77,17 +79,17 @@ def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: 
 
 
 def by_force(force: Array) -> BodyMotion:
-    """The motion from measured specific force (n, 3) alone."""
+    """The motion, of which only the measured specific force (n, 3) is known; all other quantities are zero."""
     n = len(force)
     return BodyMotion(np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), force)
 
 
 def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
-    """Attitudes (n, 3, 3) of a body that rotates with omega (n, 3) in its axes, beginning with `start`.
+    """The attitudes (n, 3, 3) of a body that starts at the attitude `start` and rotates at the rate omega (n, 3) in its own axes.
 
-    Between two samples the body rotates by the mean of both rates. The attitude relative to inertial space is the product of these
-    rotations. The site turns with the Earth's rate meanwhile. All partial products are computed in about log₂ n steps, each of which
-    doubles the number of rotations in a product.
+    Between two samples, the body rotates at the mean of the two rates. The attitude relative to inertial space is the product of
+    these rotations. Meanwhile, the site turns at the Earth's rate. All partial products are computed in about log₂ n steps, each of
+    which doubles the number of rotations in a product.
     """
     from scipy.spatial.transform import Rotation
 
@@ -103,8 +105,8 @@ def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
 
 
 def rates_of(time: Array, attitude: Array) -> Array:
-    """Angular rates (n, 3) in the body's axes, as differences between the two neighbours of each sample, from attitudes (n, 3, 3)
-    that transform vectors to these axes."""
+    """The angular rates (n, 3) in the body's axes, as differences between the two neighbours of each sample. attitude: (n, 3, 3),
+    transforms vectors to the body's axes."""
     from scipy.spatial.transform import Rotation
 
     before, after = np.r_[0, np.arange(len(time) - 1)], np.r_[np.arange(1, len(time)), len(time) - 1]
@@ -113,5 +115,5 @@ def rates_of(time: Array, attitude: Array) -> Array:
 
 
 def slope(time: Array, values: Array) -> Array:
-    """Time derivative, (n, …), of values (n, …), from the neighbours of each sample (`numpy.gradient`)."""
+    """The time derivative (n, …) of values (n, …), computed from the neighbours of each sample (`numpy.gradient`)."""
     return np.asarray(np.gradient(values, time, axis=0))

@@ -1,13 +1,14 @@
 """A cycle of stops and turns of one table axis, and the residual of a sensor error after one cycle.
 
-A horizontal error of the sensor (a constant gyro drift or accelerometer bias, written as a complex number) is e·exp(iθ(t)) in the
-navigation frame, with θ the angle of the axis from the first position. The residual is the integral of exp(iθ) over one cycle, in seconds;
-it is zero for a cycle that cancels the error. Multiplying the error vector at the first position by the residual gives the error that
-accumulates in one cycle.
+Let a horizontal error of the sensor (a constant gyro drift or accelerometer bias) be written as a complex number e. In the
+navigation frame, it is e·exp(iθ(t)), where θ is the angle of the axis from the first position. The residual is the integral of
+exp(iθ) over one cycle, in seconds; it is zero if the cycle cancels the error. The error vector at the first position, multiplied by
+the residual, is the error that accumulates in one cycle.
 
-Turns have trapezoidal rate profiles, or triangular ones if they are too short to reach the rate. Everything is integrated piece by piece:
-stops and steady turning in closed form, ramps by Gauss–Legendre quadrature on panels in which the phase turns by at most 1 rad, where ten
-nodes are exact to rounding (Davis and Rabinowitz, Methods of Numerical Integration, 1984, section 2.7).
+The rate of a turn has a trapezoidal profile, or a triangular one if the turn is too short to reach the full rate. All integrals are
+computed piece by piece: stops and turning at a constant rate in closed form; ramps by Gauss–Legendre quadrature on panels within
+which the phase turns by at most 1 rad, where ten nodes are exact to rounding (Davis and Rabinowitz, Methods of Numerical
+Integration, 1984, section 2.7).
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ NOTHING = 1e-6  # of a period: negligible, because errors are known to a few per
 
 @dataclass(frozen=True)
 class RotationCycle:
-    """A cycle of turns and stops. turns: rad, one for each move, positive about the axis; before each move the axis rests for
-    `stop` s. rate: rad/s, above zero; acceleration: rad/s^2, infinite for turns without ramps. Raises `ValueError` for a cycle that
-    takes no time."""
+    """A cycle of stops and turns of one table axis. turns: angle of each turn, rad, positive about the axis; before each turn, the
+    axis rests for `stop` s. rate: rate of the turns, rad/s, above zero; acceleration: in rad/s^2, infinite for turns without ramps.
+    Raises `ValueError` if the cycle takes no time."""
 
     turns: tuple[float, ...]
     stop: float
@@ -42,14 +43,14 @@ class RotationCycle:
 
     @classmethod
     def of(cls, cycle: Cycle, acceleration: float) -> RotationCycle:
-        """The cycle of a schedule on an axis that accelerates at `acceleration` [rad/s^2]."""
+        """Makes the cycle from the motion of a schedule, for an axis with the acceleration `acceleration` [rad/s^2]."""
         return cls(tuple(move.turn for move in cycle.moves), cycle.stop, cycle.rate, acceleration)
 
     # -- where the axis is -------------------------------------------------------------------------------------------
 
     @cached_property
     def stops(self) -> Array:
-        """Angle of every stop from the first stop [rad], shape (n,), full turns included."""
+        """The angle (n,) of every stop, measured from the first stop; full turns are included, rad."""
         return np.concatenate(([0.0], np.cumsum(self.turns)[:-1]))
 
     @property
@@ -59,17 +60,17 @@ class RotationCycle:
 
     @property
     def net_turn(self) -> float:
-        """Angle by which the cables wind up in one cycle [rad]."""
+        """The angle [rad] by which one cycle winds up the cables."""
         return math.fsum(self.turns)
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Lowest and highest angle from the first position [rad]."""
+        """The lowest and the highest angle, measured from the first position, rad."""
         reached = np.append(self.stops, self.net_turn)
         return float(reached.min()), float(reached.max())
 
     def angle(self, times: Array) -> Array:
-        """Angle from the first position [rad] at `times` [s since a cycle began], shape (n,)."""
+        """The angle (n,) from the first position [rad] at `times` [s since the start of a cycle]."""
         begins, lasting, angles, rates, slopes, _ = self._pieces
         cycles, within = np.divmod(np.asarray(times, dtype=float), self.period)
         index = np.clip(np.searchsorted(begins, within, side="right") - 1, 0, len(begins) - 1)
@@ -78,7 +79,7 @@ class RotationCycle:
         return np.asarray(cycles * self.net_turn + turned)
 
     def turning_rate(self, time: float) -> float:
-        """Rate [rad/s] at `time` [s since a cycle began]."""
+        """The rate [rad/s] at `time` [s since the start of a cycle]."""
         begins, lasting, _, rates, slopes, _ = self._pieces
         within = math.fmod(time, self.period)
         index = max(0, int(np.searchsorted(begins, within, side="right")) - 1)
@@ -87,7 +88,8 @@ class RotationCycle:
 
     @property
     def mean_angle(self) -> float:
-        """Time mean of the angle from the first position [rad]. Multiplied by a scale factor error it gives the mean heading error."""
+        """The mean over time of the angle from the first position, rad. Multiplied by the scale factor error of a gyro, it is the
+        mean heading error."""
         _, lasting, angles, rates, slopes, _ = self._pieces
         integral = angles * lasting + rates * lasting**2 / 2 + slopes * lasting**3 / 6
         return math.fsum(integral) / self.period
@@ -95,10 +97,10 @@ class RotationCycle:
     # -- the residual -------------------------------------------------------------------------------------------------
 
     def integral(self, frequency: float = 0.0) -> tuple[complex, complex]:
-        """The integrals ∫ exp(i(θ − ωt)) dt over the stops and over the turns of one cycle [s], with ω = `frequency` in rad/s.
+        """The integrals ∫ exp(i(θ − ωt)) dt [s] over the stops and over the turns of one cycle, where ω is `frequency` [rad/s].
 
-        At ω = 0 their sum is the residual of the cycle. At ω = k·2π/period, their sum divided by the period is the k-th Fourier
-        coefficient.
+        For ω = 0, the sum of the two is the residual of the cycle. For ω = k·2π/period, the sum divided by the period is the k-th
+        Fourier coefficient.
         """
         begins, lasting, angles, rates, slopes, turning = self._pieces
         beat = rates - frequency
@@ -110,21 +112,22 @@ class RotationCycle:
 
     @cached_property
     def residual(self) -> complex:
-        """The residual of one cycle, stops and turns together [s]."""
+        """The residual of one cycle [s], over the stops and the turns."""
         stops, turns = self.integral()
         return stops + turns
 
     @property
     def balanced(self) -> bool:
-        """Whether the residual is zero."""
+        """True if the residual is negligible."""
         return abs(self.residual) <= NOTHING * self.period
 
     # -- pieces in which the rate is constant or changes evenly --------------------------------------------------------
 
     @cached_property
     def _pieces(self) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]:
-        """Start [s], length [s], angle [rad] and rate [rad/s] at the start, acceleration [rad/s^2], whether turning; each of shape (4·n,).
-        The four pieces of a move are a stop and the three parts of a turn; a part that is missing has length zero."""
+        """The pieces of the cycle: start [s], length [s], angle [rad] and rate [rad/s] at the start, acceleration [rad/s^2], and
+        whether the axis turns; each of the shape (4·n,). There are four pieces for each turn: a stop and the three parts of the
+        turn. A part that does not exist has the length zero."""
         turns = np.array(self.turns)
         size, sign = np.abs(turns), np.sign(turns)
         peak = np.where(size > 0, self.rate, 0.0)
@@ -146,12 +149,13 @@ class RotationCycle:
 
 @cache
 def _gauss_legendre() -> tuple[Array, Array]:
-    """Ten nodes and their weights. The result is cached, because numpy must load its polynomials for it, and few plans need them."""
+    """The ten nodes of the Gauss–Legendre quadrature, and their weights. They are cached, because numpy must load its polynomials
+    to compute them, and few plans need them."""
     return np.polynomial.legendre.leggauss(10)
 
 
 def _ramps(begins: Array, lasting: Array, angles: Array, rates: Array, slopes: Array, frequency: float) -> Array:
-    """The integral ∫ exp(i(θ − ωt)) dt over each of n pieces [s], shape (n,), by quadrature on panels."""
+    """The integrals (n,) of exp(i(θ − ωt)) over n ramps [s], by quadrature on panels."""
     nodes, weights = _gauss_legendre()
     span = (np.maximum(np.abs(rates), np.abs(rates + slopes * lasting)) + abs(frequency)) * lasting
     panels = np.maximum(1, np.ceil(span)).astype(int)

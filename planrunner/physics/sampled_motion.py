@@ -1,5 +1,5 @@
-"""Motion of the table at the samples of a segment, from the plan and the encoder, and its attenuation by averaging over bins. If there
-is no encoder, the angle of a turning table follows from what the sensor measures."""
+"""The motion of the table at the samples of a segment, from the plan and the encoder, and its attenuation by averaging over bins.
+Without an encoder, the angle of a turning table is found from the outputs of the sensor."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ FOREIGN = 3.0
 
 
 class AngleFrom(StrEnum):
-    """What shows the angle of the table. PLAN: an encoder, or the plan if the table does not turn continuously. GRAVITY: the
-    accelerometers, while the table turns about an axis that is not vertical. NOTHING: the table turns, and its angle at the beginning of
-    the segment is unknown."""
+    """The source from which the angle of the table is known. PLAN: an encoder; or the plan, if the table does not turn
+    continuously. GRAVITY: the accelerometers, while the table turns about an axis that is not vertical. NOTHING: no source; the
+    table turns, and its angle at the start of the segment is unknown."""
 
     PLAN = "plan"
     GRAVITY = "gravity"
@@ -37,11 +37,12 @@ class AngleFrom(StrEnum):
 def motion_at(
     motion: Motion, since: Array, encoder: Array | None, left: float = 1.0, start: float = 0.0
 ) -> dict[str, Array]:
-    """Angle, rate and acceleration of the table `since` s after a segment's first sample.
+    """The angle, rate and acceleration of the table at the times `since` [s] after the first sample of a segment.
 
-    left: factor by which averaging over a bin reduces the rate and angle of a rocking table (see `fading`). The rate is then the mean over
-    the bin; angle and acceleration apply to its middle. With an encoder, the planned form (a constant rate or a sine) is fitted to the
-    measured angle, so that phases follow the actual motion. start: rad, angle of a turning table without encoder at the first sample.
+    left: factor by which averaging over a bin reduces the rate and the angle of a rocking table (see `fading`). The rate is then
+    the mean over the bin, while the angle and the acceleration belong to its middle. With an encoder, the planned form of the
+    motion (a constant rate or a sine) is fitted to the measured angle, so that the phase agrees with the actual motion. start:
+    angle of a turning table without encoder at the first sample, rad.
     """
     zero = np.zeros(len(since))
     if isinstance(motion, Spin):
@@ -66,11 +67,11 @@ def motion_at(
 
 
 def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
-    """Components (3,), complex, in sensor axes of the part of a site vector that changes once per turn.
+    """The part of a site vector that changes once per turn, seen in sensor axes: complex amplitudes (3,).
 
-    At the angle θ of the table, the sensor sees the vector A·(p + q·cos θ − (a × q)·sin θ). A is the attitude of the sensor, a is the
-    axis of the table, p is the part of the vector along this axis, and q is the rest. The part that changes is the real part of
-    A·(q + i·a × q)·exp(iθ).
+    At the angle θ of the table, the sensor sees the vector A·(p + q·cos θ − (a × q)·sin θ). Here A is the attitude of the sensor, a
+    is the axis of the table, p is the part of the vector along this axis, and q is the other part. The part that changes is the
+    real part of A·(q + i·a × q)·exp(iθ); its complex amplitude is A·(q + i·a × q).
     """
     about = np.asarray(motion.about, dtype=float)
     across = vector - (about @ vector) * about
@@ -78,13 +79,14 @@ def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 
 def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
-    """Components (3,) in sensor axes of the part of a site vector along the axis of the table, which does not change while it turns."""
+    """The part of a site vector along the axis of the table, seen in sensor axes (3,). It does not change while the table turns."""
     about = np.asarray(motion.about, dtype=float)
     return np.asarray(attitude @ ((about @ vector) * about))
 
 
 def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequence[int]) -> AngleFrom:
-    """What shows the angle of a table without encoder. accelerometers: the axes (0, 1, 2) of the sensor that have an accelerometer."""
+    """The source from which the angle of a table without encoder is known. accelerometers: the sensor axes (0, 1, 2) that have an
+    accelerometer."""
     if not isinstance(motion, Spin):
         return AngleFrom.PLAN
     seen = once_per_turn(motion, attitude, site.specific_force_enu)[list(accelerometers)]
@@ -92,14 +94,14 @@ def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequ
 
 
 def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offset: float) -> float:
-    """The angle [rad] of a turning table at its first sample for which the outputs agree best with the expected input.
+    """The angle [rad] of a turning table at its first sample with which the outputs agree best with the expected input.
 
-    values: (n, K), SI, without the expected input along the axis of the table; expected: (K,), complex, result of `once_per_turn`;
-    offset: standard deviation, SI, of the constant error of a channel, infinite if it is unknown. The model of channel k is
-    Re(z·eₖ·exp(iφ)) + oₖ, with one complex factor z for all channels, whose argument is the angle, and an offset oₖ with the prior
-    N(0, `offset`²). The fit is by weighted least squares. The noise is that of the differences of consecutive samples. If |z| is
-    `FOREIGN` or more, the input has another cause, and its phase does not show the angle. The angle is then 0, as for fewer than
-    three samples.
+    values: (n, K), SI, outputs after the expected input along the axis of the table has been subtracted; expected: (K,), complex,
+    result of `once_per_turn`; offset: standard deviation of the constant error of a channel, SI, infinite if unknown. The model of
+    channel k is Re(z·eₖ·exp(iφ)) + oₖ. The complex factor z is the same for all channels, and its argument is the angle. The offset
+    oₖ has the prior N(0, `offset`²). The fit uses weighted least squares. The noise is estimated from the differences between
+    successive samples. If |z| is `FOREIGN` or more, the change once per turn has another cause, and its phase does not show the
+    angle. The result is then 0; the same holds if there are fewer than three samples.
     """
     if len(since) < 3:
         return 0.0
@@ -115,15 +117,15 @@ def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offs
 
 
 def period_of(motion: Motion) -> float:
-    """Duration of a turn or of one rocking period, s; infinite at rest."""
+    """The duration of one turn or of one period of rocking, s; infinite at rest."""
     if isinstance(motion, Spin):
         return 2 * np.pi / abs(motion.rate) if motion.rate else np.inf
     return 1 / motion.frequency if isinstance(motion, Rock) else np.inf
 
 
 def fading(motion: Motion, size: int, rate: float) -> float:
-    """Factor by which averaging over a bin of `size` samples reduces the rate of a rocking table: Dirichlet's kernel sin(k·x)/(k·sin x)
-    with k = `size` and x half of the phase [rad] from one sample to the next. rate: samples per second."""
+    """The factor by which averaging over a bin of `size` samples reduces the rate of a rocking table. It is Dirichlet's kernel
+    sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. rate: samples per second."""
     if size == 1 or not isinstance(motion, Rock):
         return 1.0
     half = np.pi * motion.frequency / rate
@@ -131,5 +133,5 @@ def fading(motion: Motion, size: int, rate: float) -> float:
 
 
 def turned_by(motion: Motion, since: Array) -> Array:
-    """The planned angle of a turning table, rad; zero for a table at rest or rocking."""
+    """The planned angle of a table at the times `since` [s], rad; zero unless the table turns continuously."""
     return motion.rate * since if isinstance(motion, Spin) else np.zeros(len(since))

@@ -1,7 +1,7 @@
-"""Stimulus: the input to the sensor, for samples or as means over segments.
+"""The stimulus: the input of a sensor, at samples or averaged over segments.
 
-Arrays are SI-coherent and in the sensor's own axes; an axis pointing up at rest reads +g. Means over segments follow in closed form from
-the planned attitude and motion, the Earth's rotation, and gravity at the site.
+Arrays are in SI units and in the sensor's own axes; at rest, an axis that points up reads +g. Means over segments are computed in
+closed form from the planned attitude and motion, the Earth's rotation, and gravity at the site.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from planrunner.plan.schedule import Rest, Segment, Spin
 
 
 class StimulusError(ValueError):
-    """The input of the sensor cannot be derived from the plan. The message gives the segment and the reason."""
+    """Reports that the input of the sensor cannot be derived from the plan. The message states the segment and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """The input to the sensor at n moments, or averaged over n segments.
+    """The input of the sensor at n times, or averaged over n segments.
 
-    omega: shape (n, 3), rad/s, angular rate relative to inertial space on the sensor's x, y, z. specific_force: (n, 3), m/s^2.
-    temperature: (n,), K, NaN where not known. time: (n,), s, the middle of a segment. table_rate: (n,), rad/s. table_angle: (n,),
-    rad, angle turned since the dwell began. moving: (n,), True if the attitude changed while averaging; the mean of a product then
-    differs from the product of the means.
+    omega: (n, 3), rad/s, angular rate relative to inertial space, along the sensor's x, y, z axes. specific_force: (n, 3), m/s^2,
+    along the same axes. temperature: (n,), K, NaN where it is unknown. time: (n,), s; for a segment, its middle. table_rate: (n,),
+    rate of the table, rad/s. table_angle: (n,), angle by which the table has turned since the start of the dwell, rad. moving:
+    (n,), True if the attitude changed during averaging; the mean of a product then differs from the product of the means.
     """
 
     omega: Array
@@ -45,22 +45,22 @@ class Stimulus:
 
 
 def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[float | None] | None = None) -> Stimulus:
-    """The mean stimulus of each segment's dwell.
+    """The mean stimulus over the dwell of each segment.
 
-    durations: s, as recorded; if absent, the planned dwells. A spinning segment begins at its planned attitude, and its mean is taken over
-    the turns that it covers; if the duration is not known, over whole turns. Raises `StimulusError` for an unknown attitude, and for
-    rocking and indexing, where a mean does not represent the stimulus.
+    durations: recorded durations of the dwells, s; by default the planned dwells. A segment with a spin starts at its planned
+    attitude. Its mean is taken over the angle that it covers or, if its duration is unknown, over whole turns. Raises
+    `StimulusError` if an attitude is unknown, or for rocking and for cycles, where a mean does not represent the stimulus.
     """
     return Poses.of(segments, durations).felt(site)
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Attitudes and rotations of n segments, which give the mean stimulus at any site.
+    """The attitudes and rotations of n segments, from which the mean stimulus at any site follows.
 
-    attitude: (n, 3, 3), attitude at the beginning of each segment. mean: (n, 3, 3), transforms a vector that is fixed at the site
-    to its mean over the segment in the sensor's axes. spin: (n, 3), rad/s, mean rate of the table in the sensor's axes. table_rate,
-    table_angle, temperature, time: as in `Stimulus`.
+    attitude: (n, 3, 3), attitude at the start of each segment. mean: (n, 3, 3), transforms a vector that is fixed at the site to
+    its mean over the segment, in the sensor's axes. spin: (n, 3), mean rotation rate of the table in the sensor's axes, rad/s.
+    table_rate, table_angle, temperature, time: the same quantities as in `Stimulus`.
     """
 
     attitude: Array
@@ -73,7 +73,7 @@ class Poses:
 
     @classmethod
     def of(cls, segments: Sequence[Segment], durations: Sequence[float | None] | None = None) -> Poses:
-        """The poses of segments; see `segment_means`. Raises `StimulusError`."""
+        """Makes the poses of segments; the arguments are those of `segment_means`. Raises `StimulusError` in the same cases."""
         n = len(segments)
         attitude = np.array([_attitude(segment) for segment in segments], dtype=float).reshape(n, 3, 3)
         mean, spin, rate, angle = attitude, np.zeros((n, 3)), np.zeros(n), np.zeros(n)
@@ -106,7 +106,7 @@ class Poses:
         return Poses(self.attitude, self.mean, self.spin, self.table_rate, self.table_angle, unknown, unknown)
 
     def felt(self, site: Site) -> Stimulus:
-        """The mean stimulus at a site."""
+        """The mean stimulus of each segment at a site."""
         return Stimulus(
             self.mean @ site.earth_rate_enu + self.spin,
             self.mean @ site.specific_force_enu,
@@ -119,11 +119,12 @@ class Poses:
 
 
 def mean_while_turning(axis: Array, turned: float | None) -> Array:
-    """The matrix (3, 3) that transforms a site-fixed vector to its mean in axes that rotate with the table about the unit vector
-    `axis` by `turned` rad.
+    """The matrix (3, 3) that transforms a vector fixed at the site to its mean in axes that rotate with the table, about the unit
+    vector `axis` by the angle `turned` [rad].
 
-    With p the part along the axis, q the rest and r = axis × vector, the vector in these axes is p + q·cos θ − r·sin θ at angle θ; its mean
-    over 0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns, where `turned` is None, only p is left.
+    Let p be the part of the vector along the axis, q the other part, and r = axis × vector. At the angle θ, the vector in these
+    axes is p + q·cos θ − r·sin θ; its mean over 0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns, for which `turned` is
+    None, only p remains.
     """
     along = np.outer(axis, axis)
     if turned is None:
@@ -146,7 +147,7 @@ def _attitude(segment: Segment) -> Array:
 
 
 def _temperature(segment: Segment) -> float:
-    """The temperature of a segment; for a ramp its mean, NaN if it is not known."""
+    """The planned temperature of a segment [K]: for a ramp its mean; NaN if it is unknown."""
     kelvin, ramp_to = segment.temperature, segment.ramp_to
     if kelvin is None:
         return math.nan

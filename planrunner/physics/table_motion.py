@@ -1,6 +1,8 @@
-"""Requirements of a motion on the axes of a table, compared with their limits: rate, acceleration and travel between joint limits.
+"""Compares what a motion requires of the axes of a table with their limits: rate, acceleration, and travel between the joint
+limits.
 
-The rule is defined here only. The check of a plan reports what exceeds a limit; drivers and simulated tables refuse it.
+These rules are defined only here. The check of a plan reports a motion that exceeds a limit; drivers and simulated tables refuse
+it.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ _GRANTED = 1 + 1e-9  # allowance for rounding at a limit
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """A requirement that an axis does not meet. kind: 'rings' (too few axes), 'axis' (none has the direction), 'rate',
-    'acceleration' or 'travel'; message: what the motion requires and what the axis offers."""
+    """A requirement of a motion that an axis does not meet. kind: 'rings' (the table has too few axes), 'axis' (no axis has the
+    direction), 'rate', 'acceleration' or 'travel'; message: what the motion requires and what the axis offers."""
 
     kind: str
     message: str
@@ -30,8 +32,8 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class SpinCourse:
-    """A spin in the form in which a table executes it. joint: index of the axis that turns; rate: rate of this joint, rad/s, with
-    its sign; ramp: time from rest to the rate, and back, s."""
+    """A spin as a table executes it. joint: index of the axis that turns; rate: signed rate of this joint, rad/s; ramp: time from
+    rest to the rate, which is also the time back to rest, s."""
 
     joint: int
     rate: float
@@ -41,24 +43,24 @@ class SpinCourse:
     def of(
         cls, motion: Spin, axes: Sequence[TableAxis], joints: Sequence[float] | Array, azimuth: float = 0.0
     ) -> SpinCourse:
-        """The course of a spin. joints: rad, joint angles at the beginning of the spin; azimuth: rad, azimuth of the site. Raises
-        `Unreachable` if no axis has the direction of the spin."""
+        """Finds how a table executes a spin. joints: joint angles at the start of the spin, rad; azimuth: azimuth of the site, rad.
+        Raises `Unreachable` if no axis has the direction of the spin."""
         index = spin_axis(axes, joints, motion.about, azimuth)
         along = float(joint_directions(axes, joints, azimuth)[index] @ np.asarray(motion.about))
         ramp = abs(motion.rate) / axes[index].max_acceleration
         return cls(index, math.copysign(1.0, along) * motion.rate, ramp)
 
     def travel(self, seconds: float) -> float:
-        """The angle [rad] from rest to rest when the rate is held for `seconds`. Each ramp covers half the angle of steady turning for the
-        same time."""
+        """The angle [rad] that the axis covers from rest to rest if the rate is held for `seconds`. Each ramp covers half of the
+        angle that turning at the full rate would cover in the same time."""
         return self.rate * (seconds + self.ramp)
 
 
 def spin_excess(
     axes: Sequence[TableAxis], joints: Sequence[float] | Array, course: SpinCourse, seconds: float | None
 ) -> list[Excess]:
-    """Requirements beyond the limits of the axis, for a spin that begins at `joints` [rad]. seconds: how long the rate is held; None if
-    unknown."""
+    """The requirements of a spin that exceed the limits of the axis; the spin starts at the joint angles `joints` [rad]. seconds:
+    time for which the rate is held; None if unknown."""
     axis = axes[course.joint]
     found = _beyond(axis, "spinning", abs(course.rate))
     if not found and seconds is not None and not axis.continuous:
@@ -76,8 +78,8 @@ def spin_excess(
 
 
 def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | None, motion: Rock) -> list[Excess]:
-    """Requirements beyond the limits of the axes, for a rocking motion. joints: rad, the angles about which the axes rock; None if
-    unknown."""
+    """The requirements of a rocking motion that exceed the limits of the axes. joints: the joint angles about which the axes rock,
+    rad; None if unknown."""
     found: list[Excess] = []
     if len(motion.phases) > len(axes):
         found.append(Excess("rings", f"{len(motion.phases)} rings are planned to rock, but the table has {len(axes)}"))
@@ -98,7 +100,8 @@ def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | Non
 
 
 def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Excess]:
-    """Requirements beyond the limits of the axis for a cycle. start: rad, angle of the joint when the cycle begins; None if unknown."""
+    """The requirements of a cycle that exceed the limits of the axis. start: joint angle at the start of the cycle, rad; None if
+    unknown."""
     found = _beyond(axis, "turning", motion.rate)
     low, high = RotationCycle.of(motion, axis.max_acceleration).reach
     if high - low > axis.highest - axis.lowest + SLACK:
@@ -111,12 +114,13 @@ def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Ex
 
 
 def about_one_axis(motion: Motion) -> bool:
-    """Whether a motion turns the table about a single axis, so that one angle describes it."""
+    """True unless a motion turns several axes, so that one angle describes the motion."""
     return not (isinstance(motion, Rock) and len(motion.phases) > 1)
 
 
 def _beyond(axis: TableAxis, what: str, rate: float, acceleration: float = 0.0) -> list[Excess]:
-    """Requirements beyond the limits of one axis. rate: rad/s; acceleration: rad/s²."""
+    """The requirements that exceed the largest rate or the largest acceleration of an axis. rate: required rate, rad/s;
+    acceleration: required acceleration, rad/s²."""
     found = []
     if rate > axis.max_rate * _GRANTED:
         able = f"the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"

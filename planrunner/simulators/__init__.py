@@ -1,1 +1,1 @@
-"""Simulated instruments in a separate process, on loopback TCP and pseudo-terminals. They share no code with the drivers."""
+"""Simulated instruments in a separate process, reached over loopback TCP and pseudo-terminals. They share no code with the drivers."""

@@ -1,7 +1,8 @@
-"""An ACUTROL 3000 / ACT2000 motion controller: ACL messages, modes and demands for each axis, status byte, interlock.
+"""A simulated ACUTROL 3000 / ACT2000 controller: messages in the language ACL, a mode and demands for each axis, a status byte, an
+interlock.
 
-A message has the form `:Main:Sub axis,argument`, with further commands after `;`; every word can be abbreviated. Only the commands
-used on a bench are implemented; any other sets the remote-interface bit in the status byte and has no reply.
+A message has the form `:Main:Sub axis,argument`, with further commands after `;`. Every word can be abbreviated. Only the commands
+that a bench uses are implemented. Any other command sets the remote-interface bit in the status byte and has no reply.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _COMMAND = re.compile(r"(?P<head>[:\w*]+)(?P<query>\?)?\s*(?P<arguments>.*)", re
 
 @dataclass(slots=True)
 class _Held:
-    """State of one axis in the controller: mode, demands, limits by mode. Angles are in degrees."""
+    """What the controller stores for one axis: its mode, its demands, and its limits in each mode. Angles are in degrees."""
 
     mode: str = "off"
     position: float = 0.0
@@ -39,7 +40,7 @@ class _Held:
 
 
 class Acutrol:
-    """The controller of the axes of a table plant; it numbers them from 1."""
+    """The controller of the axes of a simulated table; axes are numbered from 1."""
 
     def __init__(self, plant: TablePlant, identity: str = "ACUTRONIC,ACUTROL3000,simulated,1.0"):
         self.plant = plant
@@ -152,7 +153,8 @@ class Acutrol:
         return bits | (SERVICE if bits else 0)
 
     def _status_word(self, sub: str) -> str:
-        """A status word by name: `stb`, the status byte; for axis n, `a<n>dyn`, the dynamics, and `a<n>sft`, the software faults."""
+        """The status word with this name: `stb` is the status byte; for axis n, `a<n>dyn` describes the motion and `a<n>sft` the
+        software faults."""
         if sub == "stb":
             return str(self._status())
         found = re.fullmatch(r"a(\d+)(dyn|sft)", sub)
@@ -248,7 +250,7 @@ class Acutrol:
             self._pursue(index)
 
     def _pursue(self, index: int) -> None:
-        """Executes the demand of the present mode."""
+        """Executes the demand that belongs to the present mode."""
         held, model = self.held[index], self.plant.axes[index].model
         rate = math.radians(held.rates.get(held.mode, math.degrees(model.max_rate)))
         acceleration = math.radians(held.accelerations.get(held.mode, math.degrees(model.max_acceleration)))
@@ -263,7 +265,7 @@ class Acutrol:
     # -- axes ----------------------------------------------------------------------------------------------------------
 
     def _mode(self, index: int) -> str:
-        """The actual mode. It may differ from the commanded mode: an axis that was stopped by a fault has no mode."""
+        """The actual mode of an axis. It can differ from the commanded mode, because an axis that a fault has stopped has no mode."""
         axis = self.plant.axes[index]
         if axis.faults:
             return "abort"
@@ -276,12 +278,12 @@ class Acutrol:
         return place
 
     def _axes(self, arguments: list[str]) -> list[int]:
-        """All axes for `all` or if no axis is named, otherwise the named axis."""
+        """All axes if the argument is `all` or absent, otherwise the axis with this number."""
         if not arguments or arguments[0].lower() == "all":
             return list(range(len(self.held)))
         return [self._axis(arguments)]
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The simulated instrument for a bench file."""
+    """Makes the simulated instrument for a bench file."""
     return Conversation(Acutrol(TablePlant(live)), framed=True)

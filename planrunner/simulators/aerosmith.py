@@ -1,6 +1,6 @@
-"""An Ideal Aerosmith table on its serial line: mnemonics of three letters, and a reply line and a prompt after each command.
+"""A simulated Ideal Aerosmith table on a serial line: mnemonics of three letters; each command is answered by a line and a prompt.
 
-Long motions (`JOG`, a sine) are answered when they end; `STO` is not answered at all.
+The answer to a long motion (`JOG`, a sine) comes when the motion ends; `STO` has no answer.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _COMMAND = re.compile(r"([A-Za-z]{3})\s*(\S*)")
 
 
 class Aerosmith:
-    """A table of one axis. Angles are in degrees."""
+    """A simulated table with one axis. Angles are in degrees."""
 
     identity = "Ideal Aerosmith, simulated"
 
@@ -43,7 +43,7 @@ class Aerosmith:
             return "?"
 
     def later(self) -> list[str]:
-        """The answer to a long motion that has ended."""
+        """The answer to a long motion that has ended since the last call."""
         if self.lasting and self.plant.paths.still(self.plant.live.now()):
             self.lasting = False
             return [""]
@@ -95,5 +95,5 @@ class Aerosmith:
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The simulated instrument for a bench file."""
+    """Makes the simulated instrument for a bench file."""
     return Conversation(Aerosmith(TablePlant(live)), Manner(b"\r\n", b"\r", "prompt"))

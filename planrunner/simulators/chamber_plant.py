@@ -1,7 +1,7 @@
-"""The air in a simulated chamber: it follows a ramped setpoint, or drifts to the room's temperature when the chamber is off.
+"""The air in a simulated chamber. It follows a ramped setpoint, or drifts to the temperature of the room if the chamber is off.
 
-Temperatures in K, ramps in K/s. The air can get stuck or overshoot, and the chamber can raise an alarm, which stops it until the
-alarm is cleared.
+Temperatures are in K, ramps in K/s. The air can stay at one temperature or overshoot. The chamber can raise an alarm, which stops
+it until the alarm is cleared.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ FULL_RAMP = 0.0  # asked for where the controller is to go as fast as it can
 
 
 class ChamberPlant:
-    """The air of a live world's virtual chamber. alarms: numbers of the active alarms. lowest, highest: limits of the measured
-    temperature, beyond which the chamber switches itself off with alarm `OVER`."""
+    """The air of the virtual chamber in a live world. alarms: numbers of the active alarms. lowest, highest: limits of the measured
+    temperature. Above `highest`, the chamber switches itself off with the alarm `OVER`; below `lowest`, with `UNDER`."""
 
     OVER, UNDER = 5, 4
 
@@ -34,7 +34,7 @@ class ChamberPlant:
         self.overshoot = 0.0
 
     def air(self) -> float:
-        """The measured temperature. This also checks the limits of the chamber."""
+        """The measured temperature of the air. The call also checks the limits of the chamber."""
         found = float(self.live.world.air(np.array([self.live.now()]))[0])
         slack = self.model.tolerance
         if self.running and not self.lowest - slack <= found <= self.highest + slack:
@@ -48,12 +48,12 @@ class ChamberPlant:
         self._drive()
 
     def set_only(self, setpoint: float) -> None:
-        """Accepts a setpoint. It takes effect at once if the chamber runs."""
+        """Accepts a new setpoint. If the chamber runs, the setpoint takes effect at once."""
         self.setpoint = setpoint
         self._drive()
 
     def set_ramp(self, ramp: float) -> None:
-        """Sets the ramp of all further changes of the setpoint; 0 means the largest rate."""
+        """Sets the rate of all further changes of the setpoint; 0 means the largest rate."""
         self.ramp = ramp
         self._drive()
 
@@ -62,7 +62,7 @@ class ChamberPlant:
         self._drive()
 
     def alarm(self, number: int) -> None:
-        """Raises an alarm; the chamber switches itself off."""
+        """Raises an alarm, with which the chamber switches itself off."""
         self.alarms = (*self.alarms, number)
         self.stop()
 
@@ -70,13 +70,14 @@ class ChamberPlant:
         self.alarms = ()
 
     def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
-        """Applies a disturbance. stuck: the air keeps its temperature regardless of commands; overshoot: K beyond every setpoint."""
+        """Starts or ends a disturbance. stuck: True if the air keeps its temperature whatever is commanded; overshoot: difference
+        by which the air exceeds every setpoint, K. None leaves a disturbance as it is."""
         self.stuck = self.stuck if stuck is None else stuck
         self.overshoot = self.overshoot if overshoot is None else overshoot
         self._drive()
 
     def _drive(self) -> None:
-        """Sends the present target to the air of the world."""
+        """Passes the present target to the air of the virtual world."""
         now = self.live.before_change()
         world = self.live.world
         air = float(world.air(np.array([now]))[0])

@@ -1,7 +1,8 @@
-"""The control channel of a simulated bench: requests as lines of JSON on loopback, each with one reply.
+"""The control channel of a simulated bench. Requests are lines of JSON on a loopback port, each with one reply.
 
-Every program on the computer can connect to a port on loopback, even a web page in a browser. Therefore a request that changes something
-must contain the token from the readiness file, and the first refused line closes the connection before further data are read.
+Every program on the computer can connect to a loopback port, even a web page in a browser. Therefore a request that changes
+something must contain the token from the readiness file, and the first line that is refused closes the connection before further
+data are read.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ Handler = Callable[[Mapping[str, Json]], Mapping[str, Json]]
 
 
 class Control:
-    """The control channel. handle: answers a request; a `ValueError` that it raises is returned as an error. token: required in
-    every request that changes something."""
+    """The control channel of a simulated bench. handle: function that answers a request; if it raises a `ValueError`, the reply is
+    an error. token: text that every request that changes something must contain."""
 
     def __init__(self, host: str, port: int, handle: Handler):
         self.host, self.port, self.handle = host, port, handle

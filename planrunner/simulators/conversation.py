@@ -1,4 +1,4 @@
-"""Parts of a message-based simulated instrument: a reply to each message, delayed replies, and faults."""
+"""Parts of a simulated instrument that is based on messages: a reply to each message, delayed replies, and faults."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Protocol
 
 
 class NotUnderstoodError(ValueError):
-    """A message that the instrument does not understand, or a value that it refuses."""
+    """Reports a message that the instrument does not understand, or a value that it refuses."""
 
 
 class Controller(Protocol):
@@ -14,17 +14,17 @@ class Controller(Protocol):
     """Reply to an identity query."""
 
     def answer(self, message: str) -> str | None:
-        """The reply to a message (both without terminators); None if there is no reply."""
+        """The reply to a message, both without terminators; None if there is no reply."""
 
     def later(self) -> list[str]:
-        """Replies that have become due since the last call; empty for instruments that only reply to messages."""
+        """Delayed replies that have become due since the last call; empty for instruments that reply at once."""
 
     def watch(self) -> None:
         """Checks the limits of the instrument. It is called many times per second."""
 
 
 def first_with(word: str, options: tuple[str, ...]) -> str:
-    """The first option that a word abbreviates, ignoring case. Raises `NotUnderstoodError`."""
+    """The first option that begins with `word`, whatever the case of its letters. Raises `NotUnderstoodError` if there is none."""
     found = next((option for option in options if word and option.startswith(word.lower())), None)
     if found is None:
         raise NotUnderstoodError(word)
@@ -32,7 +32,7 @@ def first_with(word: str, options: tuple[str, ...]) -> str:
 
 
 def number(word: str) -> float:
-    """The number in a message. Raises `NotUnderstoodError`."""
+    """Converts a word of a message to a number. Raises `NotUnderstoodError` if it is not a number."""
     try:
         return float(word)
     except ValueError:
@@ -40,6 +40,6 @@ def number(word: str) -> float:
 
 
 def shown(value: float, digits: int = 6) -> str:
-    """A number in the form that instruments write, without an unnecessary fraction or the sign of zero."""
+    """A number as instruments write it, without trailing zeros or the sign of zero."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text

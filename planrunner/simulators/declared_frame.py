@@ -1,5 +1,5 @@
-"""Frames of a sensor that is only declared in the bench file: synchronisation, numbers at given positions, a counter, and a checksum at the
-end."""
+"""Frames of a simulated sensor that only the bench file describes: synchronisation, numbers at given positions, a counter, and a
+checksum at the end."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @dataclass(frozen=True, slots=True)
 class FieldPlace:
-    """Position of a number. kind: `i24`, `u16`, `f32` …; a value v is sent as (v − zero)/scale, in `unit`."""
+    """The position and the encoding of a number in a frame. kind: number format, such as `i24`, `u16` or `f32`; a value v in `unit`
+    is sent as (v − zero)/scale."""
 
     at: int
     kind: str
@@ -41,7 +42,7 @@ class FieldPlace:
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """The counter: its position, counts per frame, and the value at which it restarts."""
+    """The counter of a frame: its position, the counts per frame, and the value at which it restarts."""
 
     place: FieldPlace
     step: int
@@ -50,7 +51,7 @@ class Running:
 
 @dataclass(frozen=True, slots=True)
 class FrameCheck:
-    """The checksum: its algorithm, its number of bytes, the first byte that it covers."""
+    """The checksum of a frame: its algorithm, its number of bytes, and the first byte that it covers."""
 
     of: Callable[[Bytes], NDArray[np.generic]]
     width: int
@@ -94,7 +95,8 @@ class DeclaredFrame:
     """Bytes at given positions that are the same in all frames, such as a status word."""
 
     def frames(self, channels: Mapping[str, Array], numbers: Array) -> Bytes:
-        """Frames (n, length) of channels (n,) in the fields' units; numbers: running numbers of the frames."""
+        """Makes frames (n, length) from the channels (n,), which are in the units of the fields. numbers: (n,), running numbers of
+        the frames."""
         frames = np.zeros((numbers.size, self.length), dtype=np.uint8)
         frames[:, : len(self.sync)] = np.frombuffer(self.sync, dtype=np.uint8)
         for at, data in self.steady:
@@ -117,7 +119,7 @@ def _put(frames: Bytes, at: int, column: Bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Alarms:
-    """The status word: its position, width and order, the meaning of its bits, and whether a set bit is good."""
+    """The status word of a frame: its position, width and byte order, the meaning of its bits, and whether a set bit is good."""
 
     at: int
     width: int
@@ -126,8 +128,8 @@ class Alarms:
     set_is_good: bool
 
     def told(self, ails: Collection[str]) -> tuple[int, bytes]:
-        """The position and bytes of the status word. A fault of the sensor sets the bits whose words name it, or all bits if none
-        does."""
+        """The position of the status word and its bytes. ails: faults of the sensor. A fault affects the bits whose meaning
+        contains its name, or all bits if there are none."""
         wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
         high = set(self.bits) - wrong if self.set_is_good else wrong
         return self.at, sum(1 << self.bits[text] for text in high).to_bytes(self.width, self.order)
@@ -135,8 +137,8 @@ class Alarms:
 
 @dataclass(slots=True)
 class DeclaredUnit:
-    """The electronics of a declared sensor. units: units of the virtual sensor's channels. words: line → mode to which it switches;
-    switch: called with the mode."""
+    """The electronics of a sensor that the bench file describes. units: units of the channels of the virtual sensor. words: for
+    each command line, the mode to which it switches; switch: function that is called with this mode."""
 
     units: Mapping[str, str]
     form: DeclaredFrame
@@ -155,7 +157,7 @@ class DeclaredUnit:
         return form.frames(channels, numbers)
 
     def hear(self, data: bytes) -> bytes:
-        """Receives bytes. Lines that switch the mode are not answered."""
+        """Receives bytes; switches the mode if they contain one of the command lines. There is no reply to such a line."""
         self.heard += data
         for word, mode in self.words.items():
             if word in self.heard:
@@ -176,7 +178,7 @@ _WORD_BYTES = {"u8": 1, "u16": 2, "u24": 3, "u32": 4}
 
 
 class PartKeys(Protocol):
-    """A part of the frame that a bench file declares."""
+    """Keys of a part of the frame."""
 
     type: str
     little_endian: bool
@@ -218,7 +220,7 @@ class DeclaredFrameKeys(Protocol):
 
 
 def simulated(keys: DeclaredFrameKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The frame that the bench file declares, filled with the virtual sensor's outputs of the same names."""
+    """Makes the sensor that the bench file describes; its frames contain the outputs of the virtual sensor with the same names."""
     own = feed.sensor.channels()
     missing = [name for name in keys.fields if name not in own]
     if missing:

@@ -1,4 +1,5 @@
-"""An Espec P300 / SCP220 chamber controller: every message is answered, `OK:` and the command or `NA:` and the reason."""
+"""A simulated Espec P300 / SCP220 chamber controller. It answers every message with `OK:` and the command, or with `NA:` and the
+reason."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ UNKNOWN, OUT_OF_RANGE, NOT_READY = "NA:CMD ERR", "NA:DATA OUT OF RANGE", "NA:CHB
 
 
 class EspecP300:
-    """A P300 controller. address: address of the chamber on RS-485, where messages for other addresses are ignored; None on TCP and
-    RS-232."""
+    """A simulated P300 controller. address: address of the chamber on RS-485; messages to other addresses are ignored. None on TCP
+    and RS-232."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "T,T,S2,140.0", address: int | None = None):
         self.plant = plant
@@ -70,7 +71,7 @@ class EspecP300:
         return ",".join(map(str, (len(self.plant.alarms), *self.plant.alarms)))
 
     def _tell(self, word: str, arguments: list[str]) -> str | None:
-        """The refusal of a message, or None."""
+        """Executes a command; returns the reason if it is refused, otherwise None."""
         if word == "TEMP" and arguments:
             return self._limits([(argument[:1], number(argument[1:])) for argument in arguments])
         if word == "POWER" and arguments in (["ON"], ["OFF"]):
@@ -116,6 +117,6 @@ class EspecP300Keys(Protocol):
 
 
 def simulated(keys: EspecP300Keys, live: LiveWorld) -> Conversation:
-    """The simulated instrument for a bench file, at its station."""
+    """Makes the simulated instrument for a bench file, with the address that the bench file states."""
     controller = EspecP300(ChamberPlant(live), address=keys.station)
     return Conversation(controller, Manner(b"\r\n", b"\r\n"))

@@ -1,9 +1,9 @@
-"""Faults as data: the kind of fault, the simulated instrument, the time, the duration and the extent.
+"""Faults as data: the kind of fault, the simulated instrument, the time at which the fault begins, its duration and its extent.
 
-A fault script is a YAML file of faults; the control channel accepts single faults while the bench runs.
+A fault script is a YAML file that lists faults. The control channel accepts single faults while the bench runs.
 
-Frames between a sensor and the computer can be corrupted, lost, doubled, out of order, read at another baud rate, or replaced by those of
-another instrument.
+Frames between a sensor and the computer can be corrupted, lost, doubled, out of order, read at a wrong baud rate, or replaced by
+those of another instrument.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _ALL = tuple(dict.fromkeys([*WORDS, *LINE, *TABLE, *CHAMBER]))
 
 
 class Fault(Record):
-    """One fault."""
+    """Keys of one fault."""
 
     instrument: str = key(Text(), "Instrument of the bench that has the fault.", "table")
     fault: str = key(Choice(_ALL), "Kind of fault.", "late")
@@ -108,7 +108,7 @@ class Fault(Record):
 
 
 class FaultScript(Record):
-    """The faults of a simulated bench."""
+    """Keys of a fault script."""
 
     planrunner_faults: int = key(Number(1, 1, integer=True), "Version of the language of fault scripts.", 1)
     faults: tuple[Fault, ...] = key(
@@ -117,7 +117,8 @@ class FaultScript(Record):
 
 
 def read_script(path: Path, roles: Mapping[str, str]) -> tuple[Fault, ...]:
-    """The faults of a file. roles: roles of the bench's instruments, by name. Raises `InputError` with every finding."""
+    """Reads the faults of a script. roles: role of each instrument of the bench, by name. Raises `InputError` with all findings if
+    the script is not valid."""
     data = source.read_bytes(path, str(path))
     log = Findings()
     script: FaultScript | None = RecordOf(FaultScript).read(
@@ -131,7 +132,8 @@ def read_script(path: Path, roles: Mapping[str, str]) -> tuple[Fault, ...]:
 
 
 def read_fault(text: str, roles: Mapping[str, str]) -> Fault:
-    """One fault as YAML or JSON, such as `{instrument: table, fault: silent, for: 5 s}`. Raises `InputError`."""
+    """Reads one fault, as YAML or JSON, such as `{instrument: table, fault: silent, for: 5 s}`. Raises `InputError` if it is not
+    valid."""
     log = Findings()
     fault: Fault | None = RecordOf(Fault).read(source.parse(text, "<fault>"), log)
     if fault is not None:
@@ -154,8 +156,8 @@ def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
 
 @dataclass(slots=True)
 class DeclaredFault:
-    """A declared fault. begins, ends: s on the bench's clock; begun: whether it has taken effect; left: number of replies that it
-    still affects."""
+    """A fault with the times at which it begins and ends. begins, ends: s on the bench's clock; begun: True if the fault has taken
+    effect; left: number of replies that it still affects, None if there is no limit."""
 
     number: int
     fault: Fault
@@ -167,7 +169,7 @@ class DeclaredFault:
 
 @dataclass(slots=True)
 class FaultBoard:
-    """The faults of a simulated bench, in the order they were declared."""
+    """The faults of a simulated bench, in the order in which they were declared."""
 
     standing: dict[int, DeclaredFault] = field(default_factory=dict)
     declared: int = 0
@@ -181,13 +183,14 @@ class FaultBoard:
         return self.declared
 
     def clear(self, number: int | None = None) -> None:
-        """Ends a fault, or all faults, at once."""
+        """Ends the fault with this number, or all faults if none is given. It takes effect immediately, before the planned end of
+        the fault."""
         for item in self.standing.values():
             if number in (None, item.number):
                 item.ends = float("-inf")
 
     def changes(self, now: float) -> tuple[list[Fault], list[Fault]]:
-        """Faults that have begun and that have ended since the last call."""
+        """The faults that have begun since the last call, and the faults that have ended since then."""
         begun = [item for item in self.standing.values() if not item.begun and item.begins <= now < item.ends]
         over = [item for item in self.standing.values() if now >= item.ends or item.left == 0]
         for item in begun:
@@ -197,11 +200,12 @@ class FaultBoard:
         return [item.fault for item in begun if item not in over], [item.fault for item in over if item.begun]
 
     def active(self, instrument: str, now: float) -> list[Fault]:
-        """The present faults of an instrument."""
+        """The faults that an instrument has at the time `now`."""
         return [item.fault for item in self._active(instrument, now)]
 
     def of_reply(self, instrument: str, message: str, now: float) -> Fault | None:
-        """The fault that affects the reply to a message, if any; the reply counts as one of those that the fault affects."""
+        """The fault that affects the reply to a message, or None. The reply is counted if the fault affects a limited number of
+        replies."""
         for item in self._active(instrument, now):
             if item.fault.fault in WORDS and (item.fault.message or "") in message:
                 if item.left is not None:
@@ -214,7 +218,7 @@ class FaultBoard:
         return [item for item in mine if item.begins <= now < item.ends and item.left != 0]
 
     def told(self) -> list[JsonObject]:
-        """The active faults, as JSON data."""
+        """All declared faults that have not ended, as JSON data."""
         return [
             {"number": item.number, "instrument": item.fault.instrument, "fault": item.fault.fault, "begun": item.begun}
             for item in self.standing.values()
@@ -226,7 +230,7 @@ _COMPASS = b"$HEHDT,274.07,T*03\r\n"
 
 
 def struck(frames: Bytes, faults: Sequence[Fault], draw: np.random.Generator) -> Bytes:
-    """The frames (n, length) changed by the active faults."""
+    """Applies faults to frames (n, length)."""
     for fault in faults:
         if not len(frames):
             return frames
@@ -249,7 +253,7 @@ def struck(frames: Bytes, faults: Sequence[Fault], draw: np.random.Generator) ->
 
 
 def _corrupted(frames: Bytes, rows: np.ndarray, draw: np.random.Generator) -> Bytes:
-    """Frames in which one byte of each chosen frame is changed."""
+    """Changes one byte in each of the selected frames."""
     changed = frames.copy()
     places = draw.integers(0, frames.shape[1], rows.size)
     changed[rows, places] ^= draw.integers(1, 256, rows.size).astype(np.uint8)
@@ -257,6 +261,6 @@ def _corrupted(frames: Bytes, rows: np.ndarray, draw: np.random.Generator) -> By
 
 
 def _misread(frames: Bytes) -> Bytes:
-    """Frames in which every bit is read twice as fast as it is sent: each byte becomes two bytes of doubled bits."""
+    """The frames as a receiver reads them at twice the bit rate: each byte becomes two bytes, in which every bit is doubled."""
     bits = np.unpackbits(frames, axis=1, bitorder="little")
     return np.packbits(np.repeat(bits, 2, axis=1), axis=1, bitorder="little")

@@ -1,8 +1,8 @@
-"""Frames of simulated sensors: numbers as columns of bytes, one row per frame, and check values, derived bit by bit from their
-polynomials.
+"""Frames of simulated sensors: numbers as columns of bytes, with one row per frame, and check values, which are derived bit by bit
+from their polynomials.
 
-A cyclic redundancy check is the remainder of the message, as a polynomial over GF(2), after division by the generator. Here the register
-takes one byte of every frame at a time; the table of the effect of a byte is computed by shifting.
+A cyclic redundancy check is the remainder of the message after division by a generator; both are polynomials over GF(2). The
+register processes one byte of every frame at a time; a table with the effect of each byte value is computed by shifting.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Order = Literal["big", "little"]
 def integers(
     values: NDArray[np.generic] | Sequence[float], width: int, order: Order = "big", signed: bool = True
 ) -> Bytes:
-    """Whole numbers (n,) as (n, width) bytes, in two's complement; values outside the range are clipped to its ends."""
+    """Integers (n,) as bytes (n, width) in two's complement; values outside the range are clipped to its ends."""
     bits = 8 * width
     low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
     whole = np.asarray(values)
@@ -38,13 +38,13 @@ def integers(
 
 
 def floats(values: NDArray[np.generic] | Sequence[float], width: int = 4, order: Order = "big") -> Bytes:
-    """IEEE 754 numbers (n,) of 4 or 8 bytes as (n, width)."""
+    """IEEE 754 numbers (n,) of 4 or 8 bytes, as bytes (n, width)."""
     kind = ("<" if order == "little" else ">") + f"f{width}"
     return np.ascontiguousarray(values, dtype=kind).reshape(-1, 1).view(np.uint8)
 
 
 def constant(data: bytes, count: int) -> Bytes:
-    """The same bytes in every row."""
+    """A column in which every row has the same bytes."""
     return np.broadcast_to(np.frombuffer(data, dtype=np.uint8), (count, len(data)))
 
 
@@ -61,8 +61,8 @@ _REVERSED = np.packbits(
 
 @dataclass(frozen=True)
 class Crc:
-    """A cyclic redundancy check. width: bits, 8 to 32; start: the register before the first byte; reflected: whether every byte,
-    and the result, begins with its lowest bit; inverted: whether the bits of the result are inverted."""
+    """A cyclic redundancy check. width: number of bits, 8 to 32; start: content of the register before the first byte; reflected:
+    True if every byte, and the result, starts with its lowest bit; inverted: True if the bits of the result are inverted."""
 
     width: int
     polynomial: int
@@ -82,7 +82,7 @@ class Crc:
         return np.array(found, dtype=np.uint64)
 
     def of(self, frames: Bytes) -> NDArray[np.uint64]:
-        """The check values of frames (n, length), shape (n,)."""
+        """The check values (n,) of frames (n, length)."""
         register = np.full(len(frames), self.start, dtype=np.uint64)
         shift, mask = np.uint64(self.width - 8), np.uint64((1 << self.width) - 1)
         for column in (_REVERSED[frames] if self.reflected else frames).T:
@@ -103,12 +103,12 @@ CRC_8 = Crc(8, 0x07, 0xFF)
 
 
 def sum_to_zero(frames: Bytes) -> Bytes:
-    """The byte that makes the sum of each frame (n, length) a multiple of 256, shape (n,)."""
+    """The bytes (n,) with which the sum of each frame (n, length) becomes a multiple of 256."""
     total: Bytes = (-frames.sum(axis=1, dtype=np.int64) & 0xFF).astype(np.uint8)
     return total
 
 
 def exclusive_or(frames: Bytes) -> Bytes:
-    """The exclusive-or of all bytes of each frame (n, length), shape (n,)."""
+    """The exclusive-or (n,) of all bytes of each frame (n, length)."""
     folded: Bytes = np.bitwise_xor.reduce(frames, axis=1)
     return folded

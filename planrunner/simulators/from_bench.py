@@ -1,7 +1,7 @@
-"""Makes the simulated instruments at the addresses of a bench file. The virtual instruments of the bench named in `simulation` use
-the protocols of the drivers with the same roles in the bench file.
+"""Makes simulated instruments at the addresses of a bench file. The bench file names a virtual bench in `simulation`. The
+instruments of this virtual bench use the protocols of those drivers in the bench file that have the same roles.
 
-Drivers are only known by name, and their settings only as the keys of the bench file: no code is shared with them.
+A simulation knows a driver only by its name and its keys in the bench file: it shares no code with it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class DeclaresLine(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Spoken:
-    """A table or chamber: its controller, the form of its messages, its address."""
+    """A simulated table or chamber: its controller, the form of its messages, and its address."""
 
     name: str
     role: str
@@ -55,7 +55,7 @@ class Spoken:
 
 @dataclass(frozen=True, slots=True)
 class Streamed:
-    """A sensor: its unit, its feed of samples, its address, and the bit rate of the line."""
+    """A simulated sensor: its electronics, its feed of samples, its address, and the bit rate of its line."""
 
     name: str
     unit: SensorUnit
@@ -66,7 +66,7 @@ class Streamed:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """All simulated instruments at a bench's addresses."""
+    """All simulated instruments at the addresses of a bench."""
 
     live: LiveWorld
     spoken: tuple[Spoken, ...]
@@ -75,7 +75,7 @@ class Simulated:
 
 
 def simulation_of(bench: Bench) -> SimulationSpec:
-    """The simulation key of the bench. Raises `InputError` if it is missing."""
+    """The value of the key `simulation` of a bench. Raises `InputError` if the bench does not have this key."""
     if bench.simulation is None:
         message = "the bench does not name the virtual bench that is served at its addresses"
         hint = "add for example `simulation: {bench: virtual, control: 127.0.0.1:9870}`"
@@ -84,8 +84,8 @@ def simulation_of(bench: Bench) -> SimulationSpec:
 
 
 def simulated(bench: Bench, path: str, clock: Clock, seed: int | None = None) -> Simulated:
-    """The simulated instruments for `bench`, read from `path`. Raises `InputError` if it cannot be simulated, and `PortError` for an
-    address that cannot be served."""
+    """Makes the simulated instruments for `bench`, which was read from `path`. Raises `InputError` if the bench cannot be
+    simulated, and `PortError` for an address that cannot be served."""
     simulation = simulation_of(bench)
     truth, _, _ = read_bench(simulation.bench, beside=Path(path).parent)
     live, virtual = _alive(truth, clock, truth.seed if seed is None else seed)
@@ -109,7 +109,7 @@ def simulated(bench: Bench, path: str, clock: Clock, seed: int | None = None) ->
 
 
 def _alive(truth: Bench, clock: Clock, seed: int) -> tuple[LiveWorld, dict[str, Instrument]]:
-    """The virtual instruments of a bench, by role, with a running clock."""
+    """Connects the virtual instruments of a bench, with a running clock; returns the live world, and the instruments by role."""
     site = site_of(truth)
     world = World(clock, site, seed, real_time=True)
     live = LiveWorld(world, clock)
@@ -158,7 +158,7 @@ def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, virtual: Instr
 
 
 def _simulated(entry: InstrumentEntry) -> str:
-    """The driver of an entry, for which a simulator must be installed. Raises `InputError` otherwise."""
+    """The name of an entry's driver, under which a simulator is installed. Raises `InputError` if there is no such simulator."""
     known = plugins.names(plugins.SIMULATORS)
     if entry.driver not in known:
         message = f"there is no simulated instrument for the driver '{entry.driver}'"

@@ -1,9 +1,10 @@
-"""Interface of a simulator of an instrument. It is found under the name of the instrument's driver in the entry-point group
-`planrunner.simulators`.
+"""Interface of the simulator of an instrument. A simulator is found in the entry-point group `planrunner.simulators`, under the
+name of the instrument's driver.
 
-For a table or a chamber it is a function that returns a `Conversation`. For a sensor it is a function that returns the `SensorUnit`
-on its line. Both functions receive the driver's keys in the bench file and the virtual bench; a sensor also receives the feed of
-its samples. Simulators share no code with drivers. A simulator declares, as a protocol, the keys that it reads.
+For a table or a chamber, it is a function that returns a `Conversation`. For a sensor, it is a function that returns the
+`SensorUnit` at the end of the line. Both functions receive the driver's keys in the bench file and the virtual bench; the function
+for a sensor also receives the feed of its samples. Simulators share no code with drivers. A simulator declares the keys that it
+reads, as a protocol.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from planrunner.simulators.table_plant import TablePlant
 
 
 class PlantController(Controller, Protocol):
-    """A controller of a table or a chamber."""
+    """The controller of a simulated table or chamber."""
 
     @property
     def plant(self) -> TablePlant | ChamberPlant: ...
@@ -30,7 +31,8 @@ class PlantController(Controller, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Conversation:
-    """A table or chamber that answers messages. framed: over TCP, replies have the framing that the bench's `simulation` states."""
+    """A simulated table or chamber, which exchanges messages. framed: True if its replies over TCP are framed in the way that the
+    key `simulation` of the bench states."""
 
     controller: PlantController
     manner: Manner = field(default_factory=Manner)

@@ -1,8 +1,8 @@
-"""Motion of each joint of a simulated table: pieces of constant acceleration and sines, as commanded by a controller.
+"""The motion of each joint of a simulated table, as its controller commands it: pieces of constant acceleration, and sines.
 
-The virtual table moves all its joints by one command. A table behind a controller is commanded axis by axis, and a command may
+The virtual table moves all its joints with one command. Behind a controller, a table is commanded axis by axis, and a command may
 arrive while the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is read a little later still
-measures the earlier motion.
+measures the past motion.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _KEPT = 10.0  # s for which pieces that are over are kept
 
 @dataclass(frozen=True, slots=True)
 class Glide:
-    """A piece of constant acceleration that begins at `begin` [s]; angle [rad] and rate [rad/s] are those at that time."""
+    """A piece of constant acceleration that begins at the time `begin` [s]. angle [rad] and rate [rad/s] are the values at that
+    time."""
 
     begin: float
     angle: float
@@ -46,8 +47,8 @@ class Glide:
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """A sine about `centre` whose amplitude [rad] fades from one value to another in the first period. zero: s, time at which the phase
-    was `phase` [rad]; frequency: Hz."""
+    """A sine about the angle `centre`. During its first period, the amplitude [rad] changes gradually from `before` to `amplitude`.
+    zero: time at which the phase was `phase` [rad], s; frequency: in Hz."""
 
     begin: float
     centre: float
@@ -70,7 +71,7 @@ class Swing:
         return TURN * self.frequency * (2 + 2 * max(self.before, self.amplitude))
 
     def faded(self) -> float:
-        """Time after which the amplitude is final, s."""
+        """The time from which the amplitude is constant, s."""
         return self.begin + 1 / self.frequency
 
 
@@ -79,8 +80,8 @@ PathPiece = Glide | Swing
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The pieces of one joint's motion in order of time; the last piece does not end. arrival: s, time when the commanded state is
-    reached."""
+    """The pieces of one joint's motion in order of time. The last piece has no end. arrival: time at which the commanded state is
+    reached, s."""
 
     pieces: tuple[PathPiece, ...]
     arrival: float = 0.0
@@ -90,7 +91,7 @@ class Path:
         return cls((Glide(0.0, angle),))
 
     def then(self, now: float, pieces: Sequence[PathPiece], arrival: float) -> Path:
-        """The path with new pieces beginning at `now`."""
+        """The path in which new pieces begin at the time `now`."""
         past = [piece for piece in self.pieces if piece.begin < now]
         ends = [*(piece.begin for piece in past[1:]), now]
         kept = [piece for piece, end in zip(past, ends, strict=False) if end > now - _KEPT]
@@ -107,7 +108,7 @@ class Path:
         return next((piece for piece in reversed(self.pieces) if piece.begin <= time), self.pieces[0])
 
     def follow(self, times: Array) -> tuple[Value, Value]:
-        """Angle and rate at `times`; floats if the joint is at rest throughout."""
+        """Angle [rad] and rate [rad/s] at `times`; floats if the joint is at rest at all these times."""
         first, last = self.current(float(times[0])), self.current(float(times[-1]))
         if first is last:
             if isinstance(first, Glide) and first.rate == first.acceleration == 0.0:
@@ -125,7 +126,7 @@ class Path:
     # -- commands ----------------------------------------------------------------------------------------------------
 
     def turn(self, now: float, rate: float, acceleration: float) -> Path:
-        """Changes to a rate at an acceleration."""
+        """The path that changes to a new rate with the given acceleration."""
         angle, first, _ = self.state(now)
         change = (rate - first) / acceleration
         ramp = Glide(now, angle, first, math.copysign(acceleration, change))
@@ -133,7 +134,7 @@ class Path:
         return self.then(now, (ramp, Glide(there, ramp.at(there)[0], rate)), there)
 
     def go(self, now: float, target: float, rate: float, acceleration: float) -> Path:
-        """Comes to rest, then moves to an angle: acceleration, at most `rate`, deceleration."""
+        """The path that comes to rest and then moves to an angle: it accelerates, turns at `rate` at most, and decelerates."""
         _, first, _ = self.state(now)
         path = self.turn(now, 0.0, acceleration) if first != 0.0 else self
         start = max(now, path.arrival) if first != 0.0 else now
@@ -151,8 +152,8 @@ class Path:
         return path.then(start, (up, level, slow, rest), rest.begin)
 
     def swing(self, now: float, amplitude: float, frequency: float, phase: float, zero: float, about: float) -> Path:
-        """Starts a sine about an angle. If only the amplitude of a present sine changes, the amplitude changes gradually. Any other
-        change begins from rest."""
+        """The path that starts a sine about an angle. If the joint already performs the same sine with another amplitude, the
+        amplitude changes gradually. Otherwise the sine starts with amplitude zero."""
         piece = self.current(now)
         same = isinstance(piece, Swing) and (piece.frequency, piece.phase, piece.zero) == (frequency, phase, zero)
         before = piece.amplitude if isinstance(piece, Swing) and same else 0.0

@@ -1,4 +1,5 @@
-"""The frames of a KVH 1775 IMU and DSP-1760 gyro: formats A, B and C with CRC-32, and the answer to a built-in test."""
+"""The frames of a KVH 1775 IMU and a DSP-1760 gyro: formats A, B and C with CRC-32; and the answer to a request for the built-in
+test."""
 
 from __future__ import annotations
 
@@ -17,17 +18,18 @@ MODULUS = 128  # of the sequence number
 
 @dataclass(frozen=True, slots=True)
 class Kvh1775:
-    """The frames of one format. format: A; B with a time stamp of 4 bytes; C with one more float (temperature or magnetic field)."""
+    """Makes frames of one format. format: A; B, with a time stamp of 4 bytes; or C, with one more floating-point number
+    (temperature or magnetic field)."""
 
     format: str = "A"
 
     def length(self) -> int:
-        """Bytes of a frame on the line."""
+        """The number of bytes of a frame on the line."""
         return _LENGTHS[self.format]
 
     def frames(self, columns: Mapping[str, Values], sequence: Values) -> Bytes:
-        """Frames (n, length). columns: `gyro_x` … as sent (rad or deg, rate or angle), `acc_x` … in g, `temperature` in whole
-        degrees or hundredths, `status`, and for B `time_stamp`."""
+        """Makes frames (n, length). columns: the values (n,) by name: `gyro_x` … as they are sent (rad or deg, as rate or as
+        angle), `acc_x` … in g, `temperature` in whole degrees or in hundredths, `status`, and for format B `time_stamp`."""
         count = sequence.size
         parts = [constant(_HEADERS[self.format], count)]
         parts += [floats(columns[f"{name}_{axis}"]) for name in ("gyro", "acc") for axis in "xyz"]
@@ -44,6 +46,6 @@ class Kvh1775:
 
 
 def built_in_test(results: bytes) -> bytes:
-    """The answer to `?bit`: results of 6 bytes, followed by the sum of all preceding bytes."""
+    """The answer to `?bit`: 6 bytes with results, followed by the sum of all preceding bytes."""
     answer = b"\xfe\x81\x00\xaa" + results
     return answer + bytes([sum(answer) & 0xFF])

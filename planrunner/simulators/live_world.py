@@ -1,9 +1,9 @@
-"""The virtual bench with running time: table, chamber and sensor, at a given multiple of real time.
+"""The virtual bench in running time: table, chamber and sensor, at a given multiple of real time.
 
-All simulation runs in one thread. Before the world is changed, the recorders are brought up to date, so that samples before a command are
-not affected by it.
+The whole simulation runs in one thread. Before the virtual world is changed, all recorders are brought up to date, so that a
+command does not affect earlier samples.
 
-The sensor runs freely: each sample is made at the end of its interval, even if nothing reads it.
+The sensor runs freely: each sample is made at the end of its interval, even if nobody reads it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planrunner.plan.quantity import Quantity
 
 
 class RunningClock:
-    """Seconds since the simulated bench was switched on. speed: seconds of the bench per second of real time."""
+    """Counts the seconds since the simulated bench was switched on. speed: seconds of the bench per second of real time."""
 
     def __init__(self, speed: float = 1.0, monotonic: Callable[[], float] = time.monotonic):
         self.speed = speed
@@ -37,12 +37,12 @@ class RunningClock:
         return (self._monotonic() - self._origin) * self.speed
 
     def sleep(self, seconds: float) -> None:
-        """Does not sleep: the bench is queried at its current time."""
+        """Must not be called, because a simulated instrument cannot wait: it is queried at its current time."""
         raise AssertionError("a simulated instrument cannot wait")
 
 
 class SampledAtRate(Protocol):
-    """Keys of a sensor with a sample rate."""
+    """The keys of a sensor that has a sample rate."""
 
     @property
     def sample_rate(self) -> Quantity: ...
@@ -62,8 +62,8 @@ class RunsFreely(Protocol):
 
 @dataclass(slots=True)
 class LiveWorld:
-    """The virtual instruments with a running clock. table, chamber: the virtual instruments that know the truth, or None.
-    recorders: functions that are called with the time before the world changes."""
+    """The virtual world and its instruments, with a running clock. table, chamber: the virtual instruments, which know the true
+    state; None if the bench has none. recorders: functions that are called with the present time before the world changes."""
 
     world: World
     clock: Clock
@@ -88,7 +88,7 @@ _FREE_RUNNING = 2  # second part of the key of its noise: apart from those of se
 
 
 class SensorFeed:
-    """Samples of a live world's sensor. rate: its sample rate, Hz; each sample is a mean over its interval."""
+    """The samples of the sensor in a live world. rate: sample rate, Hz; each sample is a mean over its sampling interval."""
 
     def __init__(self, live: LiveWorld, sensor: RunsFreely, rate: float):
         self.live = live
@@ -100,7 +100,7 @@ class SensorFeed:
         live.recorders.append(self.catch_up)
 
     def start_over(self) -> None:
-        """Restarts, as after switching on."""
+        """Restarts the samples, as after switching on."""
         hold = max(1, round(self.rate * _GRID))
         now = self.live.now()
         self.sampling = Sampling(now, self.rate, 0, hold, hold)
@@ -119,7 +119,7 @@ class SensorFeed:
             self.made += length
 
     def take(self) -> list[Block]:
-        """Samples since the last call."""
+        """The samples that have been made since the last call."""
         self.catch_up(self.live.now())
         taken, self.waiting = self.waiting, []
         return taken

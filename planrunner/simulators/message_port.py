@@ -1,5 +1,5 @@
-"""A message-based instrument on a port: messages are split at their terminators, replies get terminators and framing, and faults are
-applied."""
+"""A message-based instrument on a port. Received bytes are divided into messages at their terminators; replies get terminators and
+framing; faults are applied."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ Writer = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """How messages and replies are separated. sent_ends: bytes, any of which ends a message; framing: `none`; `words` or `ascii`, the
-    two forms of error code and length before a reply; `prompt`: a separate line with `>` after it."""
+    """How messages and replies are separated. sent_ends: bytes each of which ends a message; framing: `none`; `words` or `ascii`,
+    which are two forms of an error code and a length before a reply; or `prompt`, a separate line with `>` after a reply."""
 
     sent_ends: bytes = b"\n"
     reply_ends: bytes = b"\n"
@@ -36,7 +36,8 @@ class Manner:
 
 
 class MessagePort:
-    """The conversation of one instrument with its clients. now: time of the bench."""
+    """Exchanges messages between one simulated instrument and its clients. now: function that returns the time on the bench's
+    clock."""
 
     def __init__(self, name: str, controller: Controller, manner: Manner, board: FaultBoard, now: Callable[[], float]):
         self.name, self.controller, self.manner, self.board, self.now = name, controller, manner, board, now
@@ -44,7 +45,7 @@ class MessagePort:
         self.last_speaker: Writer | None = None
 
     def heard(self, held: bytearray, data: bytes, write: Writer, hang_up: Callable[[], None]) -> None:
-        """Receives bytes. Complete messages are answered in the order of their arrival."""
+        """Receives bytes. Complete messages are answered in the order in which they arrived."""
         held += data
         pieces = re.split(b"[" + re.escape(self.manner.sent_ends) + b"]", held)
         held[:] = pieces.pop()[-_LONGEST:]
@@ -53,7 +54,7 @@ class MessagePort:
                 self._answer(piece.decode("ascii", "replace"), write, hang_up)
 
     def say_later(self) -> None:
-        """Sends replies that have become due to the client that sent the last message."""
+        """Sends delayed replies that have become due. They go to the client that sent the last message."""
         for reply in self.controller.later():
             if self.last_speaker is not None:
                 self.last_speaker(self.manner.framed(reply))
@@ -94,7 +95,7 @@ class MessagePort:
 
 
 class TcpMessages:
-    """A message port on loopback TCP; several clients may be connected."""
+    """A message port on loopback TCP, to which several clients may be connected."""
 
     def __init__(self, messages: MessagePort, host: str, port: int):
         self.messages, self.host, self.port = messages, host, port
@@ -111,7 +112,7 @@ class TcpMessages:
         self.port = self.server.sockets[0].getsockname()[1]
 
     def attend(self) -> None:
-        """Handles connections when they send data."""
+        """Does nothing: connections are handled when they send data."""
 
     def refuse(self) -> None:
         """Closes the port and every connection."""
@@ -164,6 +165,6 @@ class TerminalMessages:
             self.terminal.write(data)
 
     def _hang_up(self) -> None:
-        """Disconnects and reconnects, like a cable that is unplugged and plugged in again."""
+        """Disconnects and connects again, like a cable that is unplugged and plugged in again."""
         self.terminal.unplug()
         self.terminal.plug()

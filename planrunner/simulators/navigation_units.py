@@ -1,5 +1,5 @@
-"""Xsens MTi and VectorNav VN-100 as units on a line: messages with the configured outputs of the virtual sensor, and the
-configuration of the units."""
+"""Xsens MTi and VectorNav VN-100 as simulated sensors on a line: messages with the configured outputs of the virtual sensor, and
+the configuration of the sensor."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ _FINE, _CLIPPED_GYRO_X = 0x3, 1 << 11  # of the status word: self-test passed, f
 
 
 def _vectors(outputs: Outputs, block: Block) -> tuple[Array, Array]:
-    """Rates [rad/s] and specific forces [m/s^2], (n, 3) each."""
+    """The rates [rad/s] and the specific forces [m/s^2] of the sensor's axes, (n, 3) each."""
     gyro, force = outputs.triad(block, "gyro", 1.0), outputs.triad(block, "accel", 1.0)
     return np.stack(list(gyro.values()), axis=1), np.stack(list(force.values()), axis=1)
 
 
 @dataclass(slots=True)
 class XsensUnit:
-    """An Xsens unit. rate: packets per second. silent: whether the unit is being configured and therefore sends nothing."""
+    """A simulated Xsens MTi. rate: number of packets per second. silent: True while the sensor is being configured; it then sends
+    no measurements."""
 
     outputs: Outputs
     form: xsens.Xsens
@@ -60,8 +61,8 @@ class XsensUnit:
         return self.form.frames(columns)
 
     def hear(self, data: bytes) -> bytes:
-        """Receives messages. Configuration, outputs and measurement are acknowledged with the next identifier; other messages are
-        unknown."""
+        """Receives messages and returns the replies. Messages about configuration, outputs and measurement are acknowledged with
+        the next higher identifier; other messages are refused as unknown."""
         self.heard += data
         replies = b""
         while (start := self.heard.find(b"\xfa\xff")) >= 0 and len(self.heard) >= start + 5:
@@ -90,7 +91,7 @@ class XsensUnit:
 
 
 def _turns(angles: Array) -> Array:
-    """Unit quaternions (n, 4), real part first, of rotation vectors (n, 3)."""
+    """The unit quaternions (n, 4), real part first, that belong to rotation vectors (n, 3)."""
     size = np.linalg.norm(angles, axis=1)
     part = 0.5 * np.sinc(size / (2 * np.pi))  # sin(a/2)/a
     return np.column_stack([np.cos(size / 2), angles * part[:, None]])
@@ -98,7 +99,8 @@ def _turns(angles: Array) -> Array:
 
 @dataclass(slots=True)
 class VectorNavUnit:
-    """A VectorNav unit. form: its binary messages; text: the line that it sends instead of them, or nothing. Neither has a status."""
+    """A simulated VectorNav VN-100. form: its binary messages; text: the kind of text line that it sends instead of these, or
+    nothing. Neither form contains a status."""
 
     outputs: Outputs
     form: vectornav.VectorNav
@@ -124,15 +126,15 @@ class VectorNavUnit:
         return self.form.frames({name: columns[name] for name in self.form.fields})
 
     def _lines(self, rates: Array, forces: Array) -> Bytes:
-        """Lines of equal length. The numbers in them have leading zeros."""
+        """Makes text lines of equal length. To this end, the numbers have leading zeros."""
         sent = [
             vectornav.measurement((0, 0, 0), f, w, (0, 0, 0), self.text) for f, w in zip(forces, rates, strict=True)
         ]
         return np.frombuffer(b"".join(sent), dtype=np.uint8).reshape(len(sent), -1)
 
     def hear(self, data: bytes) -> bytes:
-        """Receives commands. Registers 1 (the model) and 3 (the serial number) can be read; others are refused (error 8). A command that
-        writes a register is repeated as its answer."""
+        """Receives commands and returns the replies. Register 1 (the model) and register 3 (the serial number) can be read; reading
+        any other register is refused with error 8. The reply to a command that writes a register repeats the command."""
         self.heard += data
         replies = b""
         while b"\n" in self.heard:
@@ -154,7 +156,7 @@ class XsensKeys(Protocol):
 
 
 def simulated_xsens(keys: XsensKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The simulated Xsens MTi for a bench file."""
+    """Makes the simulated Xsens MTi for a bench file."""
     names = {"acceleration": 0x4020, "delta_v": 0x4010, "rate": 0x8020, "delta_q": 0x8030, "temperature": 0x0810}
     items = (0x1020, *(names[name] for name in keys.outputs), 0xE020)
     return XsensUnit(Outputs(feed.sensor.channels()), xsens.Xsens(items), feed.rate)
@@ -166,7 +168,7 @@ class VectorNavKeys(Protocol):
 
 
 def simulated_vectornav(keys: VectorNavKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The simulated VectorNav for a bench file."""
+    """Makes the simulated VectorNav VN-100 for a bench file."""
     return VectorNavUnit(
         Outputs(feed.sensor.channels()),
         vectornav.VectorNav(keys.fields),

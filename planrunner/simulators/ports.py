@@ -1,8 +1,8 @@
-"""Connections of simulated instruments: addresses as in bench files, pseudo-terminals and sockets on loopback, and a serial line with rate
-and buffer.
+"""Connections of simulated instruments: addresses as in bench files; pseudo-terminals and sockets on loopback; and a serial line
+with a bit rate and a buffer.
 
-The kind of address determines what a simulator opens. Only this computer is served. The serial line of a sensor has a limited bit
-rate and a small buffer, and drops frames when the buffer is full.
+The kind of the address determines what is opened. Only programs on the same computer can connect. The serial line of a sensor has a
+limited bit rate and a small buffer; it drops frames when the buffer is full.
 """
 
 from __future__ import annotations
@@ -24,27 +24,28 @@ _HELD = 65536  # bytes that a socket keeps for a slow reader
 
 
 class PortError(InstrumentError):
-    """An address cannot be served. The message names the address and the reason."""
+    """Reports that an address cannot be served. The message names the address and the reason."""
 
 
 class Port(Protocol):
     def attend(self) -> None: ...
 
     def write(self, data: bytes) -> int:
-        """Sends data; returns the number of accepted bytes."""
+        """Sends data; returns the number of bytes that were accepted."""
 
     def unplug(self) -> None: ...
 
     def plug(self) -> None:
-        """Makes the port reappear under the same name."""
+        """Makes the port appear again under the same name."""
 
     def close(self) -> None: ...
 
 
 class PseudoTerminal:
-    """A pseudo-terminal whose other end is found at `link`. heard: called by `attend` with the received data.
+    """A pseudo-terminal; a program opens its other end at the path `link`. heard: function that `attend` calls with the data that
+    it has received.
 
-    While the other end is not open, written data are lost, as on a line without a listener."""
+    While the other end is not open, data that are written are lost, as on a line to which nobody listens."""
 
     def __init__(self, link: Path, heard: Callable[[bytes], None]):
         self.link = link
@@ -80,7 +81,7 @@ class PseudoTerminal:
         self.watch.register(self.master, select.POLLIN)
 
     def attend(self) -> None:
-        """Checks for connections and reads incoming data."""
+        """Checks whether the other end is open, and reads incoming data."""
         if self.master < 0:
             return
         seen = dict(self.watch.poll(0)).get(self.master, 0)
@@ -115,7 +116,7 @@ class PseudoTerminal:
 
 
 class Socket:
-    """A port on loopback. All clients receive the same bytes."""
+    """A socket port on loopback. All clients receive the same bytes."""
 
     def __init__(self, host: str, port: int, heard: Callable[[bytes], None]):
         self.host, self.port, self.heard = host, port, heard
@@ -131,7 +132,7 @@ class Socket:
         self.port = self.server.sockets[0].getsockname()[1]
 
     def attend(self) -> None:
-        """Processes incoming data as they arrive."""
+        """Does nothing: incoming data are processed as they arrive."""
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.writers.add(writer)
@@ -175,8 +176,8 @@ _HERE = ("127.0.0.1", "localhost")
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An address. host, port: of a TCP address; link: the name of a pseudo-terminal, None for TCP; before, after: text before and
-    after the address."""
+    """The address of a simulated instrument. host, port: parts of a TCP address; link: path of a pseudo-terminal, None for TCP;
+    before, after: text before and after the address in the bench file."""
 
     before: str
     after: str
@@ -186,7 +187,7 @@ class Address:
 
     @classmethod
     def of(cls, text: str) -> Address:
-        """Parses an address. Raises `PortError` for an address that cannot be simulated."""
+        """Parses an address. Raises `PortError` if the address cannot be simulated."""
         for form, between in ((_VISA_SOCKET, "::"), (_URL, ":")):
             if found := form.fullmatch(text):
                 if found[2].lower() not in _HERE:
@@ -202,12 +203,13 @@ class Address:
         return cls(before, after, link=Path(name))
 
     def elsewhere(self, folder: Path, name: str) -> Address:
-        """The address with a free port, or with a link named after the instrument in a folder."""
+        """The same address with a free port or, for a pseudo-terminal, with a link in the given folder that is named after the
+        instrument."""
         link = None if self.link is None else folder / f"{name}.port"
         return Address(self.before, self.after, self.host, 0, link)
 
     def written(self, port: int | None = None) -> str:
-        """The address in the form of a bench file. port: number if the system chose it."""
+        """The address as it is written in a bench file. port: number of the port if the system chose it."""
         return f"{self.before}{self.link or port or self.port}{self.after}"
 
 
@@ -217,8 +219,8 @@ _BUFFERED = 0.25  # s of the wall that the sensor's own buffer holds
 
 @dataclass(slots=True)
 class LineCounts:
-    """Counts of a line: frames offered; complete frames that the sensor dropped because the line is too slow; bytes dropped because
-    they were not read."""
+    """Counts on a serial line: frames that the sensor offered; complete frames that it dropped because the line is too slow; bytes
+    that were dropped because nobody read them."""
 
     frames: int = 0
     frames_dropped: int = 0
@@ -227,8 +229,8 @@ class LineCounts:
 
 
 class SerialLine:
-    """A serial line. baud: bits per second of the simulated line; speed: seconds of the bench per second of real time, which also
-    accelerates its bytes."""
+    """A simulated serial line. baud: bit rate of the line, bits per second; speed: seconds of the bench per second of real time, by
+    which the bytes are accelerated as well."""
 
     def __init__(self, port: Port, baud: float, speed: float, now: float):
         self.port = port
@@ -240,7 +242,7 @@ class SerialLine:
         self.counts = LineCounts()
 
     def offer(self, frames: Bytes) -> None:
-        """Takes frames (n, length) to send."""
+        """Accepts frames (n, length) for sending."""
         if not len(frames):
             return
         room = (self.capacity - len(self.waiting)) // frames.shape[1]
@@ -249,11 +251,11 @@ class SerialLine:
         self.waiting += frames[: max(0, room)].tobytes()
 
     def reply(self, data: bytes) -> None:
-        """Sends other bytes, such as the answer to a command."""
+        """Sends bytes that are not frames, such as the reply to a command."""
         self.waiting += data
 
     def pump(self, now: float) -> None:
-        """Sends as many bytes as the line could have transmitted by now. now: s of real time."""
+        """Sends as many bytes as the line can have transmitted by now. now: real time, s."""
         self.credit = min(self.credit + (now - self.last) * self.bytes_a_second, float(self.capacity))
         self.last = now
         length = min(len(self.waiting), int(self.credit))

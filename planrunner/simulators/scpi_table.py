@@ -1,4 +1,5 @@
-"""A table with SCPI-like commands: the commands of the example in the bench reference, with errors in a queue."""
+"""A simulated table with SCPI-like commands. The commands are those of the example in the bench reference; errors are kept in a
+queue."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ _NOTHING = '0,"No error"'
 
 
 class ScpiTable:
-    """Angles are in degrees, and axes are numbered from 1. An unknown or impossible command adds an error to the queue."""
+    """A simulated table with SCPI-like commands. Its axes are numbered from 1, and its angles are in degrees. An unknown or
+    impossible command adds an error to the queue."""
 
     def __init__(self, plant: TablePlant, identity: str = "Example,One-axis table,simulated,1.0"):
         self.plant = plant
@@ -115,5 +117,5 @@ class ScpiTable:
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The simulated instrument for a bench file."""
+    """Makes the simulated instrument for a bench file."""
     return Conversation(ScpiTable(TablePlant(live)))

@@ -1,6 +1,7 @@
-"""Sensors as units on a line: the outputs of the virtual sensor in their frames, and their replies to commands.
+"""Simulated sensors on a line: their frames, which contain the outputs of the virtual sensor, and their replies to commands.
 
-STIM300 and KVH are in this module, Xsens and VectorNav in `navigation_units.py`, declared frames in `declared_frame.py`.
+STIM300 and KVH are in this module, Xsens and VectorNav in `navigation_units.py`, sensors with declared frames in
+`declared_frame.py`.
 """
 
 from __future__ import annotations
@@ -25,26 +26,27 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class SensorUnit(Protocol):
-    """The electronics of a sensor between its samples and its line. ails: faults that its status reports, `overload` and
-    `self-test`, as far as its frames can show them."""
+    """The electronics of a sensor, between its samples and its line. ails: faults (`overload`, `self-test`) that its status
+    reports, as far as its frames can show them."""
 
     ails: frozenset[str]
 
     def frames(self, block: Block) -> Bytes:
-        """The frames of consecutive samples, (n, length)."""
+        """The frames (n, length) of consecutive samples."""
 
     def hear(self, data: bytes) -> bytes:
-        """Receives bytes from the line; returns the reply, which is empty for unknown commands."""
+        """Receives bytes from the line; returns the reply, which is empty if the command is unknown."""
 
 
 @dataclass(slots=True)
 class Outputs:
-    """Converts a virtual sensor's outputs to the units of a frame. units: units of the sensor's channels."""
+    """Converts the outputs of a virtual sensor to the units of a frame. units: units of the sensor's channels, by name."""
 
     units: Mapping[str, str]
 
     def triad(self, block: Block, name: str, in_unit: float) -> dict[str, Array]:
-        """Outputs `gyro` or `accel` by axis, in a unit with the SI value `in_unit`; zero for an axis that the sensor lacks."""
+        """The outputs of the `gyro` or the `accel` triad by axis, in a unit whose SI value is `in_unit`; zero for an axis that the
+        sensor does not have."""
         found = {}
         for axis in "xyz":
             channel = f"{name}_{axis}"
@@ -72,7 +74,7 @@ class SampleNumber:
 
 @dataclass(slots=True)
 class Stim300Unit:
-    """A STIM300 unit. rate: datagrams per second, which determines the step of the counter."""
+    """A simulated STIM300. rate: number of datagrams per second, which determines the step of the counter."""
 
     outputs: Outputs
     form: Stim300
@@ -103,8 +105,8 @@ class Stim300Unit:
         return sent[:0] if self.service else sent
 
     def hear(self, data: bytes) -> bytes:
-        """Receives commands, which end with CR: `R` resets, `SERVICEMODE` and `UTILITYMODE` end the datagrams, `$isn,` asks for the
-        identification."""
+        """Receives commands, each of which ends with CR. `R` resets the sensor, `SERVICEMODE` and `UTILITYMODE` end the datagrams,
+        and `$isn,` requests the identification."""
         self.heard += data
         replies = b""
         while b"\r" in self.heard:
@@ -135,8 +137,8 @@ def _with_check(text: str) -> bytes:
 
 @dataclass(slots=True)
 class KvhUnit:
-    """A KVH unit. degrees: whether gyro outputs are in deg instead of rad; increments: whether outputs are angles instead of rates;
-    hundredths: whether temperatures are in hundredths of a degree."""
+    """A simulated KVH 1775 or DSP-1760. degrees: True if gyro outputs are in deg instead of rad; increments: True if outputs are
+    angles instead of rates; hundredths: True if temperatures are in hundredths of a degree."""
 
     outputs: Outputs
     form: Kvh1775
@@ -166,8 +168,8 @@ class KvhUnit:
         return self.form.frames(columns, numbers)
 
     def hear(self, data: bytes) -> bytes:
-        """Receives lines, which end with CR or LF: `?bit` is answered by the built-in test; `=rotfmt,…` and similar commands take
-        effect. The first frames after a change are marked as invalid."""
+        """Receives lines, each of which ends with CR or LF. The reply to `?bit` is the result of the built-in test; `=rotfmt,…` and
+        similar commands change the format. The first frames after a change are marked as invalid."""
         self.heard += data.replace(b"\r", b"\n")
         replies = b""
         while b"\n" in self.heard:
@@ -193,7 +195,7 @@ class Stim300Keys(Protocol):
 
 
 def simulated_stim300(keys: Stim300Keys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The simulated STIM300 for a bench file."""
+    """Makes the simulated STIM300 for a bench file."""
     form = Stim300(keys.datagram, int(keys.acceleration_range.split()[0]), keys.gyro_output == "increment")
     return Stim300Unit(Outputs(feed.sensor.channels()), form, feed.rate)
 
@@ -206,7 +208,7 @@ class Kvh1775Keys(Protocol):
 
 
 def simulated_kvh1775(keys: Kvh1775Keys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """The simulated KVH 1775 for a bench file."""
+    """Makes the simulated KVH 1775 for a bench file."""
     form, degrees, increments = Kvh1775(keys.format), keys.angle_unit == "deg", keys.rotation == "delta"
     return KvhUnit(
         Outputs(feed.sensor.channels()), form, feed.rate, degrees, increments, keys.temperature_unit == "C_100"

@@ -1,4 +1,4 @@
-"""Operates a simulated bench: it listens, advances the simulated world, injects faults, and ends on request."""
+"""Operates a simulated bench: listens at the addresses, advances the simulated world, injects faults, and ends on request."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ TICK = 0.005  # s between two looks at everything
 
 
 class Serving:
-    """A simulated bench in operation: its instruments, ports, faults and control channel. addresses: address of each instrument in
-    the form of a bench file, known after `open`."""
+    """A simulated bench in operation: its instruments, ports, faults and control channel. addresses: address of each instrument, as
+    it is written in a bench file; known after `open`."""
 
     def __init__(self, simulated: Simulated, control: tuple[str, int], speed: float, folder: Path | None = None):
         self.simulated, self.live, self.speed, self.folder = simulated, simulated.live, speed, folder
@@ -43,7 +43,7 @@ class Serving:
     # -- from beginning to end -----------------------------------------------------------------------------------------
 
     async def open(self) -> None:
-        """Listens at every address. Raises `PortError` for an address that is in use or not possible."""
+        """Starts to listen at every address. Raises `PortError` if an address is in use or not possible."""
         for item in self.simulated.spoken:
             await self._listen(item)
         sensor = self.simulated.sensor
@@ -92,7 +92,7 @@ class Serving:
     # -- operation --------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Brings everything up to the present time."""
+        """Brings all parts of the simulation up to the present time."""
         begun, over = self.board.changes(self.live.now())
         for fault in begun:
             self._strike(fault, True)
@@ -160,7 +160,7 @@ class Serving:
 
     def handle(self, request: Mapping[str, Json]) -> Mapping[str, Json]:
         """Handles one of the requests `{ask: bench}`, `{inject: FAULT}`, `{clear: NUMBER or all}`, `{ask: state}`, `{stop: true}`.
-        Raises `ValueError`."""
+        Raises `ValueError` if the request is not valid."""
         if request.get("ask") == "bench":
             return {
                 "speed": self.speed,
@@ -187,7 +187,7 @@ class Serving:
 
     def state(self) -> Mapping[str, Json]:
         """The true present state, for tests of a run: joint angles and rates [rad, rad/s]; temperature of the air, its target and
-        the setpoint [K]; faults; the counts of the line."""
+        the setpoint [K]; faults; and the counts of the serial line."""
         told: JsonObject = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:
             angles, rates = self.live.world.joints(self.live.now())
@@ -209,7 +209,7 @@ class Serving:
 
 
 def ready_note(serving: Serving) -> str:
-    """Content of the readiness file as JSON; it includes the token, so that only users who can read the file can use the token."""
+    """The content of the readiness file, as JSON. It includes the token, so only users who can read the file can use the token."""
     control = f"{serving.control.host}:{serving.control.port}"
     note = {
         "pid": os.getpid(),

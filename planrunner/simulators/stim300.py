@@ -1,8 +1,8 @@
-"""The frames of a STIM300 (Safran TS1524): normal-mode datagrams with CRC-32, for every datagram identifier.
+"""The frames of a STIM300 (Safran TS1524): datagrams of normal mode with CRC-32, for every datagram identifier.
 
-A datagram consists of its identifier, the clusters that the identifier names (gyro always; accelerometer, inclinometer), their
-temperatures, PPS or AUX, counter, latency and CRC. The CRC also covers zero bytes that fill up the datagram to whole words of four
-bytes and are not sent.
+A datagram consists of its identifier, the clusters that the identifier names (always the gyros; also accelerometers or
+inclinometers), the temperatures of the clusters, PPS or AUX, a counter, a latency and a CRC. For the CRC, zero bytes, which are not
+sent, pad the datagram to whole words of four bytes.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ INTERNAL_RATE = 2000.0  # Hz, what the counter counts
 
 @dataclass(frozen=True, slots=True)
 class Stim300:
-    """The configuration of a unit. acceleration_range: g; increments: whether outputs are angles instead of rates; crlf: whether CR
-    LF ends a datagram."""
+    """The configuration of a STIM300. acceleration_range: in g; increments: True if outputs are angles instead of rates; crlf: True
+    if CR LF ends a datagram."""
 
     datagram: int = 0xA7
     acceleration_range: int = 10
@@ -46,13 +46,14 @@ class Stim300:
     crlf: bool = False
 
     def length(self) -> int:
-        """Bytes of a datagram on the line."""
+        """The number of bytes of a datagram on the line."""
         clusters, warm, extra = DATAGRAMS[self.datagram]
         return 8 + len(clusters) * (17 if warm else 10) + (4 if extra else 0) + (2 if self.crlf else 0)
 
     def frames(self, columns: Mapping[str, Values], counter: Values, latency: Values) -> Bytes:
-        """Datagrams (n, length). columns: `gyro_x` … in deg/s (deg for increments), `acc_x` …, `incl_x` … in g, `gyro_T_x` … in
-        degC; `pps` or `aux` raw; `gyro_status` and so on where they are not zero. counter: number of internal samples; latency: µs."""
+        """Makes datagrams (n, length). columns: the values (n,) by name: `gyro_x` … in deg/s (in deg for increments); `acc_x` … and
+        `incl_x` … in g; `gyro_T_x` … in degC; `pps` or `aux` as raw numbers; `gyro_status` and other status bytes where they are
+        not zero. counter: (n,), number of internal samples; latency: in µs."""
         clusters, warm, extra = DATAGRAMS[self.datagram]
         count = counter.size
         nothing = np.zeros(count)

@@ -1,6 +1,6 @@
-"""The mechanics of a simulated table: axes that turn, move and swing within limits, an interlock, and faults that end a motion.
+"""The mechanics of a simulated table: axes that turn, move and rock within limits, an interlock, and faults that end a motion.
 
-It is independent of any protocol. Angles in rad, rates in rad/s, accelerations in rad/s^2.
+The mechanics are independent of any protocol. Angles are in rad, rates in rad/s, accelerations in rad/s^2.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ _GRANTED = 1 + 1e-9
 
 @dataclass(slots=True)
 class Axis:
-    """One axis and the settings of its controller. rates, accelerations: limits by mode. lowest, highest: angles, rad, beyond which
-    a demand is refused. trip: rate [rad/s] beyond which the axis is switched off; tracking: following error [rad] beyond which it
-    is switched off. aim: the last demanded angle. faults: faults that ended the motion of the axis, until they are reset."""
+    """One axis, and what its controller has stored about it. model: the limits of the axis itself. lowest, highest: limits of the
+    angles that can be demanded, rad; demands beyond them are limited. trip: rate [rad/s] above which the axis is switched off;
+    tracking: following error [rad] above which it is switched off. aim: the angle that was demanded last. faults: faults that have
+    ended the motion of the axis and have not been reset."""
 
     model: TableAxis
     lowest: float
@@ -35,7 +36,7 @@ class Axis:
 
 
 class TablePlant:
-    """The axes of a live world's virtual table."""
+    """The axes of the virtual table in a live world."""
 
     def __init__(self, live: LiveWorld):
         assert live.table is not None  # a simulated table is only made where the virtual bench has one
@@ -53,7 +54,8 @@ class TablePlant:
     # -- measurements --------------------------------------------------------------------------------------------------
 
     def state(self, index: int) -> tuple[float, float, float]:
-        """Angle, rate and acceleration now. This also checks the limits: an axis beyond its trip rate is switched off."""
+        """The present angle, rate and acceleration of an axis. The call also checks the limits: an axis that exceeds its trip rate
+        is switched off."""
         found = self.paths.paths[index].state(self.live.now())
         axis = self.axes[index]
         if abs(found[1]) > axis.trip * _GRANTED and not axis.faults:
@@ -66,7 +68,7 @@ class TablePlant:
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def go(self, index: int, angle: float, rate: float, acceleration: float) -> None:
-        """Moves to an angle. A continuous axis takes the shorter way."""
+        """Moves an axis to an angle. A continuous axis turns the shorter way."""
         axis, now = self.axes[index], self.live.before_change()
         if axis.model.continuous:
             here = self.paths.paths[index].state(now)[0]
@@ -79,7 +81,7 @@ class TablePlant:
         self._point()
 
     def turn(self, index: int, rate: float, fastest: float, acceleration: float) -> None:
-        """Changes to a rate, limited to the largest rate."""
+        """Changes the rate of an axis. The rate is limited to the largest rate."""
         axis, now = self.axes[index], self.live.before_change()
         fastest, acceleration = self._within(axis, fastest, acceleration)
         axis.limited = "rate" if abs(rate) > fastest * _GRANTED else ""
@@ -90,8 +92,8 @@ class TablePlant:
     def swing(
         self, index: int, amplitude: float, frequency: float, phase: float, rate: float, acceleration: float
     ) -> None:
-        """Starts a sine about the last commanded angle of the axis. Sines of the same frequency on several axes count their phases
-        from the same time."""
+        """Starts a sine about the last commanded angle of the axis. If several axes perform sines of the same frequency, their
+        phases count from the same moment."""
         axis, now = self.axes[index], self.live.before_change()
         path = self.paths.paths[index]
         swinging = [p for p in (path.current(now) for path in self.paths.paths) if isinstance(p, Swing)]
@@ -103,7 +105,7 @@ class TablePlant:
         self.paths.paths[index] = path.swing(now, min(amplitude, most), frequency, phase, zero, axis.centre)
 
     def stop(self, index: int, acceleration: float | None = None) -> None:
-        """Brings an axis to rest. The angle at rest follows from the deceleration."""
+        """Brings an axis to rest. The angle at which it comes to rest depends on the deceleration."""
         now = self.live.before_change()
         axis, path = self.axes[index], self.paths.paths[index]
         self.paths.paths[index] = path.turn(now, 0.0, acceleration or axis.model.max_acceleration)
@@ -112,14 +114,15 @@ class TablePlant:
     # -- faults --------------------------------------------------------------------------------------------------------
 
     def fail(self, index: int, fault: str) -> None:
-        """Causes a fault, `over-rate`, `tracking error` or `axis fault`: the axis brakes and accepts no demand until it is reset."""
+        """Causes a fault of an axis (`over-rate`, `tracking error` or `axis fault`). The axis brakes and accepts no demand until
+        the fault is reset."""
         axis = self.axes[index]
         axis.faults = (*axis.faults, fault)
         self.stop(index)
         axis.powered = False
 
     def open_interlock(self, is_open: bool = True) -> None:
-        """Opens the interlock chain of doors and buttons: every axis brakes, and the status stays set until it is reset."""
+        """Opens the interlock chain of doors and buttons. Every axis brakes, and the interlock fault stays set until it is reset."""
         self.interlock_open = is_open
         if is_open:
             self.interlock_fault = True
@@ -129,7 +132,7 @@ class TablePlant:
                 axis.powered = False
 
     def reset(self) -> None:
-        """Clears faults. An interlock that is still open becomes a fault again at once."""
+        """Clears all faults. If the interlock is still open, its fault is set again at once."""
         self.interlock_fault = self.interlock_open
         for axis in self.axes:
             axis.faults = ()

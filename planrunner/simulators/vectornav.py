@@ -1,4 +1,5 @@
-"""The messages of a VectorNav VN-100: binary outputs with CRC-16, and ASCII lines with the exclusive-or of their bytes as checksum."""
+"""The messages of a VectorNav VN-100: binary outputs with CRC-16, and lines of text whose checksum is the exclusive-or of their
+bytes."""
 
 from __future__ import annotations
 
@@ -24,16 +25,17 @@ _COMMON = {
 
 @dataclass(frozen=True, slots=True)
 class VectorNav:
-    """The binary messages of a VectorNav. fields: outputs of the common group, by name."""
+    """The binary messages of a VectorNav. fields: names of the outputs of the common group."""
 
     fields: Sequence[str] = ("time_startup", "imu", "mag_pres")
 
     def length(self) -> int:
-        """Bytes of a message on the line."""
+        """The number of bytes of a message on the line."""
         return 6 + sum(4 * _COMMON[name][1] or 8 for name in self.fields)
 
     def frames(self, columns: Mapping[str, Values]) -> Bytes:
-        """Messages (n, length). columns: by output, (n,) or (n, components): ns, deg, rad/s, m/s^2, gauss, degC, kPa."""
+        """Makes messages (n, length). columns: the values of each output, (n,) or (n, components), in ns, deg, rad/s, m/s^2, gauss,
+        degC or kPa."""
         count = len(next(iter(columns.values())))
         chosen = sorted((_COMMON[name][0], name) for name in self.fields)
         word = sum(1 << bit for bit, _ in chosen)
@@ -49,7 +51,7 @@ class VectorNav:
 
 
 def line(body: str) -> bytes:
-    """An ASCII line such as `VNRRG,8`, as sent: `$VNRRG,8*4B` CR LF."""
+    """The line of text that sends, for example, `VNRRG,8`: `$VNRRG,8*4B` CR LF."""
     check = exclusive_or(np.frombuffer(body.encode("ascii"), dtype=np.uint8)[None, :])[0]
     return f"${body}*{check:02X}\r\n".encode("ascii")
 
@@ -61,8 +63,8 @@ def measurement(
     ypr: Sequence[float] | Values,
     kind: str = "VNYMR",
 ) -> bytes:
-    """A line of measurements, (3,) each: `VNYMR` contains attitude [deg], magnetic field [gauss], acceleration [m/s^2] and rate
-    [rad/s]; `VNYPR`, `VNACC` and `VNGYR` contain only attitude, acceleration or rate."""
+    """A line of text with measurements, (3,) each: `VNYMR` contains attitude [deg], magnetic field [gauss], acceleration [m/s^2]
+    and rate [rad/s]; `VNYPR`, `VNACC` and `VNGYR` contain only the attitude, the acceleration or the rate."""
     parts = {
         "VNYPR": [f"{value:+08.3f}" for value in ypr],
         "magnetic": [f"{value:+08.4f}" for value in magnetic],

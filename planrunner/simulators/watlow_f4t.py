@@ -1,4 +1,4 @@
-"""A Watlow F4T chamber controller: SCPI on one control loop, writes without reply."""
+"""A simulated Watlow F4T chamber controller: SCPI commands for one control loop; there is no reply to a write."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ACTIONS = ("OFF", "STARTUP", "SETPOINT", "BOTH")
 
 
 class WatlowF4t:
-    """Control loop 1 and output 1 of a chamber. It ignores messages that it does not understand."""
+    """Control loop 1 and output 1 of a simulated chamber. It ignores messages that it does not understand."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "WATLOW,F4T,simulated,4.07"):
         self.plant = plant
@@ -112,5 +112,5 @@ class WatlowF4t:
 
 
 def simulated(keys: object, live: LiveWorld) -> Conversation:
-    """The simulated instrument for a bench file."""
+    """Makes the simulated instrument for a bench file."""
     return Conversation(WatlowF4t(ChamberPlant(live)))

@@ -1,4 +1,5 @@
-"""The messages of an Xsens MTi on the Xbus: MTData2 packets, state changes and errors, each with the byte that makes its sum zero."""
+"""The messages of an Xsens MTi on the Xbus: MTData2 packets, changes of state, and errors. Each ends with the byte that makes its
+sum zero."""
 
 from __future__ import annotations
 
@@ -20,13 +21,13 @@ _FINE_TICKS = 10_000.0  # of SampleTimeFine in a second
 
 @dataclass(frozen=True, slots=True)
 class Xsens:
-    """The packets of an Xsens MTi. items: data identifiers in the order of the packet, with the format of reals (0 f32, 1 12.20, 2
-    16.32, 3 f64) in their low bits."""
+    """The packets of an Xsens MTi. items: data identifiers in the order of the packet; their low bits state the format of the real
+    numbers (0 f32, 1 12.20, 2 16.32, 3 f64)."""
 
     items: Sequence[int] = (PACKET_COUNTER, SAMPLE_TIME_FINE, 0x4020, 0x8020, TEMPERATURE, STATUS_WORD)
 
     def length(self) -> int:
-        """Bytes of a packet on the line."""
+        """The number of bytes of a packet on the line."""
         payload = sum(3 + self._size(item) for item in self.items)
         return payload + (5 if payload < 255 else 7)
 
@@ -37,7 +38,8 @@ class Xsens:
         return _INTEGERS.get(item) or _COMPONENTS[whole] * (4, 4, 6, 8)[item & 3]
 
     def frames(self, columns: Mapping[int, Values]) -> Bytes:
-        """Packets (n, length). columns: by identifier without its format, (n,) or (n, components), in SI units and degC."""
+        """Makes packets (n, length). columns: the values by identifier (without its format), (n,) or (n, components), in SI units
+        and degC."""
         count = len(next(iter(columns.values())))
         parts = []
         for item in self.items:
@@ -56,13 +58,13 @@ class Xsens:
 
 
 def known(item: int) -> bool:
-    """Whether a data identifier, with its format, can be sent."""
+    """True if data with this identifier, which includes a format, can be sent."""
     return item in _INTEGERS or ((item & 0xFFF0) in _COMPONENTS and item & 0xF < 4)
 
 
 def _real(values: Values, form: int) -> Bytes:
-    """Real numbers (n,): IEEE 754, or fixed point with 20 or 32 bits after the binary point. With 32 bits, the fraction comes
-    first."""
+    """Encodes real numbers (n,): IEEE 754, or fixed point with 20 or 32 bits after the binary point. With 32 bits, the bits of the
+    fraction are sent first."""
     if form == 1:
         return integers(np.rint(values * 2.0**20), 4)
     if form == 2:
@@ -73,7 +75,7 @@ def _real(values: Values, form: int) -> Bytes:
 
 
 def message(identifier: int, payload: Bytes) -> Bytes:
-    """Messages (n, length) of one kind around payloads (n, m)."""
+    """Messages (n, length) of one kind that contain the payloads (n, m)."""
     size = payload.shape[1]
     length = bytes([size]) if size < 255 else b"\xff" + size.to_bytes(2, "big")
     covered = joined(constant(bytes([0xFF, identifier]) + length, len(payload)), payload)
@@ -81,10 +83,10 @@ def message(identifier: int, payload: Bytes) -> Bytes:
 
 
 def short_message(identifier: int, payload: bytes = b"") -> bytes:
-    """One message, such as an acknowledgement or an error."""
+    """A single message, such as an acknowledgement or an error."""
     return message(identifier, constant(payload, 1)).tobytes()
 
 
 def fine_time(seconds: Array) -> Array:
-    """The value SampleTimeFine at times [s]."""
+    """The value of SampleTimeFine at these times [s]."""
     return np.floor(np.asarray(seconds) * _FINE_TICKS)

@@ -1,1 +1,1 @@
-"""Uncertainty: budgets, coverage, decision rules and Monte Carlo validation."""
+"""Uncertainty: budgets, coverage factors, decision rules, and Monte Carlo validation."""

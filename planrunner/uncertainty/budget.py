@@ -1,8 +1,8 @@
-"""Combined uncertainty: scatter of the data (type A) plus stated uncertainties (type B), with the budget of each coefficient.
+"""Combined uncertainty: the scatter of the data (type A) and stated uncertainties (type B), with a budget for each coefficient.
 
-The module uses the law of propagation of uncertainty for independent inputs (JCGM 100:2008, 5.1.2), applied to all coefficients at
-once to keep their covariance (H.2.4), and the Welch–Satterthwaite formula for effective degrees of freedom (G.4.1). An input that
-acts on the coefficients in several ways is one input: its sensitivities are added before they are squared.
+The module applies the law of propagation of uncertainty for independent inputs (JCGM 100:2008, 5.1.2) to all coefficients together,
+which also gives their covariance (H.2.4). Effective degrees of freedom follow from the Welch–Satterthwaite formula (G.4.1). An
+input that acts on the coefficients in several ways counts as one input: its sensitivities are added before they are squared.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NEGLIGIBLE = 1e-6  # of the combined uncertainty: smaller contributions are not 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A coefficient as estimated from the data, with its type A standard uncertainty and degrees of freedom."""
+    """A coefficient that was estimated from the data, with its type A standard uncertainty and degrees of freedom."""
 
     name: str
     value: float
@@ -33,7 +33,8 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Combined:
-    """m coefficients with their combined uncertainty. covariance: (m, m); standard_uncertainties, degrees_of_freedom: (m,)."""
+    """The combined uncertainties of m coefficients. covariance: (m, m); standard_uncertainties, degrees_of_freedom: (m,), for each
+    coefficient."""
 
     covariance: Array
     standard_uncertainties: Array
@@ -46,8 +47,8 @@ def combine(
 ) -> Combined:
     """Adds the covariance of the influences to the type A `covariance` (m, m) of the coefficients.
 
-    source: origin of the type A part, for its row in the budgets. Raises ValueError for sensitivities that do not fit the coefficients
-    or are not finite.
+    source: where the type A part comes from; the budgets show this text in its row. Raises ValueError if the sensitivities do not
+    fit the coefficients or are not finite.
     """
     acting = merged(influences)
     m = len(measured)
@@ -70,8 +71,8 @@ def combine(
 
 
 def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
-    """Merges influences so that there is one for each input. Sensitivities of the same input (or of the same named part) are added;
-    others become separate columns."""
+    """Merges influences, so that there is one for each input. Sensitivities to the same input, or to the same named part of an
+    input, are added; other sensitivities become separate columns."""
     together: dict[tuple[InputQuantity, bool], list[Influence]] = {}
     for item in influences:
         if item.sensitivities.ndim != 2 or (item.parts and len(item.parts) != item.sensitivities.shape[1]):
@@ -82,7 +83,7 @@ def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
 
 
 def _added(same: Sequence[Influence]) -> Influence:
-    """The sum of influences of one input."""
+    """The sum of several influences of one input."""
     if len(same) == 1 and len(set(same[0].parts)) == len(same[0].parts) != 1:
         return same[0]
     held: dict[object, Array] = {}
@@ -96,8 +97,8 @@ def _added(same: Sequence[Influence]) -> Influence:
 
 
 def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_freedom: Sequence[float]) -> float:
-    """Effective degrees of freedom by Welch–Satterthwaite (JCGM 100:2008, G.4.1). The result is infinite if nothing contributes,
-    and zero if a contribution has no degrees of freedom."""
+    """The effective degrees of freedom by the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1). They are infinite if nothing
+    contributes, and zero if a contribution has no degrees of freedom."""
     pairs = [(size, freedom) for size, freedom in zip(contributions, degrees_of_freedom, strict=True) if size]
     if any(not freedom > 0 for _, freedom in pairs):
         return 0.0
@@ -135,7 +136,7 @@ def _budget(one: Measured, k: int, acting: Sequence[Influence], sizes: Array, so
 
 
 def _line(item: Influence, k: int, contribution: float) -> BudgetLine:
-    """The row of a budget. Sensitivity and input are in the unit in which the input is shown."""
+    """Makes the row of a budget for one input. The sensitivity and the input are in the unit in which budgets show the input."""
     quantity, row = item.quantity, item.sensitivities[k]
     factor = quantity.shown_factor if quantity.shown else 1.0
     return BudgetLine(

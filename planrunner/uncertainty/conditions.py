@@ -1,9 +1,10 @@
-"""Stated inputs as conditions of a formula. A method names these inputs, and the influences on its results follow from the formula.
+"""Stated inputs as conditions of a formula. A method names these inputs as conditions; their influences on its results are then
+computed from its formula.
 
-A result is a pure function of observations and conditions. Each input with a stated uncertainty is one `StatedCondition`. It contains
-the input quantity and the changed conditions. The formula is evaluated with the input larger and smaller by its standard uncertainty,
-and half of the difference is the contribution (JCGM 100:2008, 5.1.3, note 2). Rounding errors of the formula therefore do not grow,
-whatever the unit and the size of the input.
+A result must be a pure function of observations and conditions. Each input with a stated uncertainty is a `StatedCondition`. It
+contains the input quantity and functions that change the conditions. The formula is evaluated with the input increased and
+decreased by its standard uncertainty; half of the difference between the results is the contribution (JCGM 100:2008, 5.1.3, note
+2). As the step is the standard uncertainty, rounding errors of the formula stay small, whatever the unit and the size of the input.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ Moved = Callable[[float], C]
 
 @dataclass(frozen=True, slots=True)
 class StatedCondition(Generic[C]):
-    """An input that is stated with an uncertainty above zero. parts: change of the conditions by each independent part of the
-    input, by name of the part; the name is empty if there is only one part. in_scatter: True if the scatter of the data already
-    contains the input."""
+    """An input of a formula that is stated with an uncertainty above zero. parts: for each independent part of the input, a
+    function that gives the conditions after a change of this part. The key is the name of the part, or empty if there is only one.
+    in_scatter: True if the scatter of the data already contains the effect of the input."""
 
     quantity: InputQuantity
     parts: Mapping[str, Moved[C]]
@@ -37,33 +38,35 @@ class StatedCondition(Generic[C]):
 
     @classmethod
     def single(cls, quantity: InputQuantity, moved: Moved[C]) -> StatedCondition[C]:
-        """A condition with a single part."""
+        """Makes a condition that has a single part."""
         return cls(quantity, {"": moved})
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parts, as for `Influence`."""
+        """The names of the parts, in the form that `Influence` requires."""
         return () if tuple(self.parts) == ("",) else tuple(self.parts)
 
     def seen_by(self, view: Callable[[C], D]) -> StatedCondition[D]:
-        """The same input as a condition of another formula. view: converts these conditions to those of the other formula."""
+        """The same input, as a condition of another formula. view: function that converts these conditions to those of the other
+        formula."""
         parts = {name: _after(moved, view) for name, moved in self.parts.items()}
         return StatedCondition(self.quantity, parts, self.in_scatter)
 
     def answers(self, formula: Callable[[C], Array]) -> list[Array]:
-        """For each part, the derivative ∂(results)/∂input in the shape of the formula's results."""
+        """For each part of the input, the derivative ∂(results)/∂part, in the shape of the formula's results."""
         return slopes(formula, self.parts.values(), self.quantity.standard_uncertainty)
 
 
 def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedCondition[C]]) -> tuple[Influence, ...]:
-    """Influences of the conditions on the results (m,) of a formula."""
+    """The influences of stated inputs on the results (m,) of a formula."""
     return influences_on_several(lambda each: np.stack([formula(one) for one in each]), stated)
 
 
 def influences_on_several(
     formula: Callable[[Sequence[C]], Array], stated: Iterable[StatedCondition[C]]
 ) -> tuple[Influence, ...]:
-    """Influences of the conditions on the results (m,) of a formula that takes k conditions at once and gives the results (k, m)."""
+    """The influences of stated inputs on the results (m,) of a formula that takes k conditions at once and returns the results (k,
+    m)."""
     inputs = [one for one in stated if one.parts]
     moved: list[C] = []
     for one in inputs:
@@ -82,8 +85,8 @@ def influences_on_several(
 
 
 def slopes(formula: Callable[[C], Array], moved: Iterable[Moved[C]], step: float) -> list[Array]:
-    """The derivative with respect to each change of the conditions, in the shape of the formula's results. The formula is evaluated
-    twice for each change."""
+    """The derivatives of a formula with respect to each change of its conditions, in the shape of the formula's results. The
+    formula is evaluated twice for each change."""
     return [central(_after(one, formula), step) for one in moved]
 
 

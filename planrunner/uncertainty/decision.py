@@ -1,4 +1,4 @@
-"""Decision rules: whether a measured value conforms to a limit, given its uncertainty (JCGM 106:2012)."""
+"""Decision rules: whether a measured value conforms to a limit, taking its uncertainty into account (JCGM 106:2012)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _LEAST_FREEDOM = 0.5  # of χ²; with fewer, a measure of scatter is known too p
 
 
 class CoefficientRole(StrEnum):
-    """Kind of quantity of a coefficient. It determines how the value scatters about the true value.
+    """The kind of quantity that a coefficient is. The kind determines how the value scatters about the true value.
 
-    LOCATION: a constant, a slope, an angle; Student's t about the value. SCALE: a standard deviation or another measure of scatter; ν·s²/σ²
-    follows χ² with ν degrees of freedom. MAXIMUM: the largest of several absolute values, such as a nonlinearity or a hysteresis; never
-    negative.
+    LOCATION: a constant, a slope, an angle; the scatter is Student's t about the value. SCALE: a standard deviation or another
+    measure of scatter s; ν·s²/σ² follows χ² with ν degrees of freedom. MAXIMUM: the largest of several absolute values, such as a
+    nonlinearity or a hysteresis; it is never negative.
     """
 
     LOCATION = "location"
@@ -30,8 +30,8 @@ class CoefficientRole(StrEnum):
 
 @lru_cache(maxsize=4096)
 def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
-    """The factor k of the expanded uncertainty: Student's t for a two-sided interval (JCGM 100:2008, G.3), or the normal quantile
-    for infinite degrees of freedom. The factor is infinite if there are no degrees of freedom."""
+    """The factor k of the expanded uncertainty: the quantile of Student's t for a two-sided interval (JCGM 100:2008, G.3), or of
+    the normal distribution for infinite degrees of freedom. If there are no degrees of freedom, the factor is infinite."""
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 + confidence / 2
@@ -45,15 +45,15 @@ def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -
 def expanded_uncertainty(
     standard_uncertainty: float, degrees_of_freedom: float, confidence: float = CONFIDENCE
 ) -> float:
-    """The expanded uncertainty U = k·u; zero for u = 0."""
+    """The expanded uncertainty U = k·u; zero if u = 0."""
     return coverage_factor(degrees_of_freedom, confidence) * standard_uncertainty if standard_uncertainty else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A verdict with its basis. probability: probability that the true value conforms, from the value and its uncertainty alone (JCGM 106,
-    7). guard_band: required distance of the value from the limits, in their unit (0 for the simple rule). coverage_factor: coverage factor
-    of the expanded uncertainty."""
+    """A verdict and the numbers on which it is based. probability: probability that the true value conforms, computed only from the
+    value and its uncertainty (JCGM 106, 7). guard_band: distance that the value must keep from the limits, in their unit (0 for the
+    simple rule). coverage_factor: the factor k of the expanded uncertainty."""
 
     verdict: Literal["pass", "fail"]
     reason: str
@@ -79,13 +79,14 @@ def decide(
     confidence: float = CONFIDENCE,
     role: CoefficientRole = CoefficientRole.LOCATION,
 ) -> Decision:
-    """The verdict on lower ≤ true value ≤ upper, all in one unit. role: kind of quantity, which determines its distribution.
+    """Decides whether lower ≤ true value ≤ upper; all values have the same unit. role: kind of quantity, which determines the
+    distribution.
 
-    rule: with `simple`, the value passes if it is within the limits (simple acceptance, JCGM 106, 8.2). With `guarded`, it passes if it
-    lies inside the limits by at least the guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a
-    coverage probability of `confidence`. For the role SCALE, U is the distance from the limit at which the χ² interval of the value ends
-    at the limit. A value or uncertainty that is not finite never passes. Raises ValueError if both limits are missing or the lower limit
-    exceeds the upper.
+    rule: with `simple`, the value passes if it lies within the limits (simple acceptance, JCGM 106, 8.2). With `guarded`, it passes
+    if it lies within the limits by at least the guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2). Here r is `factor`, and U
+    = k·u is the expanded uncertainty for the coverage probability `confidence`. For the role SCALE, U is instead the distance from
+    the limit at which the χ² interval of the value just reaches the limit. A value that is not finite, or whose uncertainty is not
+    finite, never passes. Raises ValueError if both limits are missing or if the lower limit is above the upper.
     """
     if lower > upper or (math.isinf(lower) and math.isinf(upper)):
         raise ValueError("a limit needs a lower or an upper bound, the lower not above the upper")
@@ -112,7 +113,7 @@ def decide(
 
 
 def guard_band(expanded: float, rule: Rule, factor: float = 1.0) -> float:
-    """The guard band w = r·U for guarded acceptance; zero for simple acceptance."""
+    """The guard band w = r·U for guarded acceptance, where r is `factor`; zero for simple acceptance."""
     return factor * expanded if rule == "guarded" and factor else 0.0
 
 
@@ -126,9 +127,9 @@ def conformance_probability(
 ) -> float:
     """The probability that the true value lies in [lower, upper].
 
-    For a location: Student's t about the value, scaled by the uncertainty. For a scale s with ν degrees of freedom: ν·s²/σ² follows χ²
-    (JCGM 106, 7.2, with the prior 1/σ). For a maximum, which is the absolute value of a signed quantity: Student's t, where both signs
-    count.
+    For a location, the distribution is Student's t about the value, scaled by the uncertainty. For a scale s with ν degrees of
+    freedom, ν·s²/σ² follows χ² (JCGM 106, 7.2, with the prior 1/σ). A maximum is the absolute value of a signed quantity, for which
+    the distribution is Student's t; both signs count.
     """
     from scipy.special import chdtr, ndtr, stdtr
 
@@ -156,8 +157,8 @@ def conformance_probability(
 
 
 def scale_freedom(value: float, standard_uncertainty: float) -> float:
-    """Degrees of freedom ν of a measure of scatter s, from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3); 0 if they are too few for χ², or so many
-    that the distribution is normal."""
+    """The degrees of freedom ν of a measure of scatter s, from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3). The result is 0 if ν is too
+    small for χ², or so large that the distribution is normal."""
     if not (value > 0 and standard_uncertainty > 0):
         return 0.0
     found = (value / standard_uncertainty) ** 2 / 2
@@ -165,7 +166,7 @@ def scale_freedom(value: float, standard_uncertainty: float) -> float:
 
 
 def _to_bound(bound: float, upper: bool, freedom: float, confidence: float) -> float:
-    """Distance that a scale must keep from a limit so that its two-sided χ² interval ends at the limit."""
+    """The distance that a scale must keep from a limit, so that its two-sided χ² interval ends at the limit."""
     from scipy.special import chdtri
 
     beyond = (1 + confidence) / 2 if upper else (1 - confidence) / 2  # chdtri takes the probability above

@@ -1,9 +1,10 @@
-"""Derivatives of a formula, computed from the formula itself. No gradient is written by hand.
+"""Derivatives of a formula, computed by evaluating the formula itself. No gradient is written by hand.
 
-The complex step (Squire and Trapp, SIAM Review 40, 1998, 110) uses f(x + i·h) = f(x) + i·h·f′(x) + O(h²). Nothing is subtracted, so h
-can be so small that only rounding errors remain. The formula must be analytic: sums, products, powers, `np.sqrt`, `np.sin`,
-`np.arctan`, `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not analytic; `angle_of` and `length` replace the last two.
-Comparisons use the real part. A formula that needs other functions is differentiated by `central` differences.
+The complex step (Squire and Trapp, SIAM Review 40, 1998, 110) uses the relation f(x + i·h) = f(x) + i·h·f′(x) + O(h²). As nothing
+is subtracted, h can be so small that only rounding errors remain. The formula must be analytic. It may contain sums, products,
+powers, `np.sqrt`, `np.sin`, `np.arctan` and `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not analytic; use `angle_of`
+instead of `arctan2`, and `length` instead of norms. Comparisons must use the real part. A formula that needs other functions is
+differentiated by central differences (`central`).
 """
 
 from __future__ import annotations
@@ -22,18 +23,18 @@ _STEP = 1e-30
 
 
 def jacobian(formula: Formula, at: Array) -> Array:
-    """∂formula/∂x, shape (q, p), at x (p,). Calls the formula once."""
+    """The derivative ∂formula/∂x, shape (q, p), at x (p,). Calls the formula once."""
     return value_and_jacobian(formula, at)[1]
 
 
 def value_and_jacobian(formula: Formula, at: Array) -> tuple[Array, Array]:
-    """The quantities (q,) and ∂formula/∂x, shape (q, p), at x (p,), p > 0. Calls the formula once."""
+    """The values (q,) of a formula and the derivative ∂formula/∂x, shape (q, p), at x (p,), p > 0. Calls the formula once."""
     found = formula(cast(Array, at[:, None] + 1j * _STEP * np.eye(len(at))))
     return found.real[:, 0], np.asarray(found.imag / _STEP)
 
 
 def central(function: Callable[[float], Array], step: float) -> Array:
-    """∂function/∂x at x = 0, in the shape of the function's values. Calls the function twice."""
+    """The derivative ∂function/∂x at x = 0, in the shape of the function's values. Calls the function twice."""
     return np.asarray((function(step) - function(-step)) / (2 * step))
 
 
@@ -43,7 +44,7 @@ def length(vector: Array) -> Array:
 
 
 def angle_of(across: Array, along: Array) -> Array:
-    """The angle [rad] in (−π, π] whose sine and cosine are proportional to `across` and `along`."""
+    """The angle [rad], in (−π, π], whose sine is proportional to `across` and whose cosine is proportional to `along`."""
     steep = np.abs(across.real) > np.abs(along.real)
     ratio = np.where(steep, along, across) / np.where(steep, across, along)
     direct = np.arctan(ratio) + np.where(along.real < 0, np.copysign(np.pi, across.real), 0.0)

@@ -1,8 +1,8 @@
-"""Global risks of a decision rule over all tested items (JCGM 106:2012, 9.5): the fraction of a laboratory's decisions that are wrong.
+"""Global risks of a decision rule (JCGM 106:2012, 9.5): the fraction of wrong decisions among all items that a laboratory tests.
 
-Global risks require prior knowledge: the distribution of the quantity over the items, which is assumed to be normal. A measurement
-scatters about the true value of an item as Student's t (normal for infinitely many degrees of freedom), with the standard
-uncertainty of the present measurement.
+Global risks require prior knowledge of the distribution of the quantity over the items, which is assumed to be normal. The measured
+value is assumed to scatter about the true value of an item as Student's t (normal for infinitely many degrees of freedom), with the
+standard uncertainty of the present measurement.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _REACH = 9.0  # standard deviations of the prior that are integrated over; the r
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Knowledge of the quantity before the measurement: a normal distribution over the items, by mean and standard deviation."""
+    """The knowledge of the quantity before the measurement: mean and standard deviation of its normal distribution over the items."""
 
     mean: float
     standard_deviation: float
@@ -42,10 +42,11 @@ def global_risk(
     tolerance: tuple[float, float],
     acceptance: tuple[float, float],
 ) -> GlobalRisk:
-    """The risks R_C and R_P (JCGM 106:2012, equations 17 to 20) for limits (lower, upper), infinite if a limit is missing.
+    """The risks R_C of the consumer and R_P of the producer (JCGM 106:2012, equations 17 to 20). tolerance: lower and upper limit,
+    infinite if a limit is missing.
 
-    acceptance: interval of accepted measured values; empty if its lower end is above its upper end. Raises ValueError for a prior without
-    spread.
+    acceptance: interval of the measured values that are accepted; empty if its lower end is above its upper end. Raises ValueError
+    if the standard deviation of the prior is not positive.
     """
     if not (math.isfinite(prior.mean) and prior.standard_deviation > 0):
         raise ValueError("a prior needs a mean and a positive standard uncertainty")
@@ -68,7 +69,7 @@ def global_risk(
 
 
 def _accepted(true: Array, u: float, freedom: float, acceptance: tuple[float, float]) -> Array:
-    """Probability, for each true value (n,), that the measured value falls within the acceptance interval."""
+    """The probability, for each true value (n,), that the measured value lies within the acceptance interval."""
     from scipy.special import ndtr, stdtr
 
     low, high = acceptance

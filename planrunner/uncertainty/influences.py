@@ -1,7 +1,7 @@
-"""Inputs other than the data: quantities stated with an uncertainty, and the sensitivity of coefficients to them.
+"""Inputs other than the recorded data: quantities that are stated with an uncertainty, and the sensitivity of coefficients to them.
 
-These are the type B inputs of JCGM 100:2008, 4.3. A bench file, a plan or an estimator states them. An estimator gives the sensitivity of
-its coefficients. `planrunner.uncertainty.budget` combines the contributions.
+They are the type B inputs of JCGM 100:2008, 4.3. A bench file, a plan or an estimator states such quantities. An estimator gives
+the sensitivity of its coefficients. `planrunner.uncertainty.budget` combines the contributions.
 """
 
 from __future__ import annotations
@@ -16,23 +16,25 @@ from planrunner.base.dataclass import dataclass
 
 
 class Aspect(StrEnum):
-    """A kind of quantity that is stated for each output of a sensor; every output has its own input quantity."""
+    """A property of an output that is stated with an uncertainty, such as its resolution. Each output of a sensor has a separate
+    input quantity for each property."""
 
     BIAS_INSTABILITY = "bias instability"
     RESOLUTION = "resolution"
 
     def of(self, output: str) -> str:
-        """The name of the input quantity."""
+        """The name of the input quantity for an output."""
         return f"{self.value} {output}"
 
 
 @dataclass(frozen=True, slots=True)
 class InputQuantity:
-    """One stated quantity. value, standard_uncertainty: in `unit`, SI-coherent. distribution: normal, rectangular, triangular,
-    u-shaped, t. source: origin of the statement, for an auditor: instrument, asset number, certificate, or the key of a file.
-    calibrated: ISO date, or empty. shown: unit in budgets, usually the unit of the statement, equal to `shown_factor` times `unit`;
-    if empty, budgets show `unit`. from_residuals: True if the uncertainty was estimated from the residuals of the same fit, so that
-    it is not independent of the scatter of the data.
+    """One quantity that is stated with an uncertainty. value, standard_uncertainty: in `unit`, which is SI-coherent. distribution:
+    normal, rectangular, triangular, u-shaped, t. source: where the statement comes from, for an auditor: instrument, asset number,
+    certificate, or the key of a file. calibrated: ISO date of the calibration, or empty. shown: unit in which budgets show the
+    quantity, usually the unit in which it was stated; one such unit is `shown_factor` times `unit`. If it is empty, budgets show
+    `unit`. from_residuals: True if the uncertainty was estimated from the residuals of the same fit, so that it depends on the
+    scatter of the data.
     """
 
     name: str
@@ -50,13 +52,13 @@ class InputQuantity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Influence:
-    """Dependence of m coefficients on an input quantity.
+    """How m coefficients depend on an input quantity.
 
-    sensitivities: (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 for r independent inputs with
-    the same uncertainty, such as the error of the table at each of r positions; r = 1 for an input that all segments share.
-    in_scatter: True if the scatter of the data already contains the input; the budget then lists the input without adding it.
-    parts: names of the r inputs, such as orientations, which identify an input that acts through two influences; inputs without
-    names count as different.
+    sensitivities: (m, r), ∂coefficient/∂input in the unit of the coefficient per `quantity.unit`. If r independent inputs have the
+    same uncertainty, such as the errors of the table at r positions, there are r columns; if all segments share one input, there is
+    one column. in_scatter: True if the scatter of the data already contains the effect of the input; budgets then list the input
+    but do not add it. parts: names of the r inputs, such as orientations. They identify inputs that act through two influences;
+    inputs without names count as different.
     """
 
     quantity: InputQuantity
@@ -66,20 +68,20 @@ class Influence:
 
     @property
     def covariance(self) -> Array:
-        """Contribution to the covariance of the coefficients, shape (m, m)."""
+        """The contribution (m, m) to the covariance of the coefficients."""
         return self.quantity.standard_uncertainty**2 * (self.sensitivities @ self.sensitivities.T)
 
     def through(self, gradient: Array) -> Influence:
-        """The influence on q quantities computed from the m coefficients. gradient: shape (q, m), ∂quantity/∂coefficient."""
+        """The influence on q quantities that are computed from the m coefficients. gradient: (q, m), ∂quantity/∂coefficient."""
         return Influence(self.quantity, gradient @ self.sensitivities, self.in_scatter, self.parts)
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetLine:
-    """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: c, in the coefficient's unit per unit of the input;
-    contribution: |c|·u, in the coefficient's unit. kind: A or B; added: True if the row is part of the sum. count: number of
-    independent inputs with this uncertainty; for several, the sensitivity is the root sum of squares. calibrated: ISO date, or
-    empty."""
+    """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: sensitivity coefficient c, in the unit of the coefficient
+    per unit of the input; contribution: |c|·u, in the unit of the coefficient. kind: A or B; added: True if the row is included in
+    the sum. count: number of independent inputs with this uncertainty; if there are several, `sensitivity` is the root sum of
+    squares of their sensitivities. calibrated: ISO date of the calibration, or empty."""
 
     quantity: str
     kind: str
@@ -98,7 +100,8 @@ class BudgetLine:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The uncertainty budget of one coefficient. The combined uncertainty is the standard uncertainty of the coefficient."""
+    """The uncertainty budget of one coefficient. The combined uncertainty in the last line is the standard uncertainty of the
+    coefficient."""
 
     coefficient: str
     unit: str
@@ -110,10 +113,10 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """Stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table orthogonality`,
-    `temperature`, `fixture angle x`, `fixture azimuth x`, `resolution gyro_x`, `bias instability gyro_x` (whose uncertainty is the
-    coefficient B itself). A quantity is absent if no uncertainty was stated. without_flicker: outputs for which the bench file gives no
-    bias instability, not even zero."""
+    """The stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table
+    orthogonality`, `temperature`, `fixture angle x`, `fixture azimuth x`, `resolution gyro_x` and `bias instability gyro_x` (whose
+    uncertainty is the coefficient B itself). A quantity is absent if no uncertainty is stated for it. without_flicker: outputs for
+    which the bench file states no bias instability, not even zero."""
 
     quantities: Mapping[str, InputQuantity] = field(default_factory=dict)
     without_flicker: frozenset[str] = frozenset()

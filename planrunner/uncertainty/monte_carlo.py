@@ -1,13 +1,15 @@
-"""Propagation of distributions by the adaptive Monte Carlo method, and validation of an interval k·u with it (JCGM 101:2008).
+"""Propagation of distributions by the adaptive Monte Carlo method, and validation of the interval ± k·u by this method (JCGM
+101:2008).
 
-Draws come in blocks of 10⁴ until the results have stabilised. The results are the estimate, the standard uncertainty and both ends of the
-interval, each averaged over the blocks. They have stabilised when twice the standard deviation of each average is below the numerical
-tolerance (7.9.4). Here this tolerance is a fifth of the tolerance of the validation (8.2). With four or fewer degrees of freedom,
-Student's t has no fourth moment, so the standard deviation of the draws cannot be estimated. In that case the rule omits the standard
-uncertainty. The ends of the interval remain, which are the values to be validated.
+Random draws are made in blocks of 10⁴ until the results have stabilised. The results are the estimate, the standard uncertainty,
+and the two ends of the interval, each averaged over the blocks. They have stabilised when twice the standard deviation of each
+average is smaller than the numerical tolerance (7.9.4). Here, this tolerance is a fifth of the tolerance of the validation (8.2).
+With four or fewer degrees of freedom, Student's t has no fourth moment, so the uncertainty of the standard deviation of the draws
+cannot be estimated. The rule then does not consider the standard uncertainty. It still considers the ends of the interval, which
+are the values to be validated.
 
-The random numbers of a block follow from the seed and the number of the block. The blocks are evaluated in the order of
-their numbers. Several workers can therefore share the blocks without any effect on the results.
+The random numbers of a block depend only on the seed and the number of the block. The results of the blocks are used in the order
+of their numbers. Several workers can therefore share the blocks without an effect on the results.
 """
 
 from __future__ import annotations
@@ -35,8 +37,8 @@ a function of a module, or a `partial` of one."""
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Monte Carlo result for one coefficient. low, high: ends of the probabilistically symmetric interval; shortest: the shortest
-    interval."""
+    """The Monte Carlo result for one coefficient. low, high: ends of the probabilistically symmetric interval; shortest: ends of
+    the shortest interval."""
 
     mean: float
     standard_deviation: float
@@ -47,9 +49,10 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Propagated:
-    """Result of a propagation of distributions. intervals: one for each coefficient. draws: number of draws. stabilised: True if
-    the results stabilised before the largest number of draws was reached. spread: (m,), half-width of the 95 % confidence interval
-    of the ends of the intervals (Student's t over the blocks), the larger of the two ends; infinite for a single block."""
+    """The result of a propagation of distributions. intervals: the result for each coefficient. draws: number of draws that were
+    made. stabilised: True if the results stabilised before the largest number of draws was reached. spread: (m,), half-width of the
+    95 % confidence interval for the ends of each coefficient's interval (Student's t over the blocks); the larger of the values for
+    the two ends. Infinite if there is only one block."""
 
     intervals: tuple[Interval, ...]
     draws: int
@@ -59,8 +62,8 @@ class Propagated:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Validation by clause 8 for one coefficient. low, high: distances of the ends of value ± U from the ends of the Monte Carlo
-    interval; tolerance: δ of clause 8."""
+    """The result of the validation by clause 8 for one coefficient. low, high: distances between the ends of value ± U and the ends
+    of the Monte Carlo interval; tolerance: the tolerance δ of clause 8."""
 
     low: float
     high: float
@@ -80,12 +83,12 @@ def propagate(
     heavy: Sequence[bool] = (),
     workers: Workers = ALONE,
 ) -> Propagated:
-    """Makes draws in blocks until the results have stabilised, or until `most` draws are made. A result has stabilised when twice
-    the standard deviation of its average over the blocks is below its tolerance. The results are mean, standard deviation and both
-    ends of the interval.
+    """Makes draws in blocks until the results have stabilised, or until `most` draws have been made. A result has stabilised when
+    twice the standard deviation of its average over the blocks is smaller than its tolerance. The results are the mean, the
+    standard deviation and the two ends of the interval.
 
-    tolerances: (m,), in the coefficients' units; heavy: (m,), True for coefficients whose standard deviation the rule omits.
-    workers: processes that share the blocks; the same seed gives the same digits for any number of workers.
+    tolerances: (m,), in the units of the coefficients; heavy: (m,), True for coefficients whose standard deviation need not
+    stabilise. workers: processes that share the blocks; with the same seed, the digits are the same for any number of workers.
     """
     limit = np.asarray(tolerances, dtype=float)
     light = ~np.asarray(heavy, dtype=bool) if len(heavy) else np.ones(len(limit), dtype=bool)
@@ -111,13 +114,13 @@ def propagate(
 
 
 def _of_averages(found: Sequence[Array]) -> Array:
-    """Standard deviations of the averages of the results over the blocks."""
+    """The standard deviations of the averages of the results over the blocks."""
     return np.asarray(np.std(found, axis=0, ddof=1) / math.sqrt(len(found)))
 
 
 def _block(draw: Draws, probability: float, seed: int, number: int) -> tuple[Array, Array]:
-    """The draws of a block (m, BLOCK), and their mean, standard deviation and ends of the interval (4, m). One thread computes, because
-    the digits of products may depend on the number of threads."""
+    """The draws (m, BLOCK) of one block, and their mean, standard deviation and two ends of the interval (4, m). Only one thread
+    computes, because the last digits of matrix products may depend on the number of threads."""
     from threadpoolctl import threadpool_limits
 
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
@@ -127,7 +130,7 @@ def _block(draw: Draws, probability: float, seed: int, number: int) -> tuple[Arr
 
 
 def numerical_tolerance(standard_uncertainty: float, digits: int) -> float:
-    """The tolerance δ = ½·10^l for u = c·10^l, where c is an integer of `digits` digits (JCGM 101:2008, 7.9.2)."""
+    """The tolerance δ = ½·10^l for an uncertainty u = c·10^l, where c is an integer with `digits` digits (JCGM 101:2008, 7.9.2)."""
     if not (standard_uncertainty > 0 and math.isfinite(standard_uncertainty)):
         return 0.0
     power = math.floor(math.log10(standard_uncertainty)) - digits + 1
@@ -137,13 +140,13 @@ def numerical_tolerance(standard_uncertainty: float, digits: int) -> float:
 
 
 def validate(value: float, expanded: float, found: Interval, tolerance: float) -> Validation:
-    """Compares value ± expanded with the probabilistically symmetric interval of Monte Carlo (JCGM 101:2008, 8.1)."""
+    """Compares the interval value ± expanded with the probabilistically symmetric interval of Monte Carlo (JCGM 101:2008, 8.1)."""
     return Validation(abs(value - expanded - found.low), abs(value + expanded - found.high), tolerance)
 
 
 def influence_draws(influences: Sequence[Influence], m: int) -> Draws:
-    """First-order contributions of the inputs to m coefficients, drawn from the distributions of the inputs. Inputs that the scatter
-    already contains are omitted.
+    """Draws the first-order contributions of inputs to m coefficients from the distributions of the inputs. Inputs that the scatter
+    of the data already contains are left out. Inputs that the scatter already contains are omitted.
 
     Normal inputs are drawn together from their joint covariance.
     """
@@ -164,11 +167,11 @@ def _influences(root: Array, others: Sequence[Influence], rng: np.random.Generat
 def t_draws(
     covariance: Array, degrees_of_freedom: Sequence[float] | Array, variances: Sequence[int] | None = None
 ) -> Draws:
-    """Draws of m coefficients about zero: jointly normal with `covariance` (m, m), scaled to Student's t with the degrees of freedom of
-    each coefficient (JCGM 101:2008, 6.4.9.2).
+    """Draws m coefficients about zero. They are jointly normal with the covariance (m, m), and are scaled to Student's t with the
+    degrees of freedom of each coefficient (JCGM 101:2008, 6.4.9.2).
 
-    variances: (m,), index of the estimated variance behind each coefficient; coefficients with the same variance share the scale.
-    By default, coefficients with the same degrees of freedom share the scale.
+    variances: (m,), index of the estimated variance on which each coefficient depends; coefficients that depend on the same
+    variance have the same scale. By default, coefficients with the same degrees of freedom have the same scale.
     """
     root = square_root(np.asarray(covariance, dtype=float))
     freedoms = np.asarray(degrees_of_freedom, dtype=float)
@@ -180,8 +183,8 @@ def t_draws(
 def _scaled_to_t(
     root: Array, groups: Sequence[tuple[NDArray[np.intp], float]], rng: np.random.Generator, n: int
 ) -> Array:
-    """Jointly normal draws, in which the rows of each group are scaled to Student's t. groups: rows that share one estimated
-    variance, with its degrees of freedom."""
+    """Jointly normal draws; the rows of each group are scaled to Student's t. groups: rows that depend on one estimated variance,
+    together with its degrees of freedom."""
     values = root @ rng.standard_normal((root.shape[1], n))
     for rows, freedom in groups:
         scale = t_scale(rng, freedom, n)
@@ -191,7 +194,7 @@ def _scaled_to_t(
 
 
 def about(centre: Array, *parts: Draws) -> Draws:
-    """Sums of independent draws about zero, moved to the values `centre` (m, 1)."""
+    """Adds independent draws about zero to the values `centre` (m, 1)."""
     return partial(_about, centre, parts)
 
 
@@ -203,13 +206,13 @@ def _about(centre: Array, parts: Sequence[Draws], rng: np.random.Generator, n: i
 
 
 def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:
-    """The factors √(ν/χ²) for n draws. Normal draws multiplied by them follow Student's t."""
+    """The factors √(ν/χ²) for n draws. Normal draws follow Student's t after multiplication by these factors."""
     return np.asarray(np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, n)))
 
 
 def square_root(covariance: Array) -> Array:
-    """A matrix L with L·Lᵀ = covariance (m, m); the covariance may be singular. L is computed from the eigenvectors of the
-    correlation matrix, so that units do not matter."""
+    """A matrix L for which L·Lᵀ is the covariance (m, m), which may be singular. L is computed from the eigenvectors of the
+    correlation matrix, so that the units of the quantities do not matter."""
     size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / (size[:, None] * size))
@@ -222,7 +225,8 @@ def _infinite(quantity: InputQuantity) -> bool:
 
 
 def _inputs(quantity: InputQuantity, rng: np.random.Generator, r: int, n: int) -> Array:
-    """Draws of r inputs about their value, (r, n), from the distributions of JCGM 101:2008, 6.4, with their standard uncertainty."""
+    """Draws (r, n) of r inputs about their value, from the distributions of JCGM 101:2008, 6.4, scaled to their standard
+    uncertainty."""
     u = quantity.standard_uncertainty
     match quantity.distribution:
         case "rectangular":
@@ -237,7 +241,7 @@ def _inputs(quantity: InputQuantity, rng: np.random.Generator, r: int, n: int) -
 
 
 def _ends(values: Array, probability: float) -> tuple[Array, Array]:
-    """Ends of the probabilistically symmetric interval of each row (JCGM 101:2008, 7.7.2)."""
+    """The ends of the probabilistically symmetric interval in each row (JCGM 101:2008, 7.7.2)."""
     below, above = _places(values.shape[1], probability)
     parted = np.partition(values, (below, above), axis=1)
     return parted[:, below], parted[:, above]
@@ -250,7 +254,7 @@ def _places(n: int, probability: float) -> tuple[int, int]:
 
 
 def _interval(row: Array, probability: float) -> Interval:
-    """The interval of one coefficient. row: (n,), sorted draws."""
+    """The Monte Carlo result for one coefficient. row: (n,), sorted draws."""
     below, above = _places(len(row), probability)
     width = above - below
     start = int(np.argmin(row[width:] - row[: len(row) - width]))

@@ -1,4 +1,4 @@
-"""Uncertainties stated in bench and plan: the type B inputs of budgets, each with its source and calibration date."""
+"""Uncertainties that the bench and the plan state: the type B inputs of budgets, each with its source and calibration date."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TYPICAL_DEVIATION = 5 * ARCSEC
 
 
 def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, MountedAxis]) -> Inputs:
-    """The quantities stated with an uncertainty, by the names listed in `Inputs`."""
+    """The quantities for which the bench or the plan states an uncertainty; `Inputs` lists their names."""
     found = [*_site(bench), *_mounting(bench, mounting)]
     for name, entry in bench.instruments.items():
         role, source, day = driver_of(entry).role, _source(name, entry), _day(entry.calibration)
@@ -43,7 +43,7 @@ def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, Moun
 
 
 def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
-    """A note for each instrument of a real bench whose stated uncertainties have no calibration."""
+    """Adds a note for each instrument of a real bench that has stated uncertainties but no calibration."""
     if runs_on_virtual_clock(bench):
         return
     table, chamber = models.table, models.chamber
@@ -59,8 +59,8 @@ def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 
 def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
-    """Warns if the bench does not state which kind of latitude it gives, although the uncertainty of the latitude is smaller than
-    usual deviations of the vertical."""
+    """Adds a warning if the bench does not state whether its latitude is astronomic or geodetic, although the uncertainty of the
+    latitude is smaller than usual deviations of the vertical."""
     site, simulated = bench.site, bench.simulation is not None or (runs_on_virtual_clock(bench) and not models.replays)
     u = site.latitude.standard_uncertainty
     if simulated or site.latitude_kind is not None or site.deviation_of_vertical is not None:
@@ -75,7 +75,7 @@ def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 
 def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated: str = "") -> InputQuantity:
-    """A quantity as stated in a file. si: SI-coherent unit of the quantity."""
+    """Makes an input quantity from a quantity in a file. si: SI-coherent unit in which the value is given."""
     return InputQuantity(
         name,
         stated.value,
@@ -126,16 +126,16 @@ def _table(table: TableModel, source: str, day: str) -> Iterator[InputQuantity]:
 
 
 def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """Uncertainty of the chamber: the air temperature is anywhere within the tolerance. The uncertainty of the thermometer is a
-    separate input."""
+    """The uncertainty of the temperature in the chamber. It combines the tolerance, within which the temperature of the air can be
+    anywhere, and the declared uncertainty of the air temperature."""
     width = math.hypot(chamber.tolerance / math.sqrt(3), chamber.temperature_uncertainty)
     shape = "normal" if chamber.temperature_uncertainty else "rectangular"
     yield InputQuantity("temperature", 0.0, "K", width, distribution=shape, source=source, calibrated=day)
 
 
 def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """Uncertainties of the outputs: the resolution as ± half a count (JCGM 100:2008, F.2.2.1), and the flicker by its coefficient,
-    in the unit of the output."""
+    """The uncertainties of the outputs: half a count on either side for the resolution (JCGM 100:2008, F.2.2.1), and the
+    coefficient of the bias instability for flicker, both in the unit of the output."""
     for output in sensor.outputs:
         yield InputQuantity(
             Aspect.BIAS_INSTABILITY.of(output.name),
