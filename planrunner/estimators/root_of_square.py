@@ -1,4 +1,5 @@
-"""A quantity whose square is estimated from the data, such as a noise coefficient or a component of variance, with its uncertainty."""
+"""Computes a quantity whose square is estimated from the data, such as a noise coefficient or a component of variance, with its
+uncertainty."""
 
 from __future__ import annotations
 
@@ -6,12 +7,12 @@ import math
 
 
 def root_of(square: float, spread: float) -> tuple[float, float]:
-    """The quantity and its standard uncertainty, from an estimate of its square, which can be negative, and the standard uncertainty of
-    the square.
+    """The quantity and its standard uncertainty, computed from an estimate of its square and the standard uncertainty of this
+    square. The estimate of the square may be negative.
 
-    The interval of the square, ± two standard uncertainties, is converted to an interval of the quantity. The uncertainty is half
-    of the distance from the quantity to the farther end of this interval. The result equals that of the linear rule if the square
-    is well known, and stays finite if it is not.
+    An interval of ± two standard uncertainties about the square is converted to an interval of the quantity. The uncertainty is
+    half of the distance from the quantity to the farther end of this interval. If the square is well known, the result equals that
+    of linear propagation; if it is not, the uncertainty still remains finite.
     """
     square = max(0.0, square)
     value = math.sqrt(square)

@@ -1,7 +1,7 @@
-"""Scale factor and bias from a straight line through the outputs at several rates: F = K·ω + F0, with nonlinearity and asymmetry
-(wording of IEEE 952 and 1431).
+"""Fits a straight line to outputs at several rates, F = K·ω + F0, which gives scale factor and bias, with nonlinearity and
+asymmetry (terms of IEEE 952 and 1431).
 
-Any output may be named: for a cross-axis output, the slope is its misalignment to the rotation axis.
+Any output may be named: for a cross-axis output, the slope gives its misalignment to the rotation axis.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ TERMS = ("offset", "rate")
 
 
 class ScaleFactorParameters(Record):
-    """Keys of the estimator scale_factor."""
+    """The keys of the estimator `scale_factor`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
@@ -89,7 +89,8 @@ class ScaleFactorParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineQuantities(Quantities):
-    """The fitted lines. rates: (n,), rad/s. common: True if the plan states an error that is common to all rates."""
+    """The fitted lines of all outputs. rates: (n,), rad/s, rates of the segments. common: True if the plan states an error that all
+    rates have in common."""
 
     observations: Observations
     rates: Array
@@ -98,14 +99,14 @@ class LineQuantities(Quantities):
 
 
 class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
-    """The estimator `scale_factor`."""
+    """The estimator with the name `scale_factor`."""
 
     name = "scale_factor"
     summary = "Scale factor, bias, nonlinearity and asymmetry from recordings at known rates"
     Parameters = ScaleFactorParameters
 
     def design(self, request: DesignRequest[ScaleFactorParameters]) -> Design:
-        """Checks the line through the planned rates for each output. Raises `EstimationError`."""
+        """Checks, for each output, whether the planned rates determine a line. Raises `EstimationError`."""
         rates = _rates(request.segments)
         matrix, magnitudes = line_through(rates)
         names = request.parameters.outputs or tuple(output.name for output in request.sensor.outputs)
@@ -158,7 +159,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         return _found(request, observations, rates, fit)
 
     def words(self, request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> Words:
-        """Makes the tables and plots of means and residuals by rate."""
+        """Makes the tables and plots of the means and residuals against the rate."""
         parameters = request.parameters
         observations, rates, fit = found.observations, found.rates, found.fit
         rate = rate_and_output(parameters.rate_unit, observations.units[0])[0]
@@ -197,7 +198,7 @@ _ALONG = 0.5  # share of the rate along an output's axis from which its slope is
 
 
 def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[AxisResponse]:
-    """The responses of the outputs that measure a rate along a known axis, if all segments turn about this axis."""
+    """The responses of outputs whose unit is a rate, if their input axis is near the axis about which all segments turn."""
     segments = [one.segment for one in request.segments if isinstance(one.segment.motion, Spin)]
     shares = shares_by_name(segments, request.setup.mounting, found.observations.channels)
     rows = []
@@ -275,7 +276,7 @@ def _found(
 
 
 def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """Influences of the stated error of each commanded rate on outputs with the slopes `slopes` (m,)."""
+    """Errors of the outputs due to the stated error of each commanded rate. slopes: (m,), slopes of the outputs."""
     stated = request.setup.inputs.get("table rate")
     return rate_errors(stated, np.outer(slopes, rates), rates) if stated else ()
 
@@ -283,7 +284,7 @@ def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates:
 def _common(
     request: EstimateRequest[ScaleFactorParameters], functionals: Array, coefficients: Array, rates: Array
 ) -> tuple[Influence, ...]:
-    """Influence of the error that is common to all rates, as declared in the plan, such as an error of the table's clock. This
+    """The influence of an error that all rates have in common and that the plan states, such as an error of the table's clock. This
     error changes the slope and causes no scatter.
 
     functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); coefficients: (m, 2), coefficients of the lines.
@@ -293,8 +294,8 @@ def _common(
         return ()
 
     def answered(moved: Array) -> Array:
-        """Change of the fitted coefficients. The outputs stay the same, so a change of their expected values changes the fit with the
-        opposite sign."""
+        """The changes of the fitted coefficients for changed rates. The outputs do not change, so a change of their expected values
+        changes the fit with the opposite sign."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])
@@ -303,10 +304,11 @@ def _common(
 def _metrics(
     name: str, rates: Array, observations: Observations, k: int, fit: OutputsFit, basis: str
 ) -> list[tuple[Coefficient, Array]]:
-    """Pairs of a coefficient and its sensitivity to the means of the output, (n,).
+    """For one output, pairs of a coefficient and its sensitivities (n,) to the means of the output.
 
-    Nonlinearity [ppm]: largest residual divided by the largest output. Asymmetry [ppm]: 2·(K₊ − K₋)/(K₊ + K₋), from the slopes of
-    two half-lines that meet at zero rate. The asymmetry needs rates of both signs and three different rates."""
+    The nonlinearity [ppm] is the largest residual divided by the largest output. The asymmetry [ppm] is 2·(K₊ − K₋)/(K₊ + K₋),
+    where K₊ and K₋ are the slopes of two half-lines that meet at zero rate. The asymmetry requires rates of both signs and three
+    different rates."""
     one, (matrix, _) = fit.fits[k], line_through(rates)
     observed = fit.observed(k, basis)
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0

@@ -1,8 +1,8 @@
-"""What an estimate does with the bad samples that the screening found in its samples.
+"""Makes an estimate from segments in which the screening has found bad samples.
 
 The key `outliers` of the plan decides whether the estimate is made without the bad samples, with them, or not at all.
 
-If an estimate omits bad samples, it is compared with the estimate that uses them. The report then states the difference.
+If the bad samples are left out, the report states how the estimate changes if they are used.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SILENT = (FindKind.LOST,)  # the gaps in time have a warning of their own
 def estimated(
     segments: Sequence[RecordedSegment], outliers: str, estimate: Callable[[tuple[RecordedSegment, ...]], Estimate]
 ) -> tuple[Estimate, tuple[RecordedSegment, ...]]:
-    """The estimate as the option `outliers` requires, with its warnings and tables, and the segments that were used.
+    """The estimate as the option `outliers` requires it, with its warnings and tables; and the segments that were used.
 
     Raises the `EstimationError` of the estimator, and `UnfitDataError` if there are bad samples and the plan refuses them.
     """
@@ -79,7 +79,7 @@ def _effect(
     estimate: Callable[[tuple[RecordedSegment, ...]], Estimate],
     segments: Sequence[RecordedSegment],
 ) -> tuple[Said, tuple[Table, ...]]:
-    """The difference between the estimates with and without the bad samples, in a sentence and as a table."""
+    """A sentence and a table about the difference between the estimates with and without the bad samples."""
     try:
         other = {item.name: item for item in estimate(tuple(segments)).coefficients}
     except EstimationError as error:
@@ -136,7 +136,8 @@ def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Tab
 
 
 def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Inserted:
-    """The longest findings of the screening, each with kind, segment, channel and time, and the number of further findings."""
+    """A text that lists the longest findings of the screening, each with kind, segment, channel and time, and states how many more
+    there are."""
     ordered = sorted(found, key=lambda item: -item[1].rows)
     texts = tuple(_find(recorded, one) for recorded, one in ordered[:NAMED])
     more = len(ordered) - NAMED

@@ -1,10 +1,10 @@
-"""How errors of the declared inputs of site and table change the observations of a linear model. Each input is changed a little,
-and the model is evaluated again.
+"""Computes how errors of declared inputs (latitude, gravity, and errors of the table) change the observations of a linear model.
+Each input is changed by a small amount, and the model is evaluated again.
 
-Latitude and gravity change the columns of the model. Latitude and gravity cause no scatter between segments, so their contribution
-is added to that of the data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause
-scatter, so they belong to the weights of a fit (`correlated_errors`). The sign of a change is the sign for a stated value that is
-too large. For positions, the sign is that of the rotation error.
+Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to the
+contribution of the data. Errors of positions, azimuth, right angles between the table's axes, and rates differ between segments and
+cause scatter, so they are included in the weights of a fit (`correlated_errors`). The sign of a change is the sign for an input
+that is stated too large. For positions, the sign is that of the rotation error itself.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ _STEP = 1e-4  # of an input; central differences of terms up to the second degre
 
 
 def mean_poses(segments: Sequence[Segment]) -> Poses:
-    """The attitudes of the segments, for averages over the time of the recording. Spins count as whole turns, because the angle at
-    which recording begins is not known."""
+    """The attitudes of the segments, averaged over the time of the recording. A spin is averaged over whole turns, because the
+    angle at which the recording begins is not known."""
     return Poses.of(segments, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
 
 
 def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
-    """The mean stimulus of the segments. Spins count as whole turns."""
+    """The mean stimulus of the segments. A spin is averaged over whole turns."""
     return mean_poses(segments).felt(site)
 
 
 def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
-    """Latitude and gravity, if they are stated with an uncertainty. The azimuth is not included, because it rotates the sensor on the
-    table but does not change the site."""
+    """Latitude and gravity as conditions that can be changed, if they are stated with an uncertainty. The azimuth is not included,
+    because it rotates the sensor on the table but does not change the site."""
     if latitude := inputs.get("latitude"):
         yield StatedCondition.single(latitude, lambda by: replace(site, latitude=site.latitude + by))
     if gravity := inputs.get("gravity"):
@@ -59,9 +59,10 @@ def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
 def site_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Influences of latitude and gravity, if they are stated with an uncertainty. An error of these values changes the expected
-    outputs, not the readings. An expected output that is too large has the same effect as a reading that is too small.
-    coefficients: (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each column."""
+    """The errors of observations due to latitude and gravity, if these are stated with an uncertainty. An error of latitude or
+    gravity changes the expected outputs, not the readings. An expected output that is too large has the same effect as a reading
+    that is too small. coefficients: (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each
+    column."""
     stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()
@@ -73,7 +74,7 @@ def site_errors(
 
 
 def _site_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, stated: tuple[InputQuantity, ...]) -> Array:
-    """Change of the model's columns per unit of each of r stated inputs of the site, (r, n, p)."""
+    """The changes (r, n, p) of the model's columns per unit of each of r inputs of the site (latitude, gravity)."""
     held = Poses(*poses)
 
     def felt(at: Site) -> Array:
@@ -90,7 +91,7 @@ _site_slopes_of_motion = kept(64)(_site_slopes)
 def table_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """The errors of the table for which the bench states an uncertainty.
+    """The errors of observations due to errors of the table for which the bench states an uncertainty.
 
     coefficients: (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each column.
     """
@@ -116,8 +117,9 @@ def table_errors(
 
 
 def _table_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, table: TableModel | None) -> Array:
-    """Change of the model's columns per unit of each of r inputs, (r, n, p). The inputs are a rotation about each site axis, the angle
-    between each pair of neighbouring axes (for a table at rest that reaches the poses), the azimuth, and the rate."""
+    """The changes (r, n, p) of the model's columns per unit of each of r inputs of the table. These inputs are a rotation about
+    each site axis; the angle between each pair of neighbouring axes, if the table is at rest and can reach the attitudes; the
+    azimuth; and the rate."""
     held = Poses(*poses)
     felt = held.felt(site)
     both = np.array((felt.omega, felt.specific_force))
@@ -136,7 +138,7 @@ _table_slopes_of_motion = kept(64)(_table_slopes)
 
 
 def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array | float = 0.0) -> Array:
-    """Change of the model's columns per unit of each of r inputs, (r, n, p).
+    """The changes (r, n, p) of the model's columns per unit of each of r inputs.
 
     moves: (2, r, n, 3), change of angular rate and specific force per unit of each input; table_rate: (r, n), change of the table's
     rate per unit of each input.
@@ -159,14 +161,14 @@ def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array 
 
 
 def _followed(slopes: Array, coefficients: Array) -> Array:
-    """Change of the observations of m outputs per unit of each of r inputs, (m, n, r), from `slopes` (r, n, p) and `coefficients`
-    (m, p)."""
+    """The changes (m, n, r) of the observations of m outputs per unit of each of r inputs, computed from `slopes` (r, n, p) and
+    `coefficients` (m, p)."""
     return np.asarray(np.einsum("mp,rnp->mnr", coefficients, slopes))
 
 
 def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """Influences of a relative error of each commanded rate. The error is the same for all segments with the same rate. The result
-    is empty if the table never rotates.
+    """The errors of observations due to a relative error of each commanded rate. The error is the same for all segments with the
+    same rate. The result is empty if the table never rotates.
 
     moved: (m, n), change of the observations per relative change of the rate of each segment; rates: (n,), rad/s.
     """
@@ -179,32 +181,33 @@ def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[Co
 
 
 def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
-    """The error that is common to all rates, as the plan states it for an estimate."""
+    """The error that all rates of an estimate have in common, as the plan states it."""
     source = f"plan estimates.{estimate}.rate_uncertainty"
     width = stated.value if stated else 0.0
     return InputQuantity("table rate, common", 0.0, "1", width, source=source, shown="ppm", shown_factor=1e-6)
 
 
 def rate_part(rate: float) -> str:
-    """Name of the error of one commanded rate [rad/s]. The same name is used wherever this error acts."""
+    """The name of the error of one commanded rate [rad/s]. This error has the same name wherever it acts."""
     return f"{np.degrees(rate):.9g} deg/s"
 
 
 def pair_parts(table: TableModel) -> tuple[str, ...]:
-    """Names of the orthogonality errors between neighbouring axes of a table."""
+    """The names of the orthogonality errors between neighbouring axes of a table."""
     return tuple(f"{one.name} and {other.name}" for one, other in zip(table.axes, table.axes[1:], strict=False))
 
 
 def orthogonality_tilts(
     axes: Sequence[TableAxis], attitudes: Sequence[Array | None], azimuth: float
 ) -> tuple[Array, ...]:
-    """Rotation of the sensor if two neighbouring axes of a table are not at right angles: for each pair of axes, a tilt vector at n
-    attitudes, (n, 3), rad per rad of deviation.
+    """How the sensor tilts if two neighbouring axes of a table are not at right angles: for each pair of axes, a tilt vector (n, 3)
+    at n attitudes, in rad per rad of deviation from the right angle.
 
     For a deviation of 1 rad, a vector v in the sensor's axes becomes v + tilt × v. A deviation turns the inner axis of the pair
-    about c = outer × inner. The tilt is zero at the position where the table is aligned. At joint angle q of the inner axis, the
-    tilt is therefore c − R(inner, −q)·c in the frame of that axis. The joints farther inside transform the tilt into the sensor's
-    axes. The joints move from one attitude to the next by the fastest path. Raises `Unreachable`.
+    about c = outer × inner. The tilt is zero at the position where the table is aligned. At a joint angle q of the inner axis, the
+    tilt is therefore c − R(inner, −q)·c in the frame of the inner axis. The rotations of the joints farther inside transform the
+    tilt to the sensor's axes. The joints move from one attitude to the next by the fastest path. Raises `Unreachable` if the table
+    cannot reach an attitude, or if an orientation is unknown.
     """
     if any(attitude is None for attitude in attitudes):
         raise Unreachable("the orientation is unknown")
@@ -235,10 +238,10 @@ def _orthogonality_tilts(
 
 
 def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Array) -> CorrelatedError:
-    """Position errors about each direction at each orientation. The error is the same in all segments that have the same
-    orientation. A position error changes only the component of a vector perpendicular to its direction. Such an error has no effect
-    on an accelerometer that points up, and its full effect on a level accelerometer. moved: (m, n, 3), change of the observations
-    for each direction."""
+    """The errors of observations due to a position error about each direction in each orientation. The error is the same in all
+    segments that have the same orientation. A position error changes only the component of a vector perpendicular to the direction
+    of the error. An accelerometer that points up does not sense it; a level accelerometer senses it fully. moved: (m, n, 3), change
+    of the observations per unit of the position error about each direction."""
     names = list(dict.fromkeys(segment.orientation for segment in segments))
     place = [names.index(segment.orientation) for segment in segments]
     m, n, _ = moved.shape
@@ -258,6 +261,6 @@ def _tilts(table: TableModel | None, attitudes: Array, site: Site) -> Array:
 
 
 def _error(quantity: InputQuantity, changes: Array, parts: tuple[str, ...] = ()) -> CorrelatedError:
-    """A correlated error of the outputs. changes: (m, n, r), change of the n observations of each of m outputs per unit of each of
-    r inputs."""
+    """Makes a correlated error of the outputs. changes: (m, n, r), change of the n observations of each of m outputs per unit of
+    each of r inputs."""
     return CorrelatedError(quantity, dict(enumerate(changes)), parts)

@@ -1,4 +1,4 @@
-"""The tables and plots that reports show: of estimates, design studies, diagnoses and histories."""
+"""Defines the tables and plots that reports show, for estimates, design studies, diagnoses and histories."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from planrunner.base.dataclass import dataclass
 
 
 class Role(StrEnum):
-    """Kind of the cells of a column. Reports use the role, never the title, to round, align and format cells.
+    """The kind of the cells in a column. Reports use the role, never the title of a column, to round, align and format its cells.
 
-    A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits if there is no such column; a
-    `NUMBER` is set or stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is
+    A `VALUE` is rounded according to the first uncertainty column to its right, and shown with five digits if there is no such
+    column. A `NUMBER` is set or stated, and has no uncertainty. A `SHARE` is a fraction of 1 that is shown in percent. A `LABEL` is
     text.
     """
 
@@ -38,8 +38,8 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TableColumn:
-    """A column of a table. unit: unit of all cells, shown beside the title; empty if there is none, or if the unit differs between
-    rows."""
+    """A column of a table. unit: unit of all cells, which is shown beside the title; empty if there is no unit, or if it differs
+    between rows."""
 
     title: str
     role: Role = Role.LABEL
@@ -55,7 +55,7 @@ Cell = str | float | None
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table for readers. rows: each row has one cell per column. terminal: True if the terminal shows the table too."""
+    """A table for readers. rows: the rows, each with one cell per column. terminal: True if the terminal also shows the table."""
 
     title: str
     columns: tuple[TableColumn, ...]
@@ -72,7 +72,7 @@ FilledColumn = tuple[TableColumn, Iterable[Cell] | Array]
 
 
 def by_columns(title: str, *columns: FilledColumn) -> Table:
-    """Makes a table from columns, each given with its cells."""
+    """Makes a table from columns, each of which is given with its cells."""
     cells = [values.tolist() if isinstance(values, np.ndarray) else values for _, values in columns]
     return Table(title, tuple(column for column, _ in columns), tuple(zip(*cells, strict=True)))
 
@@ -84,9 +84,10 @@ def known(values: Array) -> list[float | None]:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A plot of points for readers. series: name → values, one for each label or number of `x`; uncertainties: name → standard
-    uncertainties of the values, which may be missing. log: True if both axes are logarithmic; values that are not positive are then
-    not shown. lines: True if the values are drawn as lines over x, without points.
+    """A plot of points for readers. series: maps the name of each series to its values, one for each label or number of `x`;
+    uncertainties: maps names of series to the standard uncertainties of the values; a series may lack them. log: True if both axes
+    are logarithmic; values that are not positive are then left out. lines: True if the values are drawn as lines over `x`, without
+    points.
     """
 
     title: str

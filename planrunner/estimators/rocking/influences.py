@@ -113,7 +113,7 @@ def _installed(conditions: RockingConditions, k: int, by: float) -> RockingCondi
 
 
 def _coefficients(runs: Runs, combined: CombinedDrifts, each: Sequence[RockingConditions]) -> Array:
-    """The k coefficients under m conditions, shape (m, k)."""
+    """The k resulting coefficients under each of m conditions, shape (m, k)."""
     total = np.zeros((len(each), len(combined.axes)))
     for share, state in zip(combined.shares, runs, strict=True):
         for four in state:
@@ -129,7 +129,8 @@ def _drifts_of_variants(conditions: RockingConditions, each: Sequence[ReducedRun
 
 
 def _portions(each: Sequence[T], reduced: ReducedRun) -> Iterator[Sequence[T]]:
-    """Splits a list of conditions or of variants of a run, so that little memory is needed even if the windows have many samples."""
+    """Splits a list of conditions, or of variants of a run, into parts, so that little memory is needed even if the windows have
+    many samples."""
     size = max(1, AT_ONCE // max(len(reduced.first.time), len(reduced.second.time)))
     for first in range(0, len(each), size):
         yield each[first : first + size]
@@ -185,13 +186,13 @@ def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedConditi
 
 
 def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The run if the reading of one accelerometer is larger by `by` in the second window than in the first."""
+    """A variant of the run, in which the reading of one accelerometer is larger by `by` [m/s^2] in the second window."""
     second = reduced.second
     return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
 
 
 def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The run if the element drifts additionally at the rate `by` [rad/s] about one of its axes."""
+    """A variant of the run, in which the element also drifts at the rate `by` [rad/s] about one of its axes."""
     second, vector = reduced.second, by * reduced.seconds * np.eye(3)[axis]
     readings = second.readings @ turned_by(vector[None])[0].T
     turn = None if second.turn is None else second.turn + vector
@@ -199,16 +200,15 @@ def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
 
 
 def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """The run if the attitude from the encoders rotates by the angle `by` from the first window to the second, although the element
-    does not rotate."""
+    """A variant of the run, in which the attitude from the encoders is wrong by the angle `by` [rad] in the second window."""
     second = reduced.second
     assert second.turn is not None
     return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))
 
 
 def _noise(request: Request) -> float:
-    """Standard deviation, due to the white noise of the noisiest accelerometer, of the difference between two windows after the
-    filter [m/s^2]."""
+    """The standard deviation [m/s^2] of the difference between two windows after the filter, due to the white noise of the noisiest
+    accelerometer."""
     parameters = request.parameters
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     declared = [request.sensor.output(name) for name in parameters.accelerometers]
@@ -217,7 +217,7 @@ def _noise(request: Request) -> float:
 
 
 def azimuth_uncertainty(request: Request) -> InputQuantity | None:
-    """Uncertainty of the element's azimuth at t0 in one run; None if it is not stated."""
+    """The uncertainty of the element's azimuth at t0 in one run; None if it is not stated."""
     parameters = request.parameters
     if parameters.azimuth_uncertainty is not None:
         value, source = parameters.azimuth_uncertainty.value, "plan azimuth_uncertainty"
@@ -229,7 +229,7 @@ def azimuth_uncertainty(request: Request) -> InputQuantity | None:
 
 
 def resolution(request: Request, parameters: RockingDriftParameters) -> float:
-    """One count of the coarsest accelerometer [m/s^2], as declared in the bench file; 0 without a declaration."""
+    """The largest count of all accelerometers [m/s^2], as declared in the bench file; 0 if none is declared."""
     counts = [0.0]
     for name in parameters.accelerometers:
         output = request.sensor.output(name)

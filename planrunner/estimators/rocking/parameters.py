@@ -1,4 +1,4 @@
-"""Keys of the estimator rocking_drift."""
+"""The plan keys of the estimator of rocking drifts."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def _angle(description: str, example: str) -> Any:
 
 
 class Installation(Record):
-    """Installation angles of the accelerometers: each is a right-handed rotation of an input axis about another axis of the
-    element."""
+    """Installation angles of the accelerometers. Each angle is a right-handed rotation of an accelerometer's input axis about
+    another axis of the element."""
 
     xz: Quantity = _angle("Q_xz, x accelerometer about z.", "12 arcsec ± 2 arcsec")
     xy: Quantity = _angle("Q_xy, x accelerometer about y.", "-8 arcsec ± 2 arcsec")
@@ -28,7 +28,7 @@ class Installation(Record):
     zx: Quantity = _angle("Q_zx, z accelerometer about x.", "14 arcsec ± 2 arcsec")
 
     def stated(self) -> dict[str, Quantity]:
-        """The stated angles: name → quantity, in the order in which `RockingConditions` expects them."""
+        """The stated angles as a mapping from name to quantity, in the order in which `RockingConditions` expects them."""
         return {"xz": self.xz, "xy": self.xy, "yz": self.yz, "yx": self.yx, "zy": self.zy, "zx": self.zx}
 
     def angles(self) -> Array:
@@ -42,7 +42,7 @@ def _channels(description: str, names: tuple[str, ...], least: int) -> Any:
 
 
 class RockingDriftParameters(Record):
-    """Keys of the estimator rocking_drift."""
+    """The keys of the estimator `rocking_drift`."""
 
     release: Quantity = key(
         QuantityOf("time", "positive"),
@@ -144,5 +144,5 @@ class RockingDriftParameters(Record):
     pairing_seed: int = key(Number(0, 2**31, integer=True), "Seed of the draw.", 1, default=1)
 
     def second(self, end: float) -> float:
-        """The time t1 [s] if the records last until `end` [s]."""
+        """The time t1 [s] at which the second window begins, for records that last until `end` [s]."""
         return end - self.window.value if self.second_window is None else self.second_window.value

@@ -1,4 +1,5 @@
-"""Tables, plots and sentences of the report on a rocking test: comparison of the two methods, and the limits of the gravity method."""
+"""Makes the tables, plots and sentences of the report on a rocking test: comparison of the two methods, and the limits of the
+gravity method."""
 
 from __future__ import annotations
 
@@ -70,7 +71,7 @@ def sentence(pairings: Sequence[Pairings]) -> Said:
 
 
 def quadruple_table(states: Sequence[StateDrifts]) -> Table:
-    """Table of step 6 (rocking drift) for each quadruple."""
+    """A table of the rocking drift (step 6) of each quadruple of runs."""
     rows = []
     encoders = states[0].drifts.shape[2] == 4
     for state in states:
@@ -83,7 +84,7 @@ def quadruple_table(states: Sequence[StateDrifts]) -> Table:
 
 
 def run_table(states: Sequence[StateDrifts]) -> Table:
-    """Table of step 5 (drift) for each run."""
+    """A table of the drift (step 5) of each run."""
     rows = []
     encoders = states[0].drifts.shape[2] == 4
     for state in states:
@@ -99,8 +100,8 @@ def run_table(states: Sequence[StateDrifts]) -> Table:
 
 
 def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Table]:
-    """Table of the drift of dynamic runs before rocking begins, beside the drift of the whole run; empty if no record contains such a
-    time."""
+    """A table of the drift of dynamic runs before rocking begins, beside the drift of the complete run; empty if no record contains
+    a time before rocking."""
     rows = []
     for reduced in (run for state in runs for four in state for run in four):
         before = drift_before_rocking(reduced, conditions)
@@ -120,7 +121,7 @@ def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Tabl
 
 
 def method_error(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Table:
-    """Table of the errors that the drift of one run by the gravity method may have, deg/h."""
+    """A table of the possible errors [deg/h] of the drift of one run by the gravity method."""
     parameters = request.parameters
     gravity = request.site.gravity
     rows = [
@@ -156,7 +157,7 @@ def method_error(request: EstimateRequest[RockingDriftParameters], seconds: floa
 
 
 def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
-    """Plots for each axis: the absolute values of the drifts by both methods, in ascending order."""
+    """One plot for each axis, with the absolute values of the drifts by both methods in ascending order."""
     return [
         Plot(
             f"Rocking drift about {AXES[pairs.axis]} over random pairings",
@@ -174,7 +175,7 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
 
 
 def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Said:
-    """Note on the share of a drift about the vertical axis that appears as a drift about a level axis."""
+    """A note about a drift about the vertical axis: it states the fraction that appears as a drift about a level axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return said(
         "By the second window the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "

@@ -1,12 +1,13 @@
-"""Rocking drift of an inertial platform, determined from the direction of gravity in its accelerometers and, for comparison, from
-gimbal angles.
+"""Estimates the rocking drift of an inertial platform from the direction of gravity, as its accelerometers show it, and for
+comparison from gimbal angles.
 
 The base rocks while the stabilised element should keep its attitude in inertial space. If the element drifts, the direction of
 gravity changes relative to the element. The element is caged before each run, and a run is 10 min of navigation. Four runs form a
-group: static, dynamic, dynamic, static. Groups are recorded in states that differ by a turn of the base by 90°. The steps for each
-run are: (1) low-pass filter, (2) installation angles, (3) tilts, (4) change of the tilts from a window at t0 to a window at t1, (5)
-subtraction of the change that an inertially fixed element would show. Then (6) static runs are subtracted from dynamic runs. The
-module `windows` reads samples, `solution` does steps 2 to 5, and `statistics` does step 6 and the random pairings of runs.
+quadruple: static, dynamic, dynamic, static. Quadruples are recorded in states between which the base is turned by 90°. The steps
+for each run are: (1) low-pass filter, (2) installation angles, (3) tilts, (4) change of the tilts from a window at t0 to a window
+at t1, (5) subtraction of the change that an inertially fixed element would show. In step (6), static runs are subtracted from
+dynamic runs. The module `windows` reads samples, `solution` does steps 2 to 5, and `statistics` does step 6 and makes the random
+pairs of runs.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ UNIT = "deg/h"
 
 
 class RockingDrift:
-    """The estimator `rocking_drift`."""
+    """The estimator with the name `rocking_drift`."""
 
     summary = (
         "Drift of a platform while its base rocks, determined from gravity as measured by its accelerometers, "
@@ -90,8 +91,7 @@ class RockingDrift:
 
     def foresee(self, request: DesignRequest[RockingDriftParameters]) -> Foresight:
         """Predicts the drifts from declared effects that differ from run to run: accelerometer errors, drift, azimuth and ring
-        errors. Runs of several minutes are not simulated. Effects that are common to all runs cancel almost completely and are left
-        out."""
+        errors. Samples are not simulated. Effects that all runs have in common cancel almost completely and are left out."""
         runs = find_runs(request.segments, request.parameters.rotation_order)
         return _foreseen(request, by_state(quadruples(runs)), span(runs))
 
@@ -154,8 +154,8 @@ class RockingDrift:
 
 
 def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParameters) -> Windows:
-    """The windows, which are the same for all runs. The second window lies at the end of the shortest run, unless the plan states
-    its beginning."""
+    """The positions of the windows, which are the same for all runs. The second window is at the end of the shortest run, unless
+    the plan states where it begins."""
     for item in recorded:
         if item.truncated:
             raise UnfitDataError(f"'{item.label}' was cut short: repeat its quadruple")
@@ -192,7 +192,7 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
 
 
 def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, Said | None]:
-    """Whether ring and gimbal angles can be used, and otherwise a warning with the reason."""
+    """Whether ring and gimbal angles can be used, and a warning with the reason if they cannot."""
     parameters = request.parameters
     names = (*parameters.rings, *parameters.gimbals)
     missing = [name for name in names if any(name not in item.units for item in request.segments)]
@@ -296,7 +296,7 @@ def _extra(
 def _foreseen(
     request: DesignRequest[RockingDriftParameters], groups: Sequence[Sequence[Quadruple]], dwell: float | None
 ) -> Foresight:
-    """Predicts the result of a run. dwell: dwell of the shortest run, s; None if it is not known."""
+    """Predicts the results of a rocking test. dwell: dwell of the shortest run, s; None if it is not known."""
     parameters, table = request.parameters, request.setup.table
     recorded = all(request.sensor.output(name) is not None for name in (*parameters.rings, *parameters.gimbals))
     encoders = recorded and table is not None and len(table.axes) == len(parameters.rings)
@@ -322,7 +322,7 @@ def _foreseen(
 
 
 def _name(axis: int, by_gimbals: bool) -> tuple[str, Said]:
-    """Name and description of a drift."""
+    """The name and the description of a drift."""
     letter = AXES[axis]
     if by_gimbals:
         return f"gimbal_drift_{letter}", said("rocking drift about {axis}, from gimbal and ring angles", axis=letter)

@@ -1,4 +1,4 @@
-"""The runs of a rocking test: which segments are static and dynamic runs, and which four runs form a quadruple."""
+"""Finds the runs of a rocking test: which segments are static and dynamic runs, and which four runs form a quadruple."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ WORDS = {False: "static", True: "dynamic"}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run in navigation. place: index of the run among the chosen segments; caged_before: True if the element was caged before
-    the run, None if the segments do not show this."""
+    """One run of the element in navigation. place: index of the run among the chosen segments; caged_before: True if the element
+    was caged before the run, None if the segments do not show this."""
 
     segment: Segment
     place: int
@@ -36,41 +36,41 @@ class Run:
 
     @property
     def planned_lead(self) -> float:
-        """Planned time [s] from the release to the beginning of the record: the settling time, and the part of the fade-in of the
-        rocking that is not recorded."""
+        """The planned time [s] from the release to the start of the record: the settling time, and that part of the fade-in of the
+        rocking which is not recorded."""
         motion = self.segment.motion
         return self.segment.settle + (motion.lead_in if isinstance(motion, Rock) else 0.0)
 
     @property
     def rest_before(self) -> float:
-        """Time [s] from the beginning of the record until the base begins to rock; 0 if the base rocks from the beginning, or
-        never."""
+        """The time [s] from the start of the record until the base begins to rock; 0 if the base rocks from the start, or never."""
         motion = self.segment.motion
         return motion.delay if isinstance(motion, Rock) else 0.0
 
     @property
     def rocking_ends(self) -> float:
-        """Time [s] from the beginning of the record until the rings are at rest, including the fade-out; 0 for a run at rest."""
+        """The time [s] from the start of the record until the rings are at rest, including the fade-out; 0 for a run at rest."""
         motion = self.segment.motion
         return motion.over if isinstance(motion, Rock) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Quadruple:
-    """Four runs: static, dynamic, dynamic, static. Linear changes over the four runs cancel in the rocking drift."""
+    """Four successive runs: static, dynamic, dynamic, static. A change that is linear over the four runs cancels in the rocking
+    drift."""
 
     runs: tuple[Run, Run, Run, Run]
 
     @property
     def name(self) -> str:
-        """Common part of the labels of the runs."""
+        """The part that the labels of the four runs have in common."""
         parts = [run.label.split("/") for run in self.runs]
         common = [words[0] for words in zip(*parts, strict=False) if len(set(words)) == 1]
         return "/".join(common) or f"{self.runs[0].label} …"
 
 
 def find_runs(segments: Sequence[Segment], order: str) -> list[Run]:
-    """The runs among the chosen segments. Raises `EstimationError` for a segment that is not a run of a rocking test."""
+    """Finds the runs among the chosen segments. Raises `EstimationError` for a segment that is not a run of a rocking test."""
     runs = []
     before: Segment | None = None
     for place, segment in enumerate(segments):
@@ -104,8 +104,8 @@ def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Ru
 
 
 def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
-    """Groups of four consecutive runs: static, dynamic, dynamic, static, all in one orientation. Raises `EstimationError` for runs
-    that do not have this order; the message names the first such run."""
+    """Groups four successive runs each: static, dynamic, dynamic, static, all in one orientation. Raises `EstimationError` if runs
+    are not in this order; the message names the first such run."""
     found = []
     for first in range(0, len(runs), 4):
         four = tuple(runs[first : first + 4])
@@ -126,7 +126,7 @@ def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
 
 
 def by_state(found: Sequence[Quadruple]) -> list[list[Quadruple]]:
-    """The quadruples of each orientation, in the order in which the orientations are recorded."""
+    """The quadruples by orientation, in the order in which the orientations were recorded."""
     groups: list[list[Quadruple]] = []
     for quadruple in found:
         nominal = quadruple.runs[0].state.nominal

@@ -1,7 +1,8 @@
-"""Drift of one run, computed from its two windows: from gravity in the accelerometers, and from gimbal and ring angles.
+"""Computes the drift of one run from its two windows, from the direction of gravity that the accelerometers show, and from gimbal
+and ring angles.
 
-Drift means the rotation of the element relative to inertial space. The apparent tilt of an inertially fixed element, C(t0)·R(Ω_ie·t),
-is subtracted.
+The drift is the rotation of the element relative to inertial space. An element that is fixed in inertial space seems to tilt by
+C(t0)·R(Ω_ie·t); this tilt is subtracted.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from planrunner.estimators.rocking.windows import Windows, low_pass, read_pieces
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
     """The conditions under which drifts are computed. earth: (3,), Earth rate in East-North-Up, rad/s; gravity: m/s^2;
-    installation: (6,), rad, in the order of `Installation.stated`; turned: error of the table's azimuth, rad, positive if the true
-    azimuth is farther east.
+    installation: (6,), rad, installation angles in the order of `Installation.stated`; turned: error of the table's azimuth, rad,
+    positive if the true azimuth is farther east.
 
-    An object for m conditions (see `several_conditions`) has arrays with a leading axis of length m."""
+    One object can hold m conditions (see `several_conditions`); its arrays then have a leading axis of length m."""
 
     earth: Array
     gravity: Array | float
@@ -42,27 +43,27 @@ class RockingConditions:
 
     @property
     def felt_earth(self) -> Array:
-        """Earth rate in the site axes that the planned orientation refers to."""
+        """The Earth rate in the site axes to which the planned orientation refers."""
         east, north, up = np.moveaxis(self.earth, -1, 0)
         c, s = np.cos(self.turned), np.sin(self.turned)
         return np.stack([c * east - s * north, s * east + c * north, up], axis=-1)
 
     @property
     def inputs(self) -> Array:
-        """The matrix (…, 3, 3) from specific force in element axes to the accelerometers' readings."""
+        """The matrix (…, 3, 3) that converts specific force in element axes to the accelerometers' readings."""
         xz, xy, yz, yx, zy, zx = np.moveaxis(self.installation, -1, 0)
         one = np.ones_like(xz)
         return np.stack([one, xz, -xy, -yz, one, yx, zy, -zx, one], axis=-1).reshape(*xz.shape, 3, 3)
 
     def compensated(self, readings: Array) -> Array:
-        """Specific force in element axes (…, n, 3) from the accelerometers (…, n, 3)."""
+        """The specific force (…, n, 3) in element axes, computed from the accelerometers' readings (…, n, 3)."""
         return np.asarray(readings @ np.swapaxes(np.linalg.inv(self.inputs), -1, -2))
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Filtered samples of one window. time: (n,), s; readings: (…, n, 3), m/s^2; turn: (…, n, 3), rad, rotation vector from the
-    planned attitude to the attitude that the encoders show, None without encoders."""
+    """The filtered samples of one window. time: (n,), s; readings: (…, n, 3), m/s^2, readings of the accelerometers; turn: (…, n,
+    3), rad, rotation vector from the planned attitude to the attitude that the encoders show, None without encoders."""
 
     time: Array
     readings: Array
@@ -71,12 +72,13 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class ReducedRun:
-    """The windows of a run. before: the window that ends when the base begins to rock, if there is one. lead: time [s] from the
-    release to the beginning of the record. If `lead` is None, the encoders give the azimuth at t0. Otherwise the azimuth at t0 is
-    that of the planned orientation, changed by the Earth's rotation since the release. off: assumed error of the azimuth of this
-    run, rad, for the computation of sensitivities.
+    """The windows of one run. before: the window that ends when the base begins to rock; None if there is no such window. lead:
+    time [s] from the release to the start of the record. If `lead` is None, the encoders give the azimuth at t0. Otherwise the
+    azimuth at t0 is computed from the planned orientation and from the Earth's rotation since the release. off: assumed error of
+    the azimuth of this run, rad, from which sensitivities are computed.
 
-    An object for m variants of a run (see `several_runs`) has a leading axis of length m in the second window and in `off`."""
+    One object can hold m variants of a run (see `several_runs`); `off` and the arrays of the second window then have a leading axis
+    of length m."""
 
     run: Run
     first: Window
@@ -87,7 +89,7 @@ class ReducedRun:
 
     @property
     def seconds(self) -> float:
-        """Time between the windows, t1 − t0 [s]."""
+        """The time between the windows, t1 − t0 [s]."""
         return float(self.second.time.mean() - self.first.time.mean())
 
 
@@ -98,7 +100,7 @@ def reduce_run(
     windows: Windows,
     encoders: bool,
 ) -> ReducedRun:
-    """Reads, filters and cuts one recorded run. Raises `EstimationError` for unsuitable data."""
+    """Reads and filters one recorded run, and cuts out its windows. Raises `EstimationError` if the data are unsuitable."""
     parameters = request.parameters
     channels = [*parameters.accelerometers, *((*parameters.rings, *parameters.gimbals) if encoders else ())]
     made = []
@@ -124,7 +126,8 @@ def reduce_run(
 
 
 def expected_run(run: Run, times: tuple[float, float], conditions: RockingConditions, encoders: bool) -> ReducedRun:
-    """The reduced run of an element that is fixed in inertial space. times: t0 and t1, s from the beginning of the record."""
+    """The windows of an expected run, in which the element is fixed in inertial space. times: t0 and t1, s from the start of the
+    record."""
     windows = []
     for time in np.array(times):
         attitude = run.state.nominal @ earth_turn(conditions.felt_earth, np.array([time + run.planned_lead]))
@@ -135,8 +138,9 @@ def expected_run(run: Run, times: tuple[float, float], conditions: RockingCondit
 
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
-    """Time [s] from the release to the beginning of the record: as the plan states it, else as recorded (`in_mode`), else as
-    planned. Raises `EstimationError` if the bench plays back a recording that does not contain this time."""
+    """The time [s] from the release to the start of the record. It is taken from the plan (`released_before`) or from the recording
+    (`in_mode`), and is otherwise the planned time. Raises `EstimationError` if the bench plays back a recording that does not
+    contain this time."""
     if parameters.released_before is not None:
         return parameters.released_before.value
     if in_mode is not None:
@@ -150,7 +154,7 @@ def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode:
 
 
 def several_conditions(each: Sequence[RockingConditions]) -> RockingConditions:
-    """Combines m conditions in one object. The drifts computed with this object have the shape (m, 2)."""
+    """Combines m conditions to one object. The drifts computed with this object have the shape (m, 2)."""
     return RockingConditions(
         np.stack([one.earth for one in each]),
         np.array([one.gravity for one in each]),
@@ -160,8 +164,8 @@ def several_conditions(each: Sequence[RockingConditions]) -> RockingConditions:
 
 
 def several_runs(each: Sequence[ReducedRun]) -> ReducedRun:
-    """Combines m variants of a run, which differ in the second window and in `off`, in one object. The drifts computed from this
-    object have the shape (m, 2)."""
+    """Combines m variants of a run to one object; the variants differ in the second window and in `off`. The drifts computed from
+    this object have the shape (m, 2)."""
     second, turns = each[0].second, [one.second.turn for one in each if one.second.turn is not None]
     readings = np.stack([one.second.readings for one in each])
     window = replace(second, readings=readings, turn=np.stack(turns) if turns else None)
@@ -169,13 +173,13 @@ def several_runs(each: Sequence[ReducedRun]) -> ReducedRun:
 
 
 def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drift [rad/s] about the two level axes by steps 2 to 5, in the order x, y, z, shape (…, 2)."""
+    """The drift (…, 2) [rad/s] about the two level axes, in the order x, y, z, by steps 2 to 5."""
     return _drift_between(reduced, reduced.second, conditions)
 
 
 def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> Array | None:
-    """Drift [rad/s] from the first window to the window that ends when the base begins to rock, by steps 2 to 5; None if there is no such
-    window. Shape (…, 2), about the two level axes."""
+    """The drift (…, 2) [rad/s] about the two level axes from the first window to the window that ends when the base begins to rock,
+    by steps 2 to 5; None if there is no such window."""
     return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)
 
 
@@ -187,10 +191,10 @@ def _drift_between(reduced: ReducedRun, later: Window, conditions: RockingCondit
 
 
 def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array, readings: Array) -> Array:
-    """Tilts (…, n, 2) [rad] about the two level axes, minus the tilts of an inertially fixed element that has the same attitude at
-    t0.
+    """The tilts (…, n, 2) [rad] about the two level axes, minus the tilts of an inertially fixed element that has the same attitude
+    at t0.
 
-    time: (n,), s from the beginning of the record. readings: (…, n, 3), m/s^2, readings of the accelerometers at these times.
+    time: (n,), s from the start of the record. readings: (…, n, 3), m/s^2, readings of the accelerometers at these times.
     """
     state, earth = reduced.run.state, conditions.felt_earth
     gravity = np.asarray(conditions.gravity)[..., None]
@@ -202,7 +206,7 @@ def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array
 
 
 def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """Drift [rad/s] about the two level axes, shape (…, 2), from the attitude that ring and gimbal angles give."""
+    """The drift (…, 2) [rad/s] about the two level axes, computed from ring and gimbal angles."""
     state, earth = reduced.run.state, conditions.felt_earth
     zero = float(reduced.first.time.mean())
     in_space = [
@@ -217,7 +221,7 @@ def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
 
 
 def _heading(reduced: ReducedRun, earth: Array, zero: float) -> Array:
-    """Rotation of the element about the vertical at t0, shape (…)."""
+    """The rotation (…) of the element about the vertical at t0."""
     state, turn = reduced.run.state, reduced.first.turn
     if reduced.lead is not None or turn is None:
         assert reduced.lead is not None  # without encoders the azimuth is nominal

@@ -1,10 +1,10 @@
 """Computes rocking drifts with uncertainties from the drifts of runs, and compares the two methods in random pairs of runs.
 
-The rocking drift of a quadruple is the mean of its dynamic runs minus the mean of its static runs (step 6). Quadruples of one state are
-repeats of each other. For an axis that is level in several states, the result is the mean over these states.
+The rocking drift of a quadruple is the mean of its dynamic runs minus the mean of its static runs (step 6). The quadruples of one
+state are repeats of each other. For an axis that is level in several states, the result is the mean over these states.
 
-The module also warns about implausible drifts of single runs. A reversed channel causes such drifts, but it hardly changes the
-differences between runs.
+The module also warns about implausible drifts of single runs. They reveal, for example, a reversed channel, which hardly changes
+the differences between runs.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 
 @dataclass(frozen=True, slots=True)
 class StateDrifts:
-    """Results of one state. level: the two level axes. quadruples: the q quadruples of the state. drifts: (q, 4, k), deg/h, the
-    drifts of the four runs of each quadruple. The k columns are the drifts about the two level axes by the accelerometers, then
-    about the same axes by the gimbals if there are encoders. expected: for a prediction, the covariance (k, k) of the rocking drift
-    of one quadruple."""
+    """The drifts of all quadruples of one state. level: the two level axes. quadruples: the q quadruples of the state. drifts: (q,
+    4, k), deg/h, the drifts of the four runs of each quadruple. The first two of the k columns are the drifts about the two level
+    axes by the accelerometers. If there are encoders, the next two are the drifts about these axes by the gimbals. expected: only
+    for a prediction, the covariance (k, k) of the rocking drift of one quadruple."""
 
     name: str
     level: tuple[int, int]
@@ -40,7 +40,7 @@ class StateDrifts:
 
     @property
     def rocking(self) -> Array:
-        """The rocking drift of each quadruple, shape (q, k), deg/h."""
+        """The rocking drift (q, k) of each quadruple, deg/h."""
         return np.asarray(np.einsum("r,qrk->qk", WEIGHTS, self.drifts))
 
     @property
@@ -50,7 +50,7 @@ class StateDrifts:
         return static.reshape(-1, static.shape[2]), dynamic.reshape(-1, dynamic.shape[2])
 
     def scatter(self) -> tuple[Array, float]:
-        """Covariance (k, k) of the mean rocking drift, and its degrees of freedom.
+        """The covariance (k, k) of the mean rocking drift, and the degrees of freedom of this covariance.
 
         With several quadruples, the covariance comes from their scatter. With a single quadruple, it comes from the difference
         between the two dynamic runs and the difference between the two static runs. It is not known which of the two pairs scatters
@@ -68,9 +68,9 @@ class StateDrifts:
 
 @dataclass(frozen=True, slots=True)
 class CombinedDrifts:
-    """m rocking drifts, averaged over the states; the drifts by the accelerometers come first. axes: the axis of each drift.
-    by_gimbals: (m,), True for each drift that comes from the gimbals. values: (m,), deg/h, with `covariance` (m, m). shares: one
-    matrix (m, k) for each state: the weights of the state's k drifts in the m results."""
+    """The m rocking drifts, averaged over the states; the drifts by the accelerometers come first. axes: the axis of each drift.
+    by_gimbals: (m,), True for each drift that comes from the gimbals. values: (m,), deg/h, the drifts; `covariance` (m, m) is their
+    covariance. shares: for each state, a matrix (m, k) with the weights of the k drifts of this state in the m results."""
 
     axes: tuple[int, ...]
     by_gimbals: tuple[bool, ...]
@@ -81,7 +81,7 @@ class CombinedDrifts:
 
 
 def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
-    """Averages the rocking drifts for each level axis and each method, over the states in which the axis is level."""
+    """Averages the rocking drifts about each level axis, separately for each method, over the states in which the axis is level."""
     columns = states[0].drifts.shape[2]
     seen = sorted({axis for state in states for axis in state.level})
     rows = [(axis, gimbals) for gimbals in (False, True)[: columns // 2] for axis in seen]
@@ -102,15 +102,15 @@ def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
 
 
 def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
-    """Effective degrees of freedom of a sum of variances. If all variances are zero, the result is the smallest number of degrees
-    of freedom of the parts."""
+    """The effective degrees of freedom of a sum of variances. If all variances are zero, the result is the smallest number of
+    degrees of freedom of the summed variances."""
     return effective_degrees_of_freedom(np.sqrt(variances).tolist(), degrees) if any(variances) else min(degrees)
 
 
 @dataclass(frozen=True, slots=True)
 class Pairings:
-    """Random pairs of a static and a dynamic run, for one axis. accelerometers, gimbals: (p,), deg/h, the rocking drift of each
-    pair by the accelerometers and by the gimbals."""
+    """Random pairs of a static and a dynamic run, for one axis. accelerometers: (p,), deg/h, the rocking drift of each pair by the
+    accelerometers; gimbals: (p,), deg/h, the rocking drift of each pair by the gimbals."""
 
     axis: int
     accelerometers: Array
@@ -118,12 +118,12 @@ class Pairings:
 
     @property
     def smaller(self) -> float:
-        """Fraction of pairs in which the accelerometers give the smaller drift."""
+        """The fraction of pairs in which the accelerometers give the smaller drift."""
         return float(np.mean(np.abs(self.accelerometers) < np.abs(self.gimbals)))
 
     @property
     def deviations(self) -> tuple[float, float]:
-        """Standard deviation of the rocking drifts by each method, deg/h."""
+        """The standard deviation [deg/h] of the rocking drifts, for each of the two methods."""
         return _deviation(self.accelerometers), _deviation(self.gimbals)
 
 
@@ -152,10 +152,11 @@ def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
 
 
 def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float) -> Iterator[Said]:
-    """Warnings about runs whose drift is larger than half of the Earth rate, or differs between the two methods.
+    """Warnings about runs whose drift is larger than half of the Earth rate, and about differences between the drifts by the two
+    methods.
 
-    earth_rate: deg/h. stated: standard uncertainty [deg/h] of the difference between the two methods that follows from the declared
-    errors of the rings.
+    earth_rate: the Earth rate, deg/h. stated: standard uncertainty [deg/h] of the difference between the two methods, due to the
+    declared errors of the rings.
     """
     tests = sum(2 * len(state.level) for state in states)
     for state in states:
@@ -189,7 +190,8 @@ def _runs(dynamic: bool, state: str, axis: str) -> Said:
 
 
 def _differs(difference: Array, stated: float, level: float) -> bool:
-    """Whether the mean of n differences is not zero, by Student's t-test, where `stated` adds to the uncertainty of the mean."""
+    """Whether the mean of n differences deviates significantly from zero (Student's t-test). The uncertainty of the mean includes
+    `stated`."""
     from scipy.special import stdtrit
 
     count = len(difference)

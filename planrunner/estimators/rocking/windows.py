@@ -1,8 +1,9 @@
-"""A recorded run reduced to its two windows: accelerometers and encoders after a zero-phase low-pass filter.
+"""Reduces a recorded run to its two windows: accelerometers and encoders after a zero-phase low-pass filter.
 
-Only samples within a few filter lengths of a window are read into memory, so long runs need no more memory than short runs. The
-filter is a Butterworth low-pass of fourth order, run forwards and backwards. A parabola is subtracted from each piece before the
-filter and added afterwards, so that the slow turn of the element relative to gravity does not distort the ends of the piece.
+Only samples within a few filter lengths of a window are kept in memory, so long runs need no more memory than short runs. The
+filter is a Butterworth low-pass filter of fourth order that runs forwards and backwards. A parabola is subtracted from the samples
+around each window before the filter, and added again afterwards. The slow rotation of the element relative to gravity then does not
+distort the ends of the filtered samples.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ LONGEST_GAP = 0.5  # s, filled on a straight line
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """Positions of the windows, s from the beginning of a record. before: the beginning of a third window between the first and the
-    second, which ends when the base begins to rock; None if there is no such window. end: the end of the record."""
+    """The positions of the windows in a record. All times are in s from the start of the record. before: the start of a third
+    window between the first and the second, which ends when the base begins to rock; None if there is no such window. end: the end
+    of the record."""
 
     first: float
     second: float
@@ -40,18 +42,18 @@ class Windows:
 
     @property
     def begins(self) -> tuple[float, ...]:
-        """The beginning of each window, s."""
+        """The start of each window, s."""
         return (self.first, self.second) if self.before is None else (self.first, self.second, self.before)
 
     @property
     def pieces(self) -> tuple[tuple[float, float], ...]:
-        """The times, from and to, that are read around each window."""
+        """For each window, the start and the end of the time that is read around it, s."""
         reach = REACH / self.cutoff
         return tuple((max(0.0, begin - reach), min(self.end, begin + self.length + reach)) for begin in self.begins)
 
     def with_rest(self, rest: float) -> Windows:
-        """The windows of a run whose base is at rest for the first `rest` [s] of its record. A third window, at the end of this
-        time, is added if at least one filter length lies between the first and the third window."""
+        """The windows of a run whose base is at rest for the first `rest` [s] of its record. A third window at the end of this time
+        is added, if there is at least one filter length between the end of the first window and the start of the third."""
         before = rest - self.length
         apart = before >= self.first + self.length + 1 / self.cutoff
         return replace(self, before=before) if apart else self
@@ -59,14 +61,15 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class RecordPiece:
-    """Evenly spaced samples of a part of a record. time: (n,), s from the beginning of the record; values: (n, k), SI."""
+    """Evenly spaced samples of a part of a record. time: (n,), s from the start of the record; values: (n, k), SI."""
 
     time: Array
     values: Array
 
 
 def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> list[RecordPiece]:
-    """The pieces of a run, one per window, with the channels as columns. Raises `EstimationError` for unsuitable data."""
+    """The samples around each window of a run, with the channels as columns. Raises `EstimationError` if the run has no suitable
+    samples there."""
     scales = [scale(recorded, name) for name in channels]
     statistics = recorded.statistics
     rate = (statistics.count + statistics.rejected - 1) / max(statistics.end - statistics.start, 1e-9)
@@ -95,7 +98,7 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
 
 
 def low_pass(piece: RecordPiece, cutoff: float) -> Array:
-    """The values (n, k) after a low-pass filter without delay, which removes changes faster than `cutoff` [Hz]."""
+    """The values (n, k) of a piece after a low-pass filter without delay, which removes changes faster than `cutoff` [Hz]."""
     from scipy.signal import sosfiltfilt
 
     rate = 1 / float(piece.time[1] - piece.time[0])
@@ -109,19 +112,19 @@ def low_pass(piece: RecordPiece, cutoff: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _sections(ratio: float) -> Array:
-    """Second-order sections of the filter, for a cutoff that is given as a fraction of the sampling rate."""
+    """The second-order sections of the filter. The cutoff is given as a fraction of the sampling rate."""
     from scipy.signal import butter
 
     return np.asarray(butter(ORDER, ratio, fs=1.0, output="sos"))
 
 
 def passed(frequency: float, cutoff: float) -> float:
-    """Fraction of a sine's amplitude that remains after the filter has run forwards and backwards."""
+    """The fraction of a sine's amplitude that remains after the filter has run forwards and backwards."""
     return 1 / (1 + (frequency / cutoff) ** (2 * ORDER))
 
 
 def within(piece: RecordPiece, begin: float, length: float) -> NDArray[np.bool_]:
-    """Mask (n,) of the samples of a piece that are in a window."""
+    """A mask (n,), True for the samples of a piece that are in the window."""
     return (piece.time >= begin - 1e-6) & (piece.time < begin + length - 1e-6)
 
 
@@ -136,7 +139,7 @@ def scale(recorded: RecordedSegment, name: str) -> float:
 
 
 def _even(label: str, time: Array, values: Array, begin: float, end: float) -> RecordPiece:
-    """Fills short gaps, which are samples that are missing or not a number, by linear interpolation."""
+    """Fills short gaps by linear interpolation. A gap consists of samples that are missing or not a number."""
     sound = np.isfinite(values).all(axis=1)
     time, values = time[sound], values[sound]
     if time.size < 16:

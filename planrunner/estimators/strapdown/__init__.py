@@ -1,1 +1,1 @@
-"""Strapdown navigation: alignment, navigation errors and their prediction."""
+"""Estimators for strapdown navigation: alignment, navigation errors and their prediction."""

@@ -1,5 +1,5 @@
-"""Alignment in a recorded segment, in which the unit is at rest or is turned from stop to stop: the preconditions of the alignment,
-the coarse attitude and the noise from the first stop, and the fine attitude from the whole segment."""
+"""Aligns the sensor in a recorded segment, in which the sensor is at rest or is turned from stop to stop. The first stop gives the
+coarse attitude and the noise, and the whole segment gives the fine attitude."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ _MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change it
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """Result of an alignment. alignment: the fine alignment, with the covariance used. last: (6,), the last increments of angle and
-    velocity. density: (6, 6), density of the white noise in navigation axes, from the scatter at rest: the covariance that the
-    noise adds to the integrated outputs per second. white: (6,), square roots of the noise densities in body axes. seconds:
-    duration of the alignment, s. turned: True if the unit was turned from stop to stop during alignment, so that the constant
-    errors of its sensors were estimated too. rest: the readings at the first stop; stops: the readings at all stops."""
+    """The result of an alignment. alignment: the fine alignment, with the covariance that is used. last: (6,), the last increments
+    of angle and velocity. density: (6, 6), density of the white noise in navigation axes, from the scatter at rest. This is the
+    covariance that the noise adds to the integrated outputs per second. white: (6,), square roots of the noise densities in body
+    axes. seconds: duration of the alignment, s. turned: True if the sensor was turned from stop to stop during the alignment, so
+    that its constant errors were estimated too. rest: the readings at the first stop; stops: the readings at all stops."""
 
     alignment: Alignment
     last: Array
@@ -62,8 +62,8 @@ class Aligned:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """Readings of the sensors at rest. means: (6, b), means over consecutive spans of `length` [s], rad/s and m/s². white: (6,),
-    square root of the density of the white noise, rad/√s and m/s/√s; freedom: degrees of freedom of `white`."""
+    """The readings of the sensors at rest. means: (6, b), means over b successive time spans of `length` [s], rad/s and m/s².
+    white: (6,), square roots of the densities of the white noise, rad/√s and m/s/√s; freedom: degrees of freedom of `white`."""
 
     means: Array
     length: float
@@ -80,9 +80,10 @@ def align(
     follow: float | None = None,
     lasting: float = 0.0,
 ) -> Aligned:
-    """Finds the attitude at the end of a segment. site: the place, with its latitude, height and gravity. constant: (6,), standard
-    uncertainty of the constant errors, rad/s and m/s²; used only for a unit that is turned during alignment. follow: as in
-    `FineAlignment`. lasting: total length of alignment and navigation, s. Raises `EstimationError`."""
+    """Aligns the sensor, which gives its attitude at the end of a segment. site: the place, with its latitude, height and gravity.
+    constant: (6,), standard uncertainty of the constant errors of gyros and accelerometers, rad/s and m/s²; used only if the sensor
+    is turned during the alignment. follow: passed on to `FineAlignment`. lasting: total time of alignment and navigation, s. Raises
+    `EstimationError` if the segment is unsuitable for an alignment."""
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
@@ -138,7 +139,7 @@ def align(
 
 
 def stillness(segment: Segment, seconds: float) -> float:
-    """Duration [s], at most `seconds`, of the rest at the beginning of a segment. The coarse attitude is computed from this time."""
+    """The duration [s] of the rest at the start of a segment, at most `seconds`. The coarse attitude is computed from this time."""
     first = segment.motion.stop if isinstance(segment.motion, Cycle) else seconds
     return min(first, seconds, _COARSE)
 
@@ -163,9 +164,9 @@ def same_attitude(one: Array | None, other: Array | None) -> bool:
 
 
 def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, ...]:
-    """A warning if the attitude found differs from the planned attitude by more than 90 deg. One reversed channel changes the
-    attitude by 180 deg. planned: (3, 3), rows are the sensor's axes; None if it is not known. rotation: (3, 3), the attitude found,
-    from body to navigation axes."""
+    """A warning if the attitude from the alignment differs from the planned attitude by more than 90 deg. One reversed channel
+    changes the attitude by 180 deg. planned: (3, 3), planned attitude, whose rows are the sensor's axes; None if it is not known.
+    rotation: (3, 3), attitude from the alignment, from body to navigation axes."""
     if planned is None:
         return ()
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(planned @ rotation)) - 1) / 2)))
@@ -182,7 +183,7 @@ def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, .
 
 
 def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
-    """The pieces at the beginning of the record that cover the first stop."""
+    """The pieces at the start of the record that together cover the first `seconds`."""
     found: list[Increments] = []
     covered = 0.0
     for piece in pieces:
@@ -194,9 +195,9 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
 
 
 def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRest]:
-    """The mean (6,), rad/s and m/s², over the first `seconds`, and the readings in this time. The white noise is the Allan
-    deviation of means over one second, which slow motion does not enlarge; its degrees of freedom are those of overlapping
-    differences of white noise."""
+    """The mean readings (6,), rad/s and m/s², over the first `seconds`, and the readings in this time as `AtRest`. The white noise
+    is computed as the Allan deviation of means over one second, which slow motion does not increase. Its degrees of freedom are
+    those of overlapping differences of white noise."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
     within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))
@@ -216,7 +217,7 @@ def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRes
 
 
 def to_navigation(rotation: Array, variances: Array) -> Array:
-    """Converts variances (6,) in body axes to a covariance (6, 6) in navigation axes."""
+    """Converts variances (6,) in body axes to a covariance matrix (6, 6) in navigation axes."""
     both = np.zeros((6, 6))
     both[:3, :3] = rotation * variances[:3] @ rotation.T
     both[3:, 3:] = rotation * variances[3:] @ rotation.T
@@ -224,7 +225,8 @@ def to_navigation(rotation: Array, variances: Array) -> Array:
 
 
 def levelled_out(density: Array) -> Array:
-    """The density (6, 6) for a unit that rotates about the vertical, so that the east and north axes have the same noise."""
+    """The density (6, 6) of the noise for a sensor that rotates about the vertical, which gives the east and north axes equal
+    noise."""
     found = np.zeros_like(density)
     for k in (0, 3):
         horizontal = (density[k, k] + density[k + 1, k + 1]) / 2
@@ -259,14 +261,14 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
 
 
 def _rate_error(mean: Array, site: Site) -> float:
-    """The length of the difference between the mean rate at rest and the Earth's rate, each given by its horizontal and upward
-    component, rad/s. mean: (6,), mean readings at rest, rad/s and m/s²."""
+    """The magnitude [rad/s] of the difference between the mean rate at rest and the Earth's rate, where each rate is a vector of
+    its horizontal and its upward component. mean: (6,), mean readings at rest, rad/s and m/s²."""
     found, earth = _rates(mean, site)
     return float(np.linalg.norm(found - earth))
 
 
 def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
-    """Horizontal and upward component, (2,), of the mean rate and of the Earth's rate, rad/s."""
+    """The horizontal and the upward component (2,) of the mean rate, and those of the Earth's rate, rad/s."""
     rate = float(np.linalg.norm(mean[:3]))
     up = float(mean[:3] @ mean[3:]) / float(np.linalg.norm(mean[3:]))
     earth = site.earth_rate * np.array([math.cos(site.latitude), math.sin(site.latitude)])
@@ -283,8 +285,8 @@ def _quiet(label: str, mean: Array, site: Site) -> Said:
 
 
 def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site) -> None:
-    """Checks that the unit is at rest. channels: (6,), names of the channels; mean: (6,), rad/s and m/s², the mean readings at the
-    first stop."""
+    """Raises `UnfitDataError` unless the mean readings are those of a sensor at rest. channels: (6,), names of the channels; mean:
+    (6,), rad/s and m/s², mean readings at the first stop."""
     if not np.isfinite(mean).all():
         raise UnfitDataError(f"segment '{label}' has too few usable samples: record it again")
     force = float(np.linalg.norm(mean[3:]))

@@ -1,9 +1,9 @@
-"""Checks and predictions of a strapdown navigation before it is recorded: whether its segments are suitable, and the expected
-errors.
+"""Checks a strapdown navigation before it is recorded, and predicts it: whether its segments are suitable, and which errors are
+expected.
 
-Expected errors follow from the declared white noise and from the constant errors that the plan states as uncertainties. The filter
-of the alignment predicts the remaining errors. Noise and remaining errors, rotated with the table, are then the input of the linear
-error equations.
+The expected errors follow from the declared white noise and from the uncertainties of constant errors that the plan states. The
+filter of the alignment predicts the errors that remain after the alignment. Noise and these errors, rotated with the table, are
+then the input of the linear error equations.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:
 
 
 def foresee(request: DesignRequest[StrapdownNavigationParameters]) -> Foresight:
-    """Predicts the errors by the linear error equations, because simulating hours of navigation would take too long."""
+    """Predicts the errors with the linear error equations, because a simulation of hours of navigation would take too long."""
     labels = [segment.label for segment in request.segments]
     predicted, note = _expected(request, *parts(request.segments, labels, request.parameters.align))
     if predicted:
@@ -177,7 +177,7 @@ def _on_navigation(request: DesignRequest[StrapdownNavigationParameters], moving
 def _expected(
     request: DesignRequest[StrapdownNavigationParameters], stop: Segment, moving: Sequence[Segment]
 ) -> tuple[tuple[Coefficient, ...], str]:
-    """The expected errors and a note about them; if there are no expected errors, the note gives the reason."""
+    """The expected errors and a note about them. If no errors can be predicted, the note gives the reason."""
     parameters = request.parameters
     white, constant = _declared(request), _stated(parameters)
     dwells = [segment.dwell for segment in (stop, *moving)]
@@ -249,7 +249,7 @@ def _stated(parameters: StrapdownNavigationParameters) -> Array:
 
 
 def _about_up(stop: Segment, count: int, step: float) -> Array:
-    """Mean rate of rotation about the vertical in each `step` [s] of the alignment, rad/s, (count,)."""
+    """The mean rate of rotation about the vertical (count,), rad/s, in each `step` [s] of the alignment."""
     if not isinstance(stop.motion, Cycle):
         return np.zeros(count)
     edges: Array = step * np.arange(count + 1, dtype=np.float64)
@@ -258,8 +258,8 @@ def _about_up(stop: Segment, count: int, step: float) -> Array:
 
 
 def _turning(segments: Sequence[Segment], rotation: Array, step: float) -> Array:
-    """Matrices (n, 6, 6) from body to navigation axes for gyro errors ε and accelerometer errors ∇, averaged over each `step` [s].
-    rotation: (3, 3), attitude at the beginning of each segment."""
+    """Matrices (n, 6, 6) that convert gyro errors ε and accelerometer errors ∇ from body to navigation axes, averaged over each
+    `step` [s]. rotation: (3, 3), attitude at the start of each segment."""
     found = []
     for segment in segments:
         count = max(1, round((segment.dwell or 0.0) / step))

@@ -1,10 +1,11 @@
-"""Biases that drift during a navigation: the drift is found at the stops, and its part of the navigation errors is computed.
+"""Finds biases that drift during a navigation from the readings at the stops, and computes the navigation errors that the drift
+causes.
 
-The readings in each position of the unit have a separate constant; a drift is common to all positions. The courses that a drift may
-have are those of the static methods (`observation.drift`), and the test of a drift is the same (`drift_fit`). The navigation is not
-corrected, because its errors are the errors of this unit on this day. With constant biases, the navigation would have other errors.
-The change that the drift causes is therefore an error that is not corrected (JCGM 100:2008, F.2.4.5). This change follows from the
-linear error equations (`wandering`).
+The fit has a separate constant for each position in which the sensor stops; the drift is the same function for all positions. The
+drift functions are those of the static methods (`observation.drift`), and the test of a drift is the same (`drift_fit`). The
+navigation is not corrected for the drift, because its errors are the errors of this sensor on this day. With constant biases, the
+navigation would have other errors. The change that the drift causes is therefore stated as an error that is not corrected (JCGM
+100:2008, F.2.4.5). The change is computed with the linear error equations (`wandering`).
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ _MOST_POSITIONS = 0.5  # of the observations: otherwise a drift looks like a cha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopDrift:
-    """What the stops show about a drift of the six sensors. fitted: the fitted courses of the drift. changes: (6,), the largest
-    minus the smallest bias during alignment and navigation according to the fitted drift, rad/s and m/s²; uncertainties: (6,),
-    uncertainties of these changes. effect: (7, n, r), errors that the drift causes at n times of the navigation, in the states of
-    `error_equations`. The first column is the sum over all sensors; the others are independent changes that the uncertainty of the
-    drift allows. time: (n,), s since the navigation began. scatter: (6,), for each sensor, the square root of the ratio of two
-    variances of the readings at stops about the fitted drift: observed divided by expected; unexplained: (6,), True if noise and
-    stated flicker do not explain this ratio."""
+    """What the readings at the stops show about a drift of the six sensors. fitted: the fitted drift functions. changes: (6,), for
+    each sensor, the largest minus the smallest bias during alignment and navigation according to the fitted drift, rad/s and m/s²;
+    uncertainties: (6,), uncertainties of these changes. effect: (7, n, r), errors that the drift causes at n times of the
+    navigation, in the states that `error_equations` defines. The first of the r columns is the effect of the fitted drift of all
+    sensors; the others are effects of independent changes of the drift, of the size of its uncertainty. time: (n,), s since the
+    navigation began. scatter: (6,), for each sensor, the square root of the variance of the readings about the fitted drift,
+    divided by the expected variance; unexplained: (6,), True if noise and stated flicker do not explain this ratio."""
 
     fitted: FittedDrift
     changes: Array
@@ -48,8 +49,8 @@ class StopDrift:
 
 
 def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, float]) -> StopDrift | None:
-    """Searches for a drift of the six sensors in the readings at the stops. flicker: index of a sensor → stated bias instability,
-    rad/s or m/s². Returns None if the stops cannot show a drift."""
+    """Searches for a drift of the six sensors in the readings at the stops. flicker: maps the index of a sensor to its stated bias
+    instability, rad/s or m/s². Returns None if the stops cannot show a drift."""
     n = len(stops.time)
     if not n or not (stops.white > 0).all():
         return None
@@ -70,8 +71,9 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
     names = [f"position {k + 1}" for k in range(len(places))]
 
     def judged(scale: Array) -> tuple[FittedDrift, Sequence[LinearFit], Sequence[LinearFit], bool]:
-        """Returns the fitted drift, the fits with this drift, the fits with all courses, and True if noise explains the residuals
-        of the fits with all courses. scale: (6,), assumed standard deviations of the readings, divided by the expected ones."""
+        """Returns the fitted drift; the fits with this drift; the fits with all drift functions; and True if noise explains the
+        residuals of the latter. scale: (6,), assumed standard deviations of the readings, divided by the expected standard
+        deviations."""
         spread, whitening = scale[:, None] * sigma, None
         if flicker:
             noise = np.array([np.diag(one**2) for one in spread])
@@ -105,9 +107,9 @@ def _with_effect(
     response: WanderingBias,
     freedom: float,
 ) -> StopDrift:
-    """The fitted drift with its effect on the navigation. expected: (6,), standard deviations of the readings in the fits, divided
-    by those that noise and stated flicker explain. courses: the courses of the drift, each with one column of n + l rows: for the n
-    observations, then for the l intervals of the response."""
+    """The fitted drift together with its effect on the navigation. expected: (6,), standard deviations of the readings that the
+    fits assume, divided by the standard deviations that noise and stated flicker explain. courses: the fitted drift functions, each
+    with one column of n + l rows: n rows for the observations, then l rows for the intervals of the response."""
     from scipy.special import fdtrc
 
     left = fits[0].degrees_of_freedom

@@ -1,4 +1,4 @@
-"""Pure inertial navigation of a recorded segment: alignment during a stop, then attitude, velocity and position by strapdown
+"""Navigates recorded segments purely inertially: alignment during a stop, then attitude, velocity and position by strapdown
 mechanisation.
 """
 
@@ -59,8 +59,8 @@ _ACCELEROMETER = STANDARD_GRAVITY * 1e-3  # m/s^2, 1 mg
 
 @dataclass(frozen=True, slots=True)
 class _Coordinate:
-    """A coordinate of the start position. information: name of the run information that may give the coordinate; channel: name of
-    the reference channel that may give it; farthest: largest value of the coordinate on Earth, rad or m."""
+    """Describes one coordinate of the start position. information: name of the run information that may give the coordinate;
+    channel: name of the reference channel that may give it; farthest: largest value of the coordinate on Earth, rad or m."""
 
     information: str
     channel: str
@@ -74,7 +74,7 @@ _HEIGHT = _Coordinate("initial_height", "reference_height", "length", 1e5)
 
 
 class StrapdownNavigationParameters(Record):
-    """Keys of the estimator strapdown_navigation."""
+    """The keys of the estimator `strapdown_navigation`."""
 
     gyros: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3, maximum=3),
@@ -128,13 +128,13 @@ class StrapdownNavigationParameters(Record):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The channels of the gyros x, y, z, then of the accelerometers x, y, z."""
+        """The names of the channels: the gyros x, y, z, then the accelerometers x, y, z."""
         return (*self.gyros, *self.accelerometers)
 
     @property
     def constant_errors(self) -> Array:
-        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: the stated values, or, if none are stated, values so
-        large that the data alone determine the errors."""
+        """The standard uncertainties (6,) of the constant errors, rad/s and m/s². These are the stated values; if none are stated,
+        they are so large that the data alone determine the errors."""
         gyro = self.gyro_uncertainty.value if self.gyro_uncertainty else _GYRO
         accelerometer = self.accelerometer_uncertainty.value if self.accelerometer_uncertainty else _ACCELEROMETER
         return np.array([gyro] * 3 + [accelerometer] * 3)
@@ -142,11 +142,11 @@ class StrapdownNavigationParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Navigated:
-    """Result of a navigation. site: the place where the navigation starts. final: (4,), east and north errors of position and
-    velocity at the end [m, m, m/s, m/s]. seconds: duration of the navigation, s. start: time at which the navigation began, s. gap:
-    time without samples after the alignment, s. wandering: response of the navigation to biases that change. opposed: indices of
-    gyros that seem to have the wrong sign. drift: what the stops show about a drift; None if they cannot show a drift, or if the
-    carrier moves."""
+    """The result of a navigation. site: the place at which the navigation starts. final: (4,), east and north errors of position
+    [m] and of velocity [m/s] at the end. seconds: duration of the navigation, s. start: time at which the navigation begins, s.
+    gap: time without samples after the alignment, s. wandering: response of the navigation to biases that change over time.
+    opposed: indices of the gyros that seem to have the wrong sign. drift: what the stops show about a drift; None if the stops
+    cannot show a drift, or if the carrier moves."""
 
     site: Site
     aligned: Aligned
@@ -162,7 +162,8 @@ class Navigated:
 
 
 def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S, Sequence[S]]:
-    """The segment for the alignment, and the segments to navigate. Raises `EstimationError`."""
+    """The segment for the alignment, and the segments to navigate. Raises `EstimationError` unless exactly one segment is for the
+    alignment and at least one follows it."""
     found = [k for k, label in enumerate(labels) if matches(label, pattern)]
     if not found:
         raise EstimationError(
@@ -179,8 +180,9 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
-    """The position at which the alignment takes place. Each coordinate comes from run information, else from the reference
-    channels, else from the bench's site. factor: gravity at the site divided by normal gravity. Raises `EstimationError`."""
+    """The place at which the alignment takes place. Each coordinate is taken from the run information; if it is not given there,
+    from the reference channels; otherwise from the bench's site. factor: gravity at the site divided by normal gravity. Raises
+    `EstimationError` for run information that is not a place on Earth."""
 
     def place(coordinate: _Coordinate) -> float | None:
         if text := request.setup.information.get(coordinate.information, "").strip():
@@ -192,7 +194,7 @@ def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: R
 
 
 def _at(site: Site, place: Callable[[_Coordinate], float | None]) -> Site:
-    """The site with the coordinates that `place` gives; a coordinate for which `place` gives None is unchanged."""
+    """The site with the coordinates that the function `place` returns. If `place` returns None, the coordinate is unchanged."""
     latitude, longitude, height = (place(one) for one in (_LATITUDE, _LONGITUDE, _HEIGHT))
     return replace(
         site,
@@ -203,8 +205,8 @@ def _at(site: Site, place: Callable[[_Coordinate], float | None]) -> Site:
 
 
 def _told(coordinate: _Coordinate, text: str) -> float:
-    """Reads a coordinate from text. A plain number is in degrees or metres, as receivers display coordinates. Raises
-    `EstimationError` for text that is not a position."""
+    """Reads a coordinate from a text of the run information. A plain number is in degrees or metres, as receivers display
+    coordinates. Raises `EstimationError` for a text that is not a place on Earth."""
     try:
         value = math.radians(float(text)) if coordinate.dimension == "angle" else float(text)
     except ValueError:
@@ -221,7 +223,7 @@ def _told(coordinate: _Coordinate, text: str) -> float:
 
 
 def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigated:
-    """Aligns, and then navigates. Each sample is read once. Raises `EstimationError`."""
+    """Aligns the sensor, and then navigates. Each sample is read once. Raises `EstimationError` if the segments are unsuitable."""
     parameters = request.parameters
     stop, moving = parts(request.segments, [item.label for item in request.segments], parameters.align)
     rates = {item.segment.sample_rate or request.sensor.sample_rate for item in (stop, *moving)}
@@ -263,19 +265,19 @@ def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigat
 
 
 def _earth_rate(site: Site) -> Array:
-    """The Earth rate in East-North-Up, (3,), rad/s."""
+    """The Earth rate (3,) in East-North-Up, rad/s."""
     return np.array([0.0, site.earth_rate * math.cos(site.latitude), site.earth_rate * math.sin(site.latitude)])
 
 
 def wandering_sensors(inputs: Inputs, parameters: StrapdownNavigationParameters) -> dict[int, InputQuantity]:
-    """The sensors with a stated bias instability: index of the sensor (gyros x, y, z, then accelerometers x, y, z) → bias
-    instability."""
+    """The sensors with a stated bias instability: maps the index of a sensor (gyros x, y, z, then accelerometers x, y, z) to its
+    bias instability."""
     stated = (inputs.of_output(Aspect.BIAS_INSTABILITY, name) for name in parameters.channels)
     return {k: quantity for k, quantity in enumerate(stated) if quantity is not None}
 
 
 def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:
-    """The value in rad/s or m/s² of one unit of an output; for an output of increments, per sample interval."""
+    """The SI value, in rad/s or m/s², of one unit of an output; for an output of increments, of one unit per sample interval."""
     known = unit(quantity.unit)
     increments = known.dimension in (DIMENSIONS["angle"], DIMENSIONS["speed"])
     return known.factor * (sensor.sample_rate if increments else 1.0)
@@ -287,8 +289,8 @@ def _gap(
     moving: Sequence[RecordedSegment],
     reader: IncrementReader,
 ) -> float:
-    """Time [s] between alignment and navigation. If the unit cannot have rotated in this time, its attitude is assumed to stay the
-    same. Raises `EstimationError` otherwise."""
+    """The time [s] between alignment and navigation, during which the attitude is assumed to stay the same. Raises
+    `EstimationError` if the sensor may have rotated in this time."""
     first = moving[0]
     gap = first.statistics.start - stop.statistics.end - reader.interval
     if not gap > reader.bridge + reader.interval / 2:
@@ -356,7 +358,7 @@ def _begin(
     aligned: Aligned,
     every: int,
 ) -> tuple[Navigator, Site]:
-    """The navigator at the beginning of the first interval, and the place at which it starts."""
+    """The navigator at the start of the first interval, and the place at which it starts."""
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     stated = request.setup.information
@@ -382,13 +384,13 @@ def _begin(
 
 
 def _before(values: Array) -> float:
-    """The value of a reference channel one interval before its first sample, by linear extrapolation."""
+    """The value of a reference channel one interval before its first sample, extrapolated linearly."""
     return float(2 * values[0] - values[1]) if len(values) > 1 else float(values[0])
 
 
 def _truth(piece: Increments, site: Site, at: NDArray[np.int64]) -> Truth:
-    """The true position at some samples of a block, from the reference channels. Without reference channels, the unit is assumed to
-    stay at the place of the start."""
+    """The true position and velocity at some samples of a block, from the reference channels. Without reference channels, the
+    sensor is assumed to stay where the navigation starts."""
     reference = piece.reference
 
     def of(name: str, otherwise: float) -> Array:

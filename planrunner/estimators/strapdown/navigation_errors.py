@@ -1,11 +1,11 @@
-"""Errors of a navigation relative to the true position, and the usual performance figures. The errors are taken at each knot, a
-moment for which the navigator returns attitude, velocity and position.
+"""Computes the errors of a navigation relative to the true position, and the usual figures of performance. The errors are computed
+at each knot. A knot is a moment for which the navigator returns attitude, velocity and position.
 
 Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope
-of the straight line through the origin that is fitted to the radial error as a function of time by least squares. The CEP rate of
-one run is √(ln 2) = 0.8326 times this slope. If the two components of the position error are normal with equal variances and zero
-mean, this is the median of the radial error (Titterton and Weston, "Strapdown Inertial Navigation Technology", 2nd ed., appendix
-B). For several runs, the CEP rate is √(ln 2) times the root mean square of their slopes.
+of a straight line through the origin that is fitted by least squares to the radial error as a function of time. The CEP rate of one
+run is √(ln 2) = 0.8326 times this slope. If the two components of the position error are normal with equal variances and zero mean,
+this is the median of the radial error (Titterton and Weston, "Strapdown Inertial Navigation Technology", 2nd ed., appendix B). For
+several runs, the CEP rate is √(ln 2) times the root mean square of their slopes.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ NAUTICAL_MILE = 1852.0  # m
 
 
 def _sigma_quantile(probability: float) -> float:
-    """Quantile of the ratio of the true to the estimated standard deviation, for one run with two components, from χ² with two
-    degrees of freedom."""
+    """A quantile of the ratio of the true to the estimated standard deviation, for one run with two error components, from the χ²
+    distribution with two degrees of freedom."""
     return math.sqrt(-1 / math.log(probability))
 
 
@@ -39,8 +39,8 @@ CEP_INTERVAL = (_sigma_quantile(0.025), _sigma_quantile(0.975))
 
 
 def stride(knots: int) -> int:
-    """Every how many knots a point is kept, so that a record has at most `POINTS` points. The result is a divisor of 3600, so that
-    whole hours are among the points."""
+    """The number of knots (moments of the navigator) from one kept point to the next, so that a record has at most `POINTS` points.
+    The number is a divisor of 3600 if possible, so that whole hours are among the points."""
     wanted = max(1, -(-knots // POINTS))
     divisors = [k for k in range(1, int(HOUR) + 1) if int(HOUR) % k == 0]
     return next((k for k in divisors if k >= wanted), wanted)
@@ -48,7 +48,8 @@ def stride(knots: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The true position and velocity at m moments: latitude, longitude [rad], height [m]; velocity (m, 2), east and north, m/s."""
+    """The true position and velocity at m moments: latitude and longitude [rad], height [m], and velocity (m, 2), east and north
+    [m/s]."""
 
     latitude: Array
     longitude: Array
@@ -58,11 +59,12 @@ class Truth:
 
 @dataclass
 class ErrorRecord:
-    """Sums of navigation errors over all knots of the navigator, and the errors at every `stride`-th knot. Times are in s since the
-    navigation began, errors in m and m/s. knots: number of knots. squares, speed_squares: sums of the squares of the radial
-    position error and of the radial velocity error. time_error: sum of time · radial error; time_squares: sum of time². largest:
-    largest radial error, at the time `largest_at`; largest_speed: largest radial velocity error. course: the kept errors; see
-    `points`."""
+    """Sums of navigation errors over all knots, and the errors at every `stride`-th knot. A knot is a moment for which the
+    navigator returns attitude, velocity and position. Times are in s since the navigation began, errors in m and m/s. knots: number
+    of knots. squares: sum of the squares of the radial position error; speed_squares: sum of the squares of the radial velocity
+    error. time_error: sum of time multiplied by radial error; time_squares: sum of time². largest: largest radial position error,
+    which occurs at the time `largest_at`; largest_speed: largest radial velocity error. course: the errors at every `stride`-th
+    knot; see `points`."""
 
     stride: int
     knots: int = 0
@@ -76,7 +78,7 @@ class ErrorRecord:
     course: list[Array] = field(default_factory=lambda: [np.zeros((5, 1))])
 
     def take(self, time: Array, knots: Knots, truth: Truth) -> None:
-        """Adds the errors at the next m knots; time: (m,)."""
+        """Adds the errors at the next m moments. time: (m,), s since the navigation began."""
         errors = difference(knots, truth)
         if not len(time):
             return
@@ -95,7 +97,7 @@ class ErrorRecord:
         self.knots += len(time)
 
     def points(self) -> Array:
-        """The errors at the kept knots, on a regular time grid that begins at zero, (5, m): time, east and north position error
+        """The kept errors (5, m) on a regular time grid that begins at zero, with the rows time [s], east and north position error
         [m], east and north velocity error [m/s]."""
         return np.hstack(self.course)
 
@@ -114,12 +116,12 @@ class ErrorRecord:
 
 
 def _added(total: float, values: Array) -> float:
-    """Adds the values one after another, so that the sum does not depend on how the values are divided into blocks."""
+    """Adds values one after another to a sum, so that the sum does not depend on how the values are divided into blocks."""
     return float(np.add.accumulate(np.append(total, values))[-1])
 
 
 def difference(knots: Knots, truth: Truth) -> Array:
-    """Navigation errors, (4, m): east and north position error [m], east and north velocity error [m/s]."""
+    """The navigation errors (4, m): east and north position error [m], east and north velocity error [m/s]."""
     east, north = separation(truth.latitude, truth.longitude, knots.latitude, knots.longitude, truth.height)
     velocity = knots.velocity[:, :2] - truth.velocity
     return np.vstack([east, north, velocity.T])

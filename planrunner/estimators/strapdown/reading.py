@@ -1,9 +1,9 @@
-"""Increments of angle and velocity, computed from recorded samples block by block: conversion of units, missing samples, and the
-clock.
+"""Computes increments of angle and velocity from recorded samples, block by block. It converts units, fills short gaps, and
+determines the time of each sample.
 
 A sample is the mean over the interval that ends at its time stamp, so an increment is the sample times the interval. Outputs that
-are already increments (angle, velocity) are used unchanged. Gaps of at most `bridge` seconds are filled by linear interpolation; a
-longer gap is an error, because the attitude after it is unknown.
+are increments of angle or velocity already are used unchanged. A gap of at most `bridge` seconds is filled by linear interpolation.
+A longer gap is an error, because the attitude after it is unknown.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _RATE_TOLERANCE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Increments:
-    """Integrated rates and specific forces of a recording. values: (6, n), rad and m/s along the body axes x, y, z. interval: (n,),
-    s, the time that each increment covers; time: (n,), s, the end of this time. reference: reference channel → values (n,), SI.
-    kelvin: (n,), readings of the sensor's thermometer, K; None without a thermometer."""
+    """The increments of angle and velocity of a part of a recording. values: (6, n), rad and m/s along the body axes x, y, z.
+    interval: (n,), s, the length of time that each increment covers; time: (n,), s, the end of this time. reference: maps each
+    reference channel to its values (n,), SI. kelvin: (n,), readings of the sensor's thermometer, K; None without a thermometer."""
 
     time: Array
     interval: Array
@@ -49,11 +49,12 @@ class Increments:
 
 
 class IncrementReader:
-    """Reads the increments of consecutive segments. The clock continues from one segment to the next."""
+    """Reads the increments of successive segments. The time of samples continues from one segment to the next."""
 
     def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float, thermometer: str | None = None):
-        """channels: three gyros and three accelerometers in the order x, y, z. sample_rate: Hz. bridge: length of the longest gap
-        that is filled, s. thermometer: a temperature channel that is read together with these channels."""
+        """channels: names of three gyros and three accelerometers, in the order x, y, z of each. sample_rate: sample rate, Hz.
+        bridge: length of the longest gap that is filled, s. thermometer: a temperature channel that is read together with the other
+        channels."""
         self.channels = tuple(channels)
         self.interval = 1 / sample_rate
         self.bridge = bridge
@@ -63,11 +64,11 @@ class IncrementReader:
         self._before: Array | None = None
 
     def part(self) -> None:
-        """Marks a break before the next segment, which does not follow the preceding segment without a gap."""
+        """States that there is a gap between the preceding and the next segment."""
         self._last = self._before = None
 
     def blocks(self, recorded: RecordedSegment) -> Iterator[Increments]:
-        """Yields the increments of one segment. Each sample is read once. Raises `EstimationError`."""
+        """Yields the increments of one segment. Each sample is read once. Raises `EstimationError` if the samples are unsuitable."""
         factors, integrated = scales(recorded, self.channels)
         references = [name for name in REFERENCES if name in recorded.units]
         to_si = [_reference_unit(recorded, name) for name in references]
@@ -87,7 +88,7 @@ class IncrementReader:
             yield Increments(rows[0], interval, values, found, kelvin)
 
     def _clock(self, label: str, rows: Array) -> tuple[Array, Array]:
-        """The interval that each sample covers, and the samples, after short gaps have been filled."""
+        """After short gaps have been filled: the interval that each sample covers, and the samples."""
         time = rows[0]
         begin = time[0] - self.interval if self._last is None else self._last
         steps = np.diff(time, prepend=begin)
@@ -137,8 +138,8 @@ class IncrementReader:
 
 
 def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, NDArray[np.bool_]]:
-    """Factors that convert channels to SI (6,), and True for each channel that gives increments. Raises `EstimationError` for a
-    missing channel, or for a channel whose unit is neither that of a rate nor that of an increment."""
+    """The factors (6,) that convert the channels to SI units, and True for each channel that gives increments. Raises
+    `EstimationError` for a missing channel, and for a unit that is neither a unit of a rate nor of an increment."""
     factors, integrated = np.empty(len(channels)), np.zeros(len(channels), dtype=np.bool_)
     for k, name in enumerate(channels):
         if name not in recorded.units:
@@ -166,7 +167,8 @@ def reference_mean(recorded: RecordedSegment, name: str) -> float:
 
 
 def reference_speed(recorded: RecordedSegment) -> float:
-    """The largest absolute velocity in any of the reference channels [m/s]; 0 without such channels. Raises `EstimationError`."""
+    """The largest absolute velocity [m/s] that the reference channels show; 0 without such channels. Raises `EstimationError` for a
+    reference channel with an unsuitable unit."""
     statistics, largest = recorded.statistics, 0.0
     for name, dimension in REFERENCES.items():
         if dimension == "speed" and name in recorded.units:

@@ -1,6 +1,6 @@
-"""Results of a strapdown navigation: coefficients, tables, plots and notes.
+"""Makes the results of a strapdown navigation: coefficients, tables, plots and notes.
 
-The module `uncertainty` computes the uncertainties of the coefficients.
+The uncertainties of the coefficients come from the module `uncertainty`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _SHOWN = 3.0  # standard uncertainties from which the drift of one sensor is nam
 
 
 def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Estimate:
-    """Assembles the estimate."""
+    """Makes the estimate from a navigation."""
     points = found.record.points()
     equations = ErrorEquations.at(found.site)
     spread, wander = Spread(equations, found, points, _turns(request)), Wander(request, found, points)
@@ -126,7 +126,7 @@ def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _table(points: Array, uncertainty: Array) -> Table:
-    """A table of the errors at whole hours; for shorter runs, at every ten minutes, at every minute, or at every point."""
+    """A table of the errors at whole hours; for shorter runs, at every ten minutes, every minute or every second."""
     time = points[0]
     steps = [3600.0, 600.0, 60.0, 1.0]
     step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])
@@ -146,7 +146,7 @@ def _table(points: Array, uncertainty: Array) -> Table:
 
 
 def _constants(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Table, ...]:
-    """A table of the constant errors that the alignment estimated, if the unit was turned during the alignment."""
+    """A table of the constant errors that the alignment estimates if the sensor is turned during the alignment."""
     if not found.aligned.turned:
         return ()
     alignment = found.aligned.alignment
@@ -177,7 +177,7 @@ def _plots(points: Array) -> tuple[Plot, ...]:
 
 
 def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Said:
-    """States in words where the uncertainties of the errors come from."""
+    """A note about where the uncertainties of the navigation errors come from."""
     if not wandering_sensors(request.setup.inputs, request.parameters):
         return said(
             "The uncertainties of the errors come from the white noise observed during alignment, propagated through the linear "
@@ -265,7 +265,7 @@ def _warnings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _at_stops(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> list[Said]:
-    """Warnings about what the readings at stops show."""
+    """Warnings about sensors whose readings at the stops change unexpectedly."""
     channels, warnings = request.parameters.channels, []
     if found.opposed:
         warnings.append(
@@ -306,6 +306,6 @@ def _at_stops(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _change(channel: str, size: float, sensor: int) -> Said:
-    """States the drift of one sensor in words. size: size of the drift, rad/s or m/s²."""
+    """A text that states the drift of one sensor. size: size of the drift, rad/s or m/s²."""
     text, factor = ("deg/h", DEGREE * HOUR) if sensor < _GYROS else ("ug", 1e6 / STANDARD_GRAVITY)
     return said("{output} by {size:.2g} {unit}", output=channel, size=size * factor, unit=text)

@@ -1,8 +1,9 @@
-"""Readings of a navigating unit at its stops: what they show about biases that change, and about gyros with the wrong sign.
+"""Examines the readings of a navigating sensor at its stops: what they show about biases that change, and about gyros with the
+wrong sign.
 
-While the unit stands still, its sensors measure the Earth's rate and gravity. Both are constant in each position of the unit, so
-every change of the readings in a position is a change of the sensors (or a slow tilt of the base). The unit counts as still while
-its rate, averaged over about a second, is no larger than a few Earth rates. Positions are distinguished by the navigated attitude.
+While the sensor stands still, it measures the Earth's rate and gravity. Both are constant in each position, so every change of the
+readings within a position is a change of the sensor (or a slow tilt of its base). The sensor counts as still while its rate,
+averaged over about a second, does not exceed a few Earth rates. Positions are distinguished by the navigated attitude.
 """
 
 from __future__ import annotations
@@ -28,10 +29,11 @@ _SHORTEST = 10.0  # s, of such a block
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stops:
-    """Means of readings over parts of stops. time, seconds: (n,), s, mean time since the alignment began, and length of the part;
-    means: (n, 6), rad/s and m/s²; position: (n,), number of the position; kelvin: (n,), temperature, NaN where it is not known;
-    rotation: (n, 3, 3), navigated attitude, with the body axes as columns in East-North-Up. white: (6,), white noise, rad/√s and
-    m/s/√s, from consecutive means over the time between knots of the navigator; freedom: degrees of freedom of `white`."""
+    """The mean readings over parts of stops. time: (n,), s, mean time of each part since the alignment began; seconds: (n,), s,
+    length of the part; means: (n, 6), rad/s and m/s²; position: (n,), number of the position; kelvin: (n,), temperature, NaN where
+    it is not known; rotation: (n, 3, 3), navigated attitude, with the body axes as columns in East-North-Up. white: (6,), white
+    noise, rad/√s and m/s/√s, computed from the differences of means over successive intervals of the navigator; freedom: degrees of
+    freedom of `white`."""
 
     time: Array
     seconds: Array
@@ -45,8 +47,8 @@ class Stops:
 
 @dataclass(slots=True, eq=False)
 class _Part:
-    """Sums over one position of the unit in one block of time. rotation: attitude in this position at the beginning of the block.
-    sums: (9,), sums of the increments, of the seconds, of seconds × time, and of seconds × temperature."""
+    """Sums of readings in one position of the sensor during one block of time. rotation: attitude in this position at the start of
+    the block. sums: (9,), sums of the increments, of the seconds, of seconds × time, and of seconds × temperature."""
 
     position: int
     rotation: Array
@@ -54,12 +56,11 @@ class _Part:
 
 
 class StopReader:
-    """Collects the readings at stops, from one knot of the navigator to the next. The memory that this needs does not grow with the
-    recording."""
+    """Collects the readings at stops, interval by interval of the navigator. It needs the same memory for recordings of any length."""
 
     def __init__(self, earth_rate: float, white: Array, seconds: float, begin: float):
-        """earth_rate: rad/s; white: (6,), noise at rest, rad/√s and m/s/√s; seconds: total length of alignment and navigation, s;
-        begin: time at which the alignment begins, s."""
+        """earth_rate: Earth rate, rad/s; white: (6,), noise at rest, rad/√s and m/s/√s; seconds: total time of alignment and
+        navigation, s; begin: time at which the alignment begins, s."""
         self._limit, self._white, self._begin = _STILL * earth_rate, white, begin
         self._block = max(_SHORTEST, seconds / _BLOCKS)
         self._parts: dict[tuple[int, int], _Part] = {}
@@ -71,13 +72,13 @@ class StopReader:
         self._last: tuple[int, Array] | None = None  # position and means of the last interval used
 
     def part(self) -> None:
-        """Marks a time without samples."""
+        """States that there is a gap without samples."""
         self._carried = np.zeros(8)
         self._before, self._last, self._was_still = None, None, False
 
     def take(self, piece: Increments, at: NDArray[np.int64], rotations: Array) -> None:
-        """Takes the samples of a piece of the recording. at: (m,), indices of the knots among the samples; rotations: (m, 3, 3),
-        attitude at these knots."""
+        """Adds the samples of a piece of the recording. at: (m,), indices of those samples at which intervals of the navigator end;
+        rotations: (m, 3, 3), attitude at these samples."""
         kelvin = np.full(piece.time.size, math.nan) if piece.kelvin is None else piece.kelvin
         known = np.isfinite(kelvin)
         if known.any() and not known.all():  # a thermometer may be slower than the sensor
@@ -109,8 +110,8 @@ class StopReader:
         self._before = each[-1:], times[-1:], rotations[-1:]
 
     def _add(self, each: Array, times: Array, rotation: Array, block: int) -> None:
-        """Adds consecutive intervals of one stop. each: (m, 8), increments, seconds, and seconds × temperature of each interval;
-        times: (m,), middles of the intervals, s."""
+        """Adds successive intervals of one stop. each: (m, 8), increments, seconds, and seconds × temperature of each interval;
+        times: (m,), middle of each interval, s."""
         position = self._position(rotation)
         part = self._parts.setdefault((block, position), _Part(position, rotation))
         part.sums += np.array([*each[:, :7].sum(axis=0), times @ each[:, 6], each[:, 7].sum()])
@@ -131,7 +132,7 @@ class StopReader:
         return len(self._positions) - 1
 
     def finish(self) -> Stops:
-        """The readings at all stops."""
+        """The collected readings at all stops."""
         parts = [self._parts[key] for key in sorted(self._parts)]
         sums = np.array([one.sums for one in parts]).reshape(-1, 9)
         seconds = sums[:, 6]
@@ -149,7 +150,7 @@ class StopReader:
 
 def opposed_gyros(stops: Stops, earth_rate: Array) -> tuple[int, ...]:
     """Indices of the gyros whose readings change from position to position in the opposite sense to the Earth's rate. earth_rate:
-    (3,), in East-North-Up, rad/s. A constant error of a gyro does not affect the result."""
+    (3,), Earth rate in East-North-Up, rad/s. A constant error of a gyro does not affect the result."""
     found = []
     expected = np.einsum("nij,i->nj", stops.rotation, earth_rate)
     weights = np.sqrt(stops.seconds)

@@ -1,9 +1,9 @@
-"""Pure inertial navigation of a recording: alignment during a stop, then attitude, velocity and position by strapdown mechanisation, and
-the errors relative to the true position.
+"""Navigates a recording purely inertially (alignment during a stop, then attitude, velocity and position by strapdown
+mechanisation), and computes the errors relative to the true position.
 
-The module `alignment` contains the conditions for an alignment and the alignment itself; `reading` handles units, gaps and the
-clock; `navigation_errors` and `results` compute the reported figures; `design` predicts the errors. docs/navigation.md gives
-conventions and definitions.
+The module `alignment` checks the conditions for an alignment and aligns; `reading` handles units, gaps and the times of samples;
+`navigation_errors` and `results` compute the reported figures; `design` predicts the errors. docs/navigation.md gives conventions
+and definitions.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from planrunner.estimators.strapdown.navigating import StrapdownNavigationParame
 
 
 class StrapdownNavigation:
-    """The estimator `strapdown_navigation`."""
+    """The estimator with the name `strapdown_navigation`."""
 
     summary = "Inertial navigation by strapdown mechanisation: attitude, velocity and position errors, CEP rate"
     Parameters = StrapdownNavigationParameters

@@ -1,9 +1,10 @@
-"""Uncertainties of the results of a strapdown navigation.
+"""Computes the uncertainties of the results of a strapdown navigation.
 
-The uncertainties describe how well one run determines the navigation errors that the constant errors of the sensors cause. The
-uncertainties come from white noise, which the alignment estimates; from the uncertainty of the alignment that this noise causes,
-propagated through the linear error equations; and from the stated bias instabilities (see `wandering`). Constant errors are part of
-the measured errors. They contribute to the uncertainty only of the alignment angles, because these angles do not reveal them.
+An uncertainty states how well one run determines the navigation errors that the constant errors of the sensors cause. The
+uncertainties have three sources: the white noise of the sensors; the uncertainty of the alignment that this noise causes,
+propagated by the linear error equations; and the stated bias instabilities (see `wandering`). Constant sensor errors are part of
+the measured navigation errors, so they do not add to the uncertainties of these. They add to the uncertainties of the alignment
+angles only, because these angles do not show them.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ _MOMENTS = 96  # at which the effect of biases that wander is evaluated
 
 
 class Spread:
-    """Uncertainty from noise. covariance: (m, m), covariance of the coefficients in their units. radial: (n,), m, standard
-    uncertainty of the radial error at the points of `ErrorRecord.points`."""
+    """The uncertainty that comes from noise. covariance: (m, m), covariance of the coefficients, in their units. radial: (n,),
+    standard uncertainty of the radial error [m] at the points of `ErrorRecord.points`."""
 
     def __init__(self, equations: ErrorEquations, found: Navigated, points: Array, turns: bool):
         start = np.zeros((SIZE, SIZE))
@@ -85,9 +86,9 @@ class Spread:
 
 
 class Wander:
-    """Uncertainty from biases that wander. influences: one influence for each sensor with a stated bias instability. radial: (n,),
-    m, standard uncertainty that these sensors cause in the radial error at the points of `ErrorRecord.points`. unstated: the
-    flicker of each sensor whose bias instability the bench file does not give."""
+    """The uncertainty that comes from biases which change over time (flicker). influences: one influence for each sensor whose bias
+    instability is stated. radial: (n,), standard uncertainty [m] of the radial error at the points of `ErrorRecord.points`, due to
+    these sensors. unstated: the flicker of each sensor whose bias instability the bench file does not give."""
 
     def __init__(self, request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, points: Array):
         self.influences: tuple[Influence, ...] = ()
@@ -119,8 +120,8 @@ class Wander:
 
 
 def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> FlickerEvidence | None:
-    """What the first stop of the alignment shows about the flicker of a sensor. rate: size of the unit of the sensor's channel,
-    rad/s or m/s²."""
+    """The information in the readings at the first stop of the alignment about the flicker of a sensor; None if these readings are
+    too few. rate: SI value of the unit of the sensor's channel, rad/s or m/s²."""
     rest = found.aligned.rest
     n = rest.means.shape[1]
     if not (n > 1 and rest.white[sensor] > 0):
@@ -138,8 +139,8 @@ def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> Flicke
 
 
 def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
-    """Covariances (n, 4, 4) at the times `time` (n,), interpolated linearly between `covariances` (k, 4, 4) at k moments; the
-    covariance at time zero is zero."""
+    """Covariances (n, 4, 4) at the times `time` (n,), interpolated linearly between the covariances (k, 4, 4) at k moments. At time
+    zero, the covariance is zero."""
     known = np.concatenate([np.zeros((1, *covariances.shape[1:])), covariances])
     each = known.reshape(len(known), -1).T
     at = np.append(0.0, moments)
@@ -147,17 +148,18 @@ def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
 
 
 def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
-    """Standard uncertainties of the radial error and of the speed error at the points, from covariances (n, k, k) of position and
-    velocity."""
+    """The standard uncertainties of the radial position error and of the radial velocity error at the points, computed from
+    covariances (n, k, k) of position and velocity."""
     return _along(points[1:3], covariances[:, :2, :2]), _along(points[3:5], covariances[:, 2:4, 2:4])
 
 
 def joined(found: Navigated, both: Array, over_time: Array) -> Array:
-    """Covariance (m, m) of `NAMES` in their units, without the contribution of the CEP rate.
+    """The covariance (m, m) of the results `NAMES`, in their units, without the contribution of the CEP rate.
 
-    The angles and the errors at the end depend linearly on the state. Correlations between figures over time are set to zero. both:
-    (7, 7), joint covariance of the tilts after alignment and of the errors at the end; over_time: (5,), standard uncertainties of
-    the figures over time.
+    The angles and the errors at the end are linear functions of the state. Correlations between figures that summarise the errors
+    over time (largest and root-mean-square errors, error rate) are set to zero. both: (7, 7), joint covariance of the tilts after
+    the alignment and of the errors at the end; over_time: (5,), standard uncertainties of the figures that summarise the errors
+    over time.
     """
     angles = np.eye(_DIRECT)
     angles[:3, :3] = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
@@ -173,10 +175,11 @@ def joined(found: Navigated, both: Array, over_time: Array) -> Array:
 
 
 def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Array, density: Array) -> Array:
-    """Standard uncertainties (5,) of the figures over time: errors that the noise may cause are drawn at random and subtracted from
-    the errors of the navigation, and the figures are computed again. On average, noise makes a largest value and a root mean square
-    larger. This is not corrected: the mean change is added to the expanded uncertainty (JCGM 100:2008, F.2.4.5). start: (7, 7),
-    covariance of the state at the beginning of the navigation; density: (6, 6), density of the white noise in navigation axes."""
+    """The standard uncertainties (5,) of the figures that summarise the errors over time (largest and root-mean-square errors,
+    error rate). For this purpose, errors that noise may cause are drawn at random and subtracted from the errors of the navigation,
+    and the figures are computed again. On average, noise increases the largest and the root-mean-square errors. The figures are not
+    corrected for this; instead, the mean change is added to the expanded uncertainty (JCGM 100:2008, F.2.4.5). start: (7, 7),
+    covariance of the state at the start of the navigation; density: (6, 6), density of the white noise in navigation axes."""
     last = points.shape[1] - 1
     every = max(1, -(-last // _MOMENTS))
     course = np.column_stack([points[:, every::every], [found.seconds, *found.final]])
@@ -199,8 +202,9 @@ def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Ar
 
 
 def _bounds(found: Navigated, points: Array, radial: Array, speed: Array) -> Array:
-    """Upper bounds (5,) of the standard uncertainties of the figures over time, for errors that are fully correlated. radial, speed:
-    (n,), standard uncertainties at the points."""
+    """Upper bounds (5,) of the standard uncertainties of the figures that summarise the errors over time. They assume that the
+    errors at all times are fully correlated. radial, speed: (n,), standard uncertainties of the radial position and velocity errors
+    at the points."""
     time, away, fast = points[0], np.hypot(*points[1:3]), np.hypot(*points[3:5])
     return np.array(
         [
@@ -214,8 +218,8 @@ def _bounds(found: Navigated, points: Array, radial: Array, speed: Array) -> Arr
 
 
 def _along(errors: Array, covariances: Array) -> Array:
-    """Standard uncertainty of the length of vectors (2, n) with covariances (n, 2, 2). If the length of a vector is zero, it is the
-    root of the sum of the two variances."""
+    """The standard uncertainties of the lengths of n vectors (2, n) with the covariances (n, 2, 2). For a vector of length zero,
+    the standard uncertainty is the square root of the sum of the two variances."""
     size = np.hypot(*errors)
     unit_vectors = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
     along = np.einsum("in,nij,jn->n", unit_vectors, covariances, unit_vectors)
@@ -226,10 +230,11 @@ def _along(errors: Array, covariances: Array) -> Array:
 def influences(
     request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated, points: Array
 ) -> tuple[Influence, ...]:
-    """Influences of the latitude and of constant sensor errors. Constant sensor errors influence only the angles. An error of the
-    latitude makes the assumed Earth rate wrong. This influences the errors at the end and the figures over time, but hardly the
-    alignment. Repeating a navigation under other conditions takes too long, so the sensitivities come from the error equations; a
-    test compares them with repeated navigations. points: result of `ErrorRecord.points`."""
+    """The influences of the latitude and of constant sensor errors. Constant sensor errors influence only the angles. An error of
+    the latitude makes the assumed Earth rate wrong, and so influences the navigation errors; its influence on the alignment is
+    neglected. Repeating a navigation under other conditions would take too long, so the sensitivities come from the error
+    equations. A test compares them with repeated navigations. points: (5, n), navigation errors as `ErrorRecord.points` returns
+    them."""
     parameters = request.parameters
     rotation = found.aligned.alignment.rotation
     turned = np.zeros((INPUTS, INPUTS))
@@ -265,10 +270,11 @@ def influences(
 
 
 def drift_influence(found: Navigated, points: Array) -> Influence | None:
-    """Influence of the drift that the stops show; None if they show no drift. points: result of `ErrorRecord.points`.
+    """The influence of the drift that the stops show; None if they show no drift. points: (5, n), navigation errors as
+    `ErrorRecord.points` returns them.
 
-    The change of each coefficient is the difference between its values with the drift and without the drift. The changes that the
-    uncertainty of the drift allows are small and independent of each other."""
+    The change of each coefficient is its value with the drift minus its value without the drift. Changes of the drift of the size
+    of its uncertainty are small and independent of each other."""
     drift = found.drift
     if drift is None or not drift.fitted.courses:
         return None
@@ -289,7 +295,8 @@ def drift_influence(found: Navigated, points: Array) -> Influence | None:
 
 
 def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count: int) -> Array:
-    """Errors of position [m] and velocity [m/s] per rad of error of the stated latitude, (4, count), at the end of each `step` [s]."""
+    """The errors (4, count) of position [m] and velocity [m/s] per rad of error of the stated latitude, at the end of each `step`
+    [s]."""
     shift = np.zeros((SIZE, 1))
     shift[1] = float(radii(site.latitude)[0]) + site.height
     found = equations.responses(shift, np.zeros((count, INPUTS, 1)), step) - shift
@@ -297,8 +304,8 @@ def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count
 
 
 def _figures(course: Array) -> Array:
-    """The figures of `NAMES` that follow the angles, (m, k), from k sets of errors (5, n, k) in the form of `ErrorRecord.points`,
-    without the first point."""
+    """The results (m, k) that follow the angles in `NAMES`, for k sets of navigation errors (5, n, k). The errors are in the form
+    of `ErrorRecord.points`, without the first point."""
     time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
     largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
     each = np.arange(course.shape[2])

@@ -1,9 +1,10 @@
-"""Flicker in a navigation: the response of the linear error equations to biases that wander during alignment and navigation.
+"""Computes the effect of flicker on a navigation: the response of the linear error equations to biases that change during alignment
+and navigation.
 
-A constant error is defined as the average over a stated span (see `observation.flicker`). Only deviations from this average disturb
-alignment and navigation. The errors of a navigation are linear in the sensors' errors. The errors of a navigation are therefore
-sums over short intervals, and the response to a constant sensor error in each interval is known. The covariance of the means of
-flicker over these intervals then gives the covariance of the errors.
+The constant error of a sensor is defined as the average over a stated time span (see `observation.flicker`). Only deviations from
+this average count here as disturbances of alignment and navigation. The errors of a navigation are linear in the sensors' errors.
+They are therefore sums over short intervals, and the response to a constant sensor error in each interval is known. The covariance
+of the means of flicker over these intervals then gives the covariance of the navigation errors.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ _AXES = 3
 
 @dataclass(frozen=True, slots=True)
 class WanderingBias:
-    """Response of a navigation to sensor errors that are constant in each interval of `step` [s].
+    """The response of a navigation to sensor errors that are constant in each interval of `step` [s].
 
-    aligned: (3, 6, m), tilt that remains after alignment, rad, for a unit error of each of the 6 sensors in each of the m intervals
-    of the alignment. attitude: (n, 3, 3), mean attitude over each interval of the navigation, with the body axes as columns in
-    East-North-Up. between: number of intervals from the beginning of the alignment to the beginning of the navigation. span: time
-    over which constant errors are averages, s.
+    aligned: (3, 6, m), rad, tilt after the alignment for an error of 1 rad/s or 1 m/s² of each of the 6 sensors in each of the m
+    intervals of the alignment. attitude: (n, 3, 3), mean attitude over each interval of the navigation, with the body axes as
+    columns in East-North-Up. between: number of intervals from the start of the alignment to the start of the navigation. span: the
+    time over which constant errors are averages, s.
     """
 
     equations: ErrorEquations
@@ -40,7 +41,7 @@ class WanderingBias:
 
     @property
     def begun(self) -> int:
-        """Number of intervals before the first interval of the navigation."""
+        """The number of intervals before the first interval of the navigation."""
         return max(self.between, int(self.aligned.shape[2]))
 
     @property
@@ -49,9 +50,9 @@ class WanderingBias:
         return np.asarray(self.step * (np.arange(self.begun + len(self.attitude)) + 0.5))
 
     def errors(self, biases: Array) -> Array:
-        """Errors (7, n + 1, r) at the beginning of the navigation and after each of its n intervals, in the states of
-        `error_equations`, for r cases of biases that change. biases: (6, l, r), rad/s and m/s², mean biases over the intervals
-        whose middles are `middles`."""
+        """The navigation errors (7, n + 1, r) at the start of the navigation and after each of its n intervals, in the states that
+        `error_equations` defines, for r cases of changing biases. biases: (6, l, r), rad/s and m/s², mean biases over the l
+        intervals whose middles are `middles`."""
         m = self.aligned.shape[2]
         start = np.zeros((SIZE, biases.shape[2]))
         start[TILT] = np.einsum("asm,smr->ar", self.aligned, biases[:, :m])
@@ -60,14 +61,14 @@ class WanderingBias:
         return np.concatenate([start[None], states]).swapaxes(0, 1)
 
     def _turned(self) -> Array:
-        """Matrices from body to navigation axes for the errors of gyros and accelerometers, (n, 6, 6)."""
+        """The matrices (n, 6, 6) that convert errors of gyros and accelerometers from body to navigation axes."""
         turned = np.zeros((len(self.attitude), INPUTS, INPUTS))
         turned[:, :_AXES, :_AXES] = turned[:, _AXES:, _AXES:] = self.attitude
         return turned
 
     def covariances(self, moments: Array) -> Array:
-        """Joint covariance (k, 6, 7, 7), at k moments of the navigation, of the tilts after alignment [rad] and of the position and
-        velocity errors, for each sensor with a bias instability of 1 rad/s or 1 m/s²."""
+        """For each sensor with a bias instability of 1 rad/s or 1 m/s², the joint covariance (k, 6, 7, 7), at k moments of the
+        navigation, of the tilts after the alignment [rad] and of the position and velocity errors."""
         begun, count = self.begun, len(self.attitude)
         transition, response = self.equations.step(self.step)
         driven = np.empty(
@@ -95,13 +96,13 @@ class WanderingBias:
 
 
 def interval(seconds: float, most: int) -> float:
-    """Length [s] of the intervals into which a time of `seconds` is divided: at least `SHORTEST`, and long enough for at most
-    `most` intervals."""
+    """The length [s] of the intervals into which a time of `seconds` is divided. It is at least `SHORTEST`, and long enough to give
+    at most `most` intervals."""
     return max(SHORTEST, math.ceil(seconds / most))
 
 
 class MeanAttitude:
-    """Computes the mean attitude over intervals of a navigation from the attitudes at the navigator's knots."""
+    """Computes the mean attitude over each interval of a navigation, from attitudes at more closely spaced moments."""
 
     def __init__(self, step: float):
         self.step = step
@@ -109,7 +110,8 @@ class MeanAttitude:
         self._counts: list[int] = []
 
     def take(self, time: Array, rotations: Array) -> None:
-        """Adds the attitudes at knots. time: (m,), s since navigation began; rotations: (m, 3, 3)."""
+        """Adds attitudes of the navigator. time: (m,), s since the navigation began; rotations: (m, 3, 3), attitudes at these
+        times."""
         place = np.maximum(np.ceil(time / self.step - 1e-9).astype(np.int64) - 1, 0)
         for k in np.unique(place):
             while len(self._sums) <= k:
@@ -121,5 +123,5 @@ class MeanAttitude:
 
     @property
     def means(self) -> Array:
-        """The mean attitudes, (n, 3, 3)."""
+        """The mean attitude (n, 3, 3) over each interval."""
         return np.array([one / max(count, 1) for one, count in zip(self._sums, self._counts, strict=True)])

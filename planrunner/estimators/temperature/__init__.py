@@ -1,1 +1,1 @@
-"""Coefficients as functions of temperature: polynomials and splines, and the choice of their order."""
+"""Estimators of coefficients as functions of temperature: polynomials and splines, and the choice of their order."""

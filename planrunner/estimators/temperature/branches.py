@@ -1,8 +1,9 @@
-"""Rising and falling temperature: the branches of a recorded temperature, and how values at rising and falling temperature differ.
+"""Distinguishes rising and falling temperature: finds the branches of a recorded temperature, and describes how values differ
+between the two directions.
 
-Let C be the part common to both directions, and D the width of the hysteresis loop: a value is C(T) + D(T)/2 on a rising ramp and
-C(T) − D(T)/2 on a falling ramp. Branches are determined by the turning points of the temperature, not by the division into
-segments: a temperature cycle gives the same branches whether it is recorded as one segment or as several.
+Let C be the mean of the values in both directions, and D the width of the hysteresis loop: a value is C(T) + D(T)/2 on a rising
+ramp and C(T) − D(T)/2 on a falling ramp. The turning points of the temperature separate the branches, not the boundaries of
+segments. A temperature cycle therefore gives the same branches whether it is recorded as one segment or as several.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ _BACK = 0.1  # of the range of temperatures: less is the ripple of a chamber's c
 def branches(temperature: Array, least: float) -> Integers:
     """The index of the branch, counted from 0, to which each of n successive temperatures [degC] (n,) belongs.
 
-    A branch ends at an extreme if the temperature then returns by more than `least` [K] and by more than a tenth of the range of all
-    temperatures.
+    A branch ends at an extreme value if the temperature then moves back by more than `least` [K] and by more than a tenth of the
+    range of all temperatures.
     """
     number = np.zeros(len(temperature), dtype=np.int64)
     if not len(temperature):
@@ -45,9 +46,9 @@ def branches(temperature: Array, least: float) -> Integers:
 
 
 def approached(temperature: Sequence[float], least: float) -> tuple[Integers, Integers]:
-    """For held temperatures (n,) in order of time: +1 for a temperature that was reached from below and −1 for one that was reached
-    from above, and the index of its sweep. The temperatures before the first change belong to the first sweep. If the temperature
-    never changes, the directions are 0 and the indices −1. A change of at most `least` [K] does not count."""
+    """For temperatures (n,) that were held one after the other, the direction from which each was reached, +1 from below or −1 from
+    above; and the index of the sweep to which it belongs. The temperatures before the first change belong to the first sweep. If
+    the temperature never changes, the directions are 0 and the indices −1. A change of at most `least` [K] counts as no change."""
     direction = np.zeros(len(temperature), dtype=np.int64)
     for place in range(1, len(temperature)):
         change = temperature[place] - temperature[place - 1]
@@ -61,29 +62,30 @@ def approached(temperature: Sequence[float], least: float) -> tuple[Integers, In
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference D between values at rising and at falling temperature. curve: form of D as a function of temperature; low,
-    high: limits of the range that both directions cover, degC. Outside this range, D has its value at the nearer end."""
+    """The difference D between the values at rising temperature and the values at falling temperature. curve: form of D as a
+    function of temperature; low, high: limits of the temperature range in which both directions were recorded, degC. Outside this
+    range, D has its value at the nearer limit."""
 
     curve: Curve
     low: float
     high: float
 
     def width(self, temperature: Array) -> Array:
-        """The columns (n, q) of D at `temperature` [degC] (n,)."""
+        """The columns (n, q) that describe D at `temperature` [degC] (n,)."""
         return self.curve.columns(np.clip(temperature, self.low, self.high))
 
     def columns(self, temperature: Array, direction: Integers) -> Array:
-        """The columns (n, q) of the contribution ±D/2 to the values; zero for values without a direction."""
+        """The columns (n, q) that describe the contribution +D/2 or −D/2 to the values; zero for values without a direction."""
         return self.width(temperature) * (direction / 2)[:, None]
 
 
 def difference_of(temperature: Array, direction: Integers, highest: int, width: float, left: int) -> Difference | None:
-    """The form of D: a polynomial of the order `highest`, or lower if there are few temperatures. None if fewer than two
-    temperatures were reached in both directions. The values do not influence the choice of the form, so the uncertainty of D needs
-    no allowance for a choice.
+    """The form of D, which is a polynomial of the order `highest`, or of a lower order if there are few temperatures. It is None if
+    fewer than two temperatures were reached in both directions. The form does not depend on the measured values, so the uncertainty
+    of D need not include the choice of the form.
 
-    width: temperatures that differ by no more than this count as one temperature, K; left: the largest number of coefficients that
-    the number of values allows.
+    width: temperatures that differ by no more than this count as one temperature, K; left: the largest possible number of
+    coefficients for the number of values.
     """
     group = groups_of(temperature, width)
     both = np.intersect1d(group[direction > 0], group[direction < 0])
