@@ -1,5 +1,5 @@
-"""The command line: one module for each command. A module contains only the arguments, the progress and the printing of its
-command.
+"""The command line: one module for each command. The module of a command contains only its arguments, its progress display and the
+printing of its results.
 
 A command's module is imported when the command is used, so that `check` stays quick. Every failure becomes a message and an exit
 code here. The exit codes are: 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during
@@ -100,13 +100,13 @@ def _main(arguments: list[str]) -> int:
 
 @dataclass(slots=True)
 class AnswerForm:
-    """Form of the output that the user requests. json: with True, stdout receives only JSON, even for errors."""
+    """Form of the output that the user requests. json: True if stdout must receive only JSON, even for errors."""
 
     json: bool
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser. With JSON output, it reports wrong usage as a finding; otherwise it prints the usage and an error
+    """An argument parser. With JSON output, it reports wrong usage as a finding; otherwise, it prints the usage and an error
     message."""
 
     asked = AnswerForm(False)
@@ -120,7 +120,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _fail(error: Exception, *, as_json: bool) -> int:
-    """Prints the failure as text on stderr and, on request, as a list of findings on stdout. Returns the exit code."""
+    """Prints the failure as text on stderr and, with JSON output, as a list of findings on stdout. Returns the exit code."""
     from planrunner.cli.failures import failure_of
     from planrunner.cli.printing import print_json
 
@@ -133,7 +133,7 @@ def _fail(error: Exception, *, as_json: bool) -> int:
 
 
 def _let_go_of_output() -> None:
-    """Discards output that could not be written, so that the interpreter does not try to write it again when it exits."""
+    """Discards output that could not be written, so that the interpreter does not fail when it tries to write it at exit."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError, AttributeError):
@@ -166,7 +166,7 @@ that digits do not depend on their number. Without threads, processes that share
 
 
 def _start_no_threads(command: str) -> None:
-    """Keeps numpy from starting threads that a command does not need, unless the user sets the number of threads."""
+    """Keeps numpy from starting threads that a command does not need, unless the user has set the number of threads."""
     if command in _ONE_THREAD and "numpy" not in sys.modules:  # which reads it when it is imported
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

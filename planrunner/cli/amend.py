@@ -1,5 +1,5 @@
-"""`planrunner amend`: evaluates a run again and stores a new analysis with the person, the time and the reason. The old analysis
-stays."""
+"""`planrunner amend`: evaluates a run again and stores a new analysis with the person, the time and the reason. The earlier
+analyses stay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arguments of the commands that read an archive of runs, or its index."""
+"""Arguments of the commands that read an archive of runs, or the index of an archive."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def folder_argument(text: str, *, anew: bool = False) -> Path:
-    """The path of a folder of runs, or of a run, from the command line. For a URL, the folder is copied to this computer when the
-    command line is read (`archive.remote`), because commands read only local folders. anew: with True, files that have not changed
-    since an earlier copy are also copied."""
+    """Reads a command-line argument that names a folder of runs, or a run; returns the path of the folder. If the argument is a
+    URL, the folder is copied to this computer at once (`archive.remote`), because commands read only local folders. anew: True to
+    copy even files that have not changed since an earlier copy."""
     if "://" not in text:
         return Path(text)
     from planrunner.archive.remote import fetched
@@ -32,8 +32,8 @@ def folder_argument(text: str, *, anew: bool = False) -> Path:
 
 
 def folder_to_verify(text: str) -> Path:
-    """The same as `folder_argument`, but from a URL all files are always copied again, because an older copy does not show the
-    present state."""
+    """The same as `folder_argument`, except that all files of a URL are always copied again, because an older copy does not show
+    the present state."""
     return folder_argument(text, anew=True)
 
 
@@ -91,7 +91,7 @@ def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
 
 
 def report_left_out(faults: Sequence[FaultRow]) -> int:
-    """Prints the damaged runs that a command omits, on stderr. Returns the exit code that follows from them."""
+    """Prints on stderr which damaged runs a command omits. Returns the exit code that these runs cause."""
 
     for fault in faults:
         print_line(f"not in the index: {fault.folder}: {fault.message}", sys.stderr)

@@ -1,4 +1,4 @@
-"""`planrunner check`: shows all findings of one or more plans or suites, then the expected results of each sound plan."""
+"""`planrunner check`: shows all findings on one or more plans or suites, then the expected results of each sound plan."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """The result of the check of a plan, ready for output. summary: text for the terminal; empty with `--json`."""
+    """The result of checking a plan, ready for output. summary: text for the terminal; empty with the option `--json`."""
 
     findings: tuple[Finding, ...]
     ok: bool
@@ -88,8 +88,8 @@ class _Answer:
 
 
 def _answer_elsewhere(args: argparse.Namespace, today: date, files: tuple[Path, Path | None]) -> _Answer | None:
-    """Checks a plan on a worker of a cluster. Returns None if the result depends on the computer. files: the plan file, and the
-    bench file if one was given."""
+    """Checks a plan on a worker of a cluster. Returns None if the result depends on this computer, so that the plan must be checked
+    here. files: the plan file, and the bench file if one was given."""
     plan, _ = files
     if is_suite(plan):
         return None  # its plans are shared
@@ -138,8 +138,8 @@ def sound_plan(plan: str, bench: str | None, parameters: Sequence[str] = ()) -> 
 
 
 def summary(checked: Checked, looked_over: bool = True) -> str:
-    """A summary for the terminal: whether the plan is sound, how long it takes, and the expected uncertainties. looked_over:
-    whether the check also examined a recording that the bench plays back."""
+    """A summary for the terminal: whether the plan is sound, how long it takes, and the expected uncertainties. looked_over: True
+    if the check also examined a recording that the bench plays back."""
     errors, warnings = (
         sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")
     )
@@ -179,7 +179,7 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
 
 
 def _columns(pairs: list[tuple[str, str]]) -> str:
-    """The pairs in columns: three pairs per line, or as many as fit the terminal."""
+    """Prints pairs of texts in columns: three pairs on a line, or as many as fit the terminal."""
     wide = [max(len(name) for name, _ in pairs), max(len(text) for _, text in pairs)]
     cells = [f"{name:<{wide[0]}} {text:<{wide[1]}}" for name, text in pairs]
     across = max(1, min(3, (columns(sys.stdout) - 1) // (sum(wide) + 4)))

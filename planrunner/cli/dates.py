@@ -8,7 +8,7 @@ from planrunner.base.findings import COMMAND_LINE, InputError
 
 
 def day_of(text: str | None) -> date | None:
-    """Reads a date in ISO 8601; None for None. Raises `InputError` for any other text."""
+    """Reads a date in ISO 8601 form; returns None if the text is None. Raises `InputError` for any other text."""
     try:
         return None if text is None else date.fromisoformat(text)
     except ValueError:

@@ -173,7 +173,8 @@ def _compared(made: Diagnosed, simulation: str | None) -> JsonObject:
 
 
 def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
-    """Writes the plan and the bench with the named effects, each only if requested. Returns the lines to print about them."""
+    """Writes the plan and the bench with the effects that the diagnosis named, each only if requested. Returns the lines to print
+    about these files."""
     asked = [path for path in (args.write_plan, args.write_bench) if path is not None]
     if asked and not made.diagnosis.verdict.named:
         return [f"No effect is named: {path} is not written." for path in asked]
@@ -189,7 +190,7 @@ def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
 
 
 def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
-    """The options of the diagnosis from the command line; None if none are given, so that the options of the plan apply."""
+    """The options of the diagnosis from the command line; None if there are none, so that the options in the plan apply."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.gap.hypotheses.candidates import FULL
 
@@ -223,8 +224,8 @@ def recorded_of(args: argparse.Namespace, notice: Announce | None) -> Recorded:
 
 
 def _next(args: argparse.Namespace, found: JsonObject) -> str:
-    """Writes the proposed plan to the file given by --next, or otherwise beside the page, and enters the path of the plan in the
-    diagnosis."""
+    """Writes the proposed plan to the file that `--next` names, or beside the page by default, and enters the path of the file in
+    the diagnosis."""
     following = found["next"]
     if following is None:
         return ""
@@ -256,7 +257,7 @@ def context_of(made: Diagnosed, found: JsonObject, next_plan: str) -> DiagnosisC
 
 
 def _given(found: JsonObject) -> dict[str, str]:
-    """The effects that the user states as known, as one fact for the page; empty if there are none."""
+    """The effects that the user declared to act, as one fact for the page; empty if there are none."""
     fitted = dict.fromkeys(f"{one['effect']} (fitted)" for one in found["given"]["fitted"])
     stated = [
         f"{name} = {', '.join(filter(None, (f'{key} {text}'.strip() for key, text in values.items())))}"

@@ -1,5 +1,5 @@
-"""Applies a command to several run folders. Each folder is processed separately, the exit code is the highest of all, and JSON
-output is a list with one entry for each run."""
+"""Applies a command to several run folders. Each folder is processed separately. The exit code is the highest one of all runs, and
+JSON output is a list with one entry for each run."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class Done:
 
 
 def add_runs(parser: argparse.ArgumentParser, kind: Callable[[str], Path] = Path) -> None:
-    """Adds the argument RUN [RUN …], for commands without other positional arguments. kind: function that converts an argument to a
-    path."""
+    """Adds the argument RUN [RUN …], for commands without other positional arguments. kind: function that converts the text of an
+    argument to a path."""
     parser.add_argument("runs", metavar="RUN", nargs="+", type=kind, help="one or more run folders")
 
 
 def run_folders(given: Sequence[Path]) -> list[Path]:
-    """The given folders, except those that contain the records of nights. A pattern such as `runs/*` matches these too; a note
-    names each folder that is skipped."""
+    """The given folders, except those that contain the records of suite nights. A pattern such as `runs/*` also matches such
+    folders; a note names each one that is skipped."""
     nights = [] if len(given) < 2 else [folder for folder in given if holds_nights(folder)]
     for folder in nights:
         print_line(f"note: {folder} is skipped: it holds the records of nights, not a run", sys.stderr)
@@ -48,7 +48,8 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
 
 
 def runs_of(args: argparse.Namespace) -> list[Path]:
-    """The run folders: those that were given or, with --all, those in the archive. Raises `InputError`."""
+    """The run folders to work on: those given as arguments or, with --all, those in the archive. Raises `InputError` if --all is
+    used with several folders."""
     runs: list[Path] = args.runs
     if not args.all:
         return run_folders(runs)
@@ -58,15 +59,15 @@ def runs_of(args: argparse.Namespace) -> list[Path]:
 
 
 def archive_of(runs: Sequence[Path]) -> Path:
-    """The one folder that was given with --all. Raises `InputError` if several folders were given."""
+    """The single folder given together with --all. Raises `InputError` if several folders were given."""
     if len(runs) > 1:
         raise InputError.of_usage("--all takes one folder", "give the folder that contains the runs")
     return runs[0]
 
 
 def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:
-    """Does the work on every run, even if others fail. A failure is printed; with `--json`, it is in `findings` of the entry of the
-    run.
+    """Does the work on every run, even if it fails for some of them. A failure is printed; with `--json`, it is in `findings` of
+    the run's entry.
 
     With several runs, the name of each run precedes its output. The exit code is the highest of all runs.
     """
@@ -90,10 +91,10 @@ def each_result(
     as_json: bool,
     last: Callable[[], Done | None] | None = None,
 ) -> int:
-    """The same as `each_run`, for work that prints nothing, so that several workers can share the runs. `work` must be a function
-    defined at module level, or a `partial` of such a function, because it is sent to workers. show: prints one result; it is called
-    in the order of the runs. what: text that describes the work in the progress. last: computes a further result from all runs
-    together, which becomes the last entry."""
+    """The same as `each_run`, for work that prints nothing itself, so that several workers can share the runs. `work` must be a
+    function defined at module level, or a `partial` of such a function, because it is sent to workers. show: prints one result; it
+    is called in the order of the runs. what: text that describes the work in the progress. last: computes a further result from all
+    runs together, which becomes the last entry."""
     alone = len(runs) == 1 and not as_json
     with reading_progress(as_json) as notice:
         pace = Pace(what, 1.0, notice)
@@ -130,7 +131,8 @@ def _concluded(
     as_json: bool,
     headed: bool = False,
 ) -> int:
-    """Prints the results and returns the exit code. headed: whether this function prints the name of each run before its result."""
+    """Prints the results of all runs and returns the exit code. headed: True if this function prints the name of each run before
+    the result of the run."""
     alone = len(runs) == 1 and not as_json
     entries, worst = [], 0
     for run, result in zip(runs, results, strict=True):

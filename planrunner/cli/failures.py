@@ -1,4 +1,4 @@
-"""Failures of commands: exit code, text on the terminal, and findings for `--json`."""
+"""Failures of commands: their exit codes, their texts on the terminal, and their findings for `--json`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from planrunner.cli.printing import print_findings
 
 @dataclass(frozen=True, slots=True)
 class CommandFailure:
-    """A failure of a command. text: text for the terminal, if it contains more than the findings; it is then printed instead of
-    them. trace: traceback of an unexpected exception until it is saved (see `saved`)."""
+    """A failure of a command. text: text for the terminal, if it contains more than the findings; it is printed instead of the
+    findings. trace: traceback of an unexpected exception, kept until it has been saved (see `saved`)."""
 
     code: int
     findings: tuple[Finding, ...]
@@ -23,7 +23,7 @@ class CommandFailure:
     trace: str = ""
 
     def saved(self) -> CommandFailure:
-        """Saves the traceback, if any, in a temporary file; returns the failure with a message that names the file."""
+        """Saves the traceback, if there is one, in a temporary file; returns the failure with a message that names the file."""
         if not self.trace:
             return self
         with tempfile.NamedTemporaryFile(
@@ -64,7 +64,7 @@ _INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
 def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailure:
-    """The failure that reports an exception. where: file or folder that the command works on, for findings that do not state a
+    """Makes the failure that reports an exception. where: file or folder that the command works on, for findings that state no
     place.
 
     The traceback of an unexpected exception is saved in a temporary file, which the message names.

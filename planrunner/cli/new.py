@@ -89,10 +89,10 @@ def _list(plans: dict[str, Path], *, as_json: bool) -> int:
 
 
 def _copy(original: Path, target: Path) -> Path:
-    """Copies a plan atomically and enters an existing schema file in its first line. Returns the schema file.
+    """Copies a plan atomically, and changes its first line so that it names an existing schema file. Returns the schema file.
 
     If the project of the target already has a schema file, the first line names that file; otherwise the shipped schema is written
-    next to the plan. Raises `InputError`.
+    next to the plan. Raises `InputError` if a file cannot be written.
     """
     text = original.read_bytes()
     header = _HEADER.search(text)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 
 def add_attendance(parser: argparse.ArgumentParser) -> argparse._MutuallyExclusiveGroup:
-    """Adds the options about the presence of an operator, for commands that depend on it."""
+    """Adds the options that state whether an operator is present."""
     present = parser.add_mutually_exclusive_group()
     present.add_argument(
         "--unattended", action="store_true", help="no operator is present: refuse a plan with operator prompts"
@@ -28,9 +28,9 @@ def add_live_page(parser: argparse.ArgumentParser) -> None:
 
 
 class TerminalOperator:
-    """The operator at the terminal. notify: function that shows a line of text. A separate thread reads the answers, so that the
-    run continues to supervise the bench and reacts to Ctrl-C. This thread reads directly from the file descriptor: if it still
-    waits when the program exits, it would otherwise keep the buffer of stdin locked."""
+    """The operator at the terminal. notify: function that shows a line of text to the operator. A separate thread reads the
+    answers, so that the run continues to supervise the bench and reacts to Ctrl-C. This thread reads directly from the file
+    descriptor: if it still waits when the program exits, it would otherwise keep the buffer of stdin locked."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify
@@ -58,7 +58,8 @@ class TerminalOperator:
 
 
 class PageOperator:
-    """The operator at the live page, who answers through the run folder. notify: function that shows a line of text."""
+    """An operator who uses the live page, and whose answers come through the run folder. notify: function that shows a line of text
+    to the operator."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify
@@ -72,8 +73,8 @@ class PageOperator:
 
 
 def operator_of(args: argparse.Namespace, notify: Callable[[str], None]) -> TerminalOperator | PageOperator | None:
-    """The operator on the live page if the live page is requested, otherwise the operator at the terminal. None for an unattended
-    run, and if there is no terminal."""
+    """Returns the operator on the live page if the live page is requested, otherwise the operator at the terminal. Returns None if
+    the run is unattended or there is no terminal."""
     if args.live_page:
         return PageOperator(notify)
     present = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty() and not args.unattended

@@ -1,4 +1,4 @@
-"""Output at the end of a run and of an analysis, with its exit codes."""
+"""The output of commands at the end of a run or an analysis, and the exit codes that follow."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
-    """Reports on stderr how an unfinished run ended, what is kept, and how to continue; prints JSON too on request."""
+    """Reports on stderr how an unfinished run ended, what was kept, and how to continue; with JSON output, also prints JSON."""
     for failure in outcome.failures:
         print(f"error: {failure}", file=sys.stderr)
     for unsafe in outcome.unsafe:
@@ -56,8 +56,8 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
 
 
 def conclude(analysis: Analysis, *, as_json: bool) -> Done:
-    """Prints the results, unless JSON is requested. The last line is the path of the first report, or of the analysis if there are
-    no reports. Returns the exit code that follows from the results, and the results as JSON."""
+    """Prints the results, unless JSON output is requested. The last line is the path of the first report, or of the analysis if
+    there are no reports. Returns the exit code that follows from the results, and the results as JSON."""
     if not as_json:
         print_results(analysis.results, analysis.headline)
         for path in reversed(analysis.reports or (analysis.folder,)):
@@ -70,9 +70,9 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
 
 
 def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | None = None) -> int:
-    """Ends a command that made one run: prints its results and returns the exit code. If its bench should have signed the run but
-    did not, this counts as a fault, unless the results already give another exit code. If the run measured the check standard of
-    the bench, it also reports whether the standard is in control. run: the run folder, if the run was made on a bench."""
+    """Ends a command that made one run: prints its results and returns the exit code. It counts as a fault if the bench should have
+    signed the run but did not, unless the results already cause another exit code. If the run measured the check standard of the
+    bench, it also reports whether the standard is in control. run: the run folder; None if the results come from no run on a bench."""
     done = conclude(analysis, as_json=as_json)
     unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
     standard, in_control = ({}, True) if run is None else _check_standard(run)
@@ -100,8 +100,8 @@ def _check_standard(run: Path) -> tuple[JsonObject, bool]:
 
 
 def code_of(results: Results) -> int:
-    """The exit code of results: `WRONG_INPUT` if an estimate failed because of the plan, otherwise `LIMIT_FAILED` if a limit is not
-    met or the data do not give an estimate, otherwise `DONE`."""
+    """The exit code that follows from the results: `WRONG_INPUT` if an estimate failed because of the plan; otherwise
+    `LIMIT_FAILED` if a limit is not met or the data do not give an estimate; otherwise `DONE`."""
     if results.failures.keys() - set(results.unfit):
         return exit_codes.WRONG_INPUT
     met = all(limit.verdict == "pass" for limit in results.limits)
@@ -109,7 +109,7 @@ def code_of(results: Results) -> int:
 
 
 def print_results(results: Results, headline: Headline) -> None:
-    """Prints coefficients, comparisons, limits, notes and warnings as tables, then the verdict with the source of the samples."""
+    """Prints coefficients, comparisons, limits, notes and warnings as tables, then the verdict and the source of the samples."""
     from planrunner.reporting import terminal
     from planrunner.reporting.verdict import stamp
 

@@ -3,8 +3,8 @@
     12 |     dwell: 30
        |            ^^
 
-The source line is shown as it was read, even if the file has changed or was removed since then, or was a pipe. Control characters
-are replaced by codes, and characters that the encoding lacks by escapes, before columns are counted.
+The source line is shown as it was read, even if the file has changed or was removed since then, or was a pipe. Before columns are
+counted, control characters are replaced by codes, and characters that the encoding lacks are replaced by escape sequences.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _BREAK = re.compile("\r\n|\r|\n")
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """A source line for display. gutter: the line number; blank: spaces of the same width; line: the text of the line, cut to the
-    available width; carets: the marks below the text."""
+    """A source line for display. gutter: the line number. blank: as many spaces as the line number has characters. line: the text
+    of the line, cut to the available width. carets: the marks below the text."""
 
     gutter: str
     blank: str
@@ -43,7 +43,7 @@ class Excerpt:
 
 
 def excerpt(mark: Mark, width: int, encoding: str = "utf-8") -> Excerpt | None:
-    """The source line that a mark names, in at most `width` columns, for a stream with this encoding; None if the text of the file
+    """The source line that a mark refers to, cut to `width` columns, for a stream with this encoding; None if the text of the file
     is not known."""
     if mark.text is None:
         return None
@@ -68,7 +68,7 @@ def _lines(text: str) -> list[str]:
 
 
 def _cell(char: str, encoding: str) -> tuple[str, int]:
-    """The text that is shown for one character of a file, and the number of columns that this text takes."""
+    """The text that is shown for one character of a file, and the number of columns that the text takes."""
     if char == "\t":
         return _TAB, len(_TAB)
     shown = printable(char, keep="").encode(encoding, "backslashreplace").decode(encoding)
@@ -80,8 +80,8 @@ def _cell(char: str, encoding: str) -> tuple[str, int]:
 
 
 def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> tuple[str, int, int]:
-    """The part of a line around the cells `first` to `last` that fits into `room` columns; also the number of columns before these
-    cells, and the number of columns that they take."""
+    """The part of a line that fits into `room` columns and contains the cells from `first` to `last`; also the number of columns
+    before these cells, and the number of columns that the cells take."""
     widths = [width for _, width in cells]
     begin, end = 0, len(cells)
     if sum(widths) > room:
@@ -117,13 +117,13 @@ EXCERPTS = ContextVar("EXCERPTS", default=True)
 
 
 def columns(stream: TextIO) -> int:
-    """Maximum width of a line: the width of the terminal, or `WIDE` for a pipe or a file."""
+    """Maximum width of a line: the width of the terminal, or `WIDE` if the output is a pipe or a file."""
     return shutil.get_terminal_size((WIDE, 24)).columns if stream.isatty() else WIDE
 
 
 def print_findings(findings: Iterable[Finding], file: TextIO | None = None) -> None:
-    """Prints findings to stderr, or to `file` if it is given; in colour on a terminal. Each finding is one line, followed by its
-    source line and a hint."""
+    """Prints findings to stderr, or to `file` if it is given. The output is coloured if it goes to a terminal. Each finding is one
+    line, followed by its source line and a hint."""
     out = beneath(file or sys.stderr)
     colour = out.isatty() and not os.environ.get("NO_COLOR")
     width = columns(out)
@@ -173,7 +173,7 @@ def write_file(path: Path, text: str) -> None:
 
 
 def write_new(path: Path, text: bytes) -> None:
-    """Writes a new file. If this fails, no part of the file remains. Raises `InputError`, also if the file exists already."""
+    """Writes a new file. If this fails, no part of the file remains. Raises `InputError`, for example if the file already exists."""
     try:
         with path.open("xb") as file:
             try:

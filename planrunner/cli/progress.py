@@ -1,5 +1,5 @@
-"""Shows the progress and the time left of runs and of reading long recordings: as a bar on a terminal, otherwise as a line from
-time to time; nothing on request.
+"""Shows the progress and the remaining time of runs and of reading long recordings. On a terminal this is a bar, elsewhere a line
+from time to time; nothing is shown if the user asks for quiet.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LINES_EVERY = 10.0
 
 @contextmanager
 def run_progress(quiet: bool) -> Iterator[tuple[ProgressCallback | None, Callable[[str], None]]]:
-    """Two callbacks: one for the progress events of the executor, and one for notices to the operator."""
+    """Yields two callbacks: one for the progress events of the executor, and one for notices to the operator."""
     if quiet:
         yield None, lambda text: print(text, file=sys.stderr)
     elif not sys.stderr.isatty():
@@ -37,7 +37,7 @@ def _bar() -> Iterator[tuple[ProgressCallback, Callable[[str], None]]]:
 
 @contextmanager
 def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
-    """Shows a progress bar on the terminal. transient: whether the bar disappears at the end."""
+    """Shows a progress bar on the terminal. transient: True if the bar disappears at the end."""
     from rich.progress import BarColumn, Progress, TextColumn
 
     from planrunner.base.progress import Underway
@@ -69,8 +69,8 @@ def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
 
 @contextmanager
 def reading_progress(quiet: bool = False) -> Iterator[Announce | None]:
-    """A callback for the progress of reading recorded samples. Nothing is shown before its first call, and a bar disappears at the
-    end."""
+    """Yields a callback for the progress of reading recorded samples. Nothing is shown before its first call, and a bar disappears
+    at the end."""
     if quiet:
         yield None
         return
@@ -89,7 +89,7 @@ def reading_progress(quiet: bool = False) -> Iterator[Announce | None]:
 
 
 class _Lines:
-    """Progress for logs: prints a line from time to time."""
+    """Shows progress in a log: prints a line from time to time."""
 
     def __init__(self) -> None:
         from planrunner.base.progress import now

@@ -1,4 +1,4 @@
-"""`planrunner report`: makes the reports of one or more runs again as a new analysis, or makes a certificate, or a report from the
+"""`planrunner report`: makes the reports of one or more runs again as a new analysis; or makes a certificate, or a report from the
 user's own template."""
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
 
 
 def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
-    """Refuses a certificate, and options that belong to one run (--set, --info, --before, --template), for several runs. Raises
-    `InputError`."""
+    """Refuses a certificate and the options that apply to a single run (--set, --info, --before, --template) if several runs are
+    given. Raises `InputError` in this case."""
     from planrunner.reporting.certificate_requirements import is_certificate
 
     given = {"--set": args.set, "--info": args.info, "--before": args.before, "--template": args.template}

@@ -97,7 +97,7 @@ def _tell(bench: Bench, request: JsonObject, ready: Path | None) -> int:
 
 
 def _token(ready: Path | None, control: str) -> str:
-    """Reads the token that authorises commands to a running simulated bench, from the readiness file of that bench. Raises
+    """Reads, from the readiness file of a running simulated bench, the token that authorises commands to that bench. Raises
     `InputError`."""
     start = "start the simulated bench with `--ready FILE`, and give the same file here"
     if ready is None:
@@ -164,7 +164,7 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
 
 
 def _copied(data: bytes, bench: Bench, control: str, serving: Serving) -> bytes:
-    """The text of the bench file with each address replaced by the address at which the instrument is served."""
+    """The text of the bench file, in which each address is replaced by the address at which the instrument is served."""
     from planrunner.bench.model import driver_of
     from planrunner.instruments.interfaces import Addressed
     from planrunner.simulators.from_bench import simulation_of

@@ -1,4 +1,4 @@
-"""The parts for suites that `check` and `night` share: the arguments, and the printed timetable."""
+"""Functions for suites that the commands `check` and `night` share: their arguments, and printing the timetable."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def require_usable(args: argparse.Namespace) -> None:
 
 
 def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
-    """Checks a suite; also writes the page of its timetable on request."""
+    """Checks a suite; on request, also writes the page of its timetable."""
     checked = check_suite(file, at=args.at, archive=args.runs, workers=workers_of(args, None))
     table = timetable_of(checked)
     if args.html is not None and table is not None:

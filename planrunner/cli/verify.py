@@ -1,4 +1,5 @@
-"""`planrunner verify`: shows what was changed in run folders since they were written; the exit code is 4 if anything was changed."""
+"""`planrunner verify`: shows what has been changed in run folders since they were written; the exit code is 4 if anything has been
+changed."""
 
 from __future__ import annotations
 
@@ -105,15 +106,15 @@ class _Verified:
 
 
 def _verified(ring: KeyRing | None, authority: StampAuthority | None, named: bool, folder: Path) -> _Verified:
-    """Verifies one run. named: whether the name of the folder has already been printed."""
+    """Verifies one run. named: True if the name of the folder has already been printed."""
     verification = verify_run(folder, ring, authority)
     lines = tuple(_lines("" if named else f"{folder}: ", verification))
     return _Verified(logged_run(verification.found), bool(verification.changes), lines, verification.to_json())
 
 
 def _lines(name: str, verification: Verification) -> Iterator[str]:
-    """The lines that report on one run. name: the text that precedes the first line, with the name of the folder; empty if the name
-    has already been printed."""
+    """The lines that report on one run. name: the text before the first line, which contains the name of the folder; empty if the
+    name has already been printed."""
     found = verification.found
     state = "CHANGED" if verification.changes else "unchanged" if verification.sealed else "unchanged, NOT SEALED"
     yield (f"{name or '    '}{state}")
@@ -155,7 +156,7 @@ def _lines(name: str, verification: Verification) -> Iterator[str]:
 
 
 def _covered(one: RunSignature) -> str:
-    """The data that a signature covers, and the result of the run that it states."""
+    """Describes what a signature covers and the result of the run that the signature states."""
     if not one.current:
         return "an earlier seal"
     if not one.analyses:

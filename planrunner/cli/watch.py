@@ -1,4 +1,4 @@
-"""`planrunner watch`: shows the active runs of an archive on the terminal, or as lines for a log."""
+"""`planrunner watch`: shows the active runs of an archive, as a table on the terminal or as lines for a log."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _draw(monitor: Monitor, output: Console, *, until_idle: bool) -> None:
 
 
 def _log(monitor: Monitor, *, until_idle: bool) -> None:
-    """For each active run, prints a line when the run begins, waits or ends, and otherwise every ten seconds."""
+    """For each active run, prints a line whenever the run begins, waits or ends, and at least every ten seconds."""
     from planrunner.live.terminal import NONE, log_line
 
     shown: dict[str, tuple[float, object]] = {}
@@ -86,7 +86,7 @@ def _log(monitor: Monitor, *, until_idle: bool) -> None:
 
 
 def _kind(run: RunningRun) -> object:
-    """The part of the state of a run that makes a new line worth printing when it changes."""
+    """The part of a run's state whose change makes a new line worth printing."""
     return run.state.paused, run.state.question, run.asked_to_pause, len(run.state.notices)
 
 

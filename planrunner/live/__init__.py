@@ -1,1 +1,1 @@
-"""Runs in progress: their observation in an archive, the server of the live page, and the view on a terminal."""
+"""Runs in progress: observing them in an archive, serving the live page, and showing them on a terminal."""

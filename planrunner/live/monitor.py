@@ -1,8 +1,8 @@
-"""Finds the runs of an archive that are in progress, from their run folders, and carries out the actions of a person: pause,
+"""Finds the runs of an archive that are in progress, from their run folders, and carries out what a person asks for: pause,
 continue, confirm a prompt.
 
-Runs are executed by other processes. A run with a live state is running if its live state changes, or if its folder is locked. The
-lock is tried as rarely as possible, because each trial holds the lock for a moment.
+Runs are executed by other processes. A run that has a live state counts as running if the live state changes or if the run folder
+is locked. Whether a folder is locked is tested as rarely as possible, because each test holds the lock for a moment.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ RunOutcome = Literal["finished", "not finished", "unreadable"]
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """Data of a run from run.json; empty texts if it cannot be read. started: time of the start, UTC, ISO 8601."""
+    """Data of a run from its run.json; the texts are empty if the file cannot be read. started: time of the start, UTC, ISO 8601."""
 
     run: str
     plan: str = ""
@@ -68,8 +68,8 @@ class RunningRun:
 
 @dataclass(frozen=True, slots=True)
 class RecentRun:
-    """A recent run that is not in progress. segments: number of recorded segments. reason: last failure in the journal, empty if
-    there is none."""
+    """A recent run that is not in progress. segments: number of recorded segments. reason: the last failure in the journal; empty
+    if there is none."""
 
     header: RunHeader
     outcome: RunOutcome
@@ -82,7 +82,7 @@ class RecentRun:
 
 @dataclass(frozen=True, slots=True)
 class Activity:
-    """State of an archive at one moment; the newest runs come first."""
+    """The runs of an archive at one moment, the newest first."""
 
     running: tuple[RunningRun, ...]
     recent: tuple[RecentRun, ...]
@@ -97,8 +97,8 @@ class Activity:
 
 @dataclass(slots=True)
 class _Pulse:
-    """The last live state of a run. at: the time in this state. seen: time when this state was first seen, s. alive: whether the
-    folder of the run was found locked; None if the lock was not tried for this state."""
+    """The last live state of a run. at: the time that this state contains. seen: time when this state was first seen, s. alive:
+    True if the folder of the run was locked; None if this has not been tested for this state."""
 
     at: str
     seen: float
@@ -127,7 +127,7 @@ class Monitor:
     # -- looking -----------------------------------------------------------------------------------------------------
 
     def look(self) -> Activity:
-        """The present activity. A folder that cannot be read is omitted."""
+        """The runs at present, in progress and recent. A folder that cannot be read is omitted."""
         with self._lock:
             names = self._names()
             running = [one for name in names if self._has_live(name) and (one := self._running(name)) is not None]
@@ -137,7 +137,8 @@ class Monitor:
             return Activity(tuple(running), tuple(islice(recent, RECENT)))
 
     def _names(self) -> list[str]:
-        """Names of the run folders, the newest run first. The names begin with the time of the run."""
+        """Names of the run folders, the newest run first. Sorting the names sorts the runs, because a name begins with the time of
+        the run."""
         try:
             with os.scandir(self.path) as listed:
                 names = [item.name for item in listed if not item.name.startswith(".") and item.is_dir()]
@@ -146,7 +147,8 @@ class Monitor:
         return sorted(names, reverse=True)
 
     def _has_live(self, name: str) -> bool:
-        """Whether a folder seems to have a live state. This is a quick check; the file is then opened with all precautions."""
+        """Whether a folder seems to have a live state. This is a quick check; the file itself is opened later, with all
+        precautions."""
         return os.path.lexists(self.path / name / NAME)
 
     def _running(self, name: str) -> RunningRun | None:
@@ -180,7 +182,7 @@ class Monitor:
         return self._headers[name]
 
     def _ended(self, name: str) -> RecentRun | None:
-        """A recent run that is not in progress. The journal of such a run is read again only if it has grown."""
+        """Describes a recent run that is not in progress. The journal of such a run is read again only if it has grown."""
         try:
             folder = self._archive.folder(name)
             journal = folder.entry(JOURNAL)
@@ -228,7 +230,7 @@ class Monitor:
             raise self._refused(run, f"the run folder cannot be written: {error.strerror or error}") from None
 
     def _written(self, run: str) -> GuardedFolder:
-        """The folder of a run that a process is writing."""
+        """Opens the folder of a run; the run must be one that a process is writing."""
         try:
             folder = self._archive.folder(run)
             if read_live(folder) is not None and pausing.is_written(folder):

@@ -1,9 +1,10 @@
-"""The server of the live page: on the loopback interface only, with a token, without any external request.
+"""The server of the live page. It listens only on the loopback interface, requires a token, and makes no external request.
 
 The page and its script contain no data and need no token. All data and actions need the token in the `Authorization` header; the
-page takes it from the fragment of its address, which browsers do not send. A cookie would be sent to every other server on this
-computer. Requests whose `Host` is not this server, and actions whose `Origin` is not this page, are refused. Another site can
-therefore not reach the server through the browser, even if the name of that site resolves to 127.0.0.1.
+page takes it from the fragment of its address, which browsers do not send. A cookie would not be secret, because browsers send it
+to every other server on this computer too. Requests whose `Host` is not this server, and actions whose `Origin` is not this page,
+are refused. Another site can therefore not reach the server through the browser, even if the name of that site resolves to
+127.0.0.1.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ HEADERS = {
 
 
 class _Watching:
-    """Observes the archive once for all pages, and only while a page is open."""
+    """Observes the archive for all open pages together, and only while a page is open."""
 
     def __init__(self, monitor: Monitor):
         self._monitor = monitor
@@ -75,7 +76,7 @@ class _Watching:
         self.text = ""
 
     def enter(self) -> bool:
-        """Registers a page. Returns False if too many pages are open, or if the server stops."""
+        """Registers a page. Returns False if too many pages are open or if the server is stopping."""
         with self._condition:
             if self._watchers >= MOST_WATCHERS or self._stop.is_set():
                 return False
@@ -90,8 +91,8 @@ class _Watching:
             self._watchers -= 1
 
     def after(self, number: int) -> tuple[int, str]:
-        """Waits for a text with a higher number than `number`, and returns this number and the text; after `KEEP_ALIVE`, returns
-        the present ones."""
+        """Waits for a text whose number is higher than `number`, and returns the new number and the text; after the time
+        `KEEP_ALIVE`, returns the present number and text."""
         with self._condition:
             self._condition.wait_for(lambda: self.number > number or self._stop.is_set(), KEEP_ALIVE)
             return self.number, self.text
@@ -106,7 +107,7 @@ class _Watching:
             self._condition.notify_all()
 
     def refresh(self) -> None:
-        """Observes the archive at once, after an action."""
+        """Observes the archive immediately, because an action may have changed it."""
         self._take(self._monitor.look())
 
     def _look(self) -> None:
@@ -167,7 +168,7 @@ class LiveServer(ThreadingHTTPServer):
         super().shutdown()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Ignores errors in connections of pages that were closed."""
+        """Ignores the errors that occur in a connection after its page was closed."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -220,7 +221,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedRequestError(http.HTTPStatus.NOT_FOUND, "there is nothing at this address")
 
     def _events(self) -> None:
-        """Sends server-sent events: the activity, at once and whenever it changes."""
+        """Sends the runs at present as server-sent events: immediately, and whenever they change."""
         watching = self.server.watching
         if not watching.enter():
             raise RefusedRequestError(

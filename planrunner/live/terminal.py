@@ -18,7 +18,7 @@ BAR = 60
 
 
 def activity_view(activity: Activity) -> RenderableType:
-    """A view of all runs in progress, for a terminal."""
+    """Makes the view of all runs in progress for a terminal."""
     from rich.console import Group
     from rich.text import Text
 
@@ -73,7 +73,7 @@ def _number(value: float, digits: int) -> str:
 
 
 def log_line(run: RunningRun) -> str:
-    """One line about a run in progress, for a log."""
+    """Describes a run in progress in one line, for a log."""
     return f"{_title(run)}: {_place(run)}"
 
 

@@ -1,1 +1,1 @@
-"""Unattended nights: suites of plans, their timetable and record; and the history of an archive of runs."""
+"""Unattended nights: suites of plans, their timetable and their record; also the history of an archive of runs."""

@@ -1,4 +1,4 @@
-"""Civil time of a night: converts windows in local time of day to instants.
+"""Civil time of a night: converts windows, which are stated in local time of day, to instants.
 
 Instants are seconds since 1970 UTC, so that durations are correct even if daylight saving begins or ends during the night. A local
 time that does not exist (clocks go forward) counts as if the clocks had not gone forward. For a local time that exists twice
@@ -17,14 +17,14 @@ from planrunner.night.suite import DAYS, NightWindow
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """An opening of a window on one day, from the instant `opens` to the instant `closes`."""
+    """One opening of a window, on one day, from the instant `opens` to the instant `closes`."""
 
     opens: float
     closes: float
 
 
 def zone_of(name: str | None, mark: Mark) -> tzinfo | None:
-    """The time zone; None means the zone of the computer. Raises `InputError`."""
+    """The time zone with this name, or the zone of the computer if the name is None. Raises `InputError` if the zone is unknown."""
     if name is None:
         return None
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -39,18 +39,18 @@ def zone_of(name: str | None, mark: Mark) -> tzinfo | None:
 
 
 def civil(instant: float, zone: tzinfo | None) -> datetime:
-    """The local time, with its offset from UTC."""
+    """Converts an instant to local time with its offset from UTC."""
     return datetime.fromtimestamp(instant, zone).astimezone(zone)
 
 
 def instant_of(day: date, time: str, zone: tzinfo | None) -> float:
-    """The instant of a local time of day, `HH:MM`."""
+    """Converts a local time of day, `HH:MM`, on one day to an instant."""
     hours, minutes = map(int, time.split(":"))
     return datetime(day.year, day.month, day.day, hours, minutes, tzinfo=zone).timestamp()
 
 
 def openings(window: NightWindow, since: float, zone: tzinfo | None) -> Iterator[Opening]:
-    """The openings of a window that close after `since`, in order."""
+    """Yields, in order, the openings of a window that close after the instant `since`."""
     day = civil(since, zone).date() - timedelta(days=1)
     overnight = window.closes <= window.opens
     for _ in range(3 * 366):  # a weekday comes again within a week; the rest is for callers that look further
@@ -63,5 +63,5 @@ def openings(window: NightWindow, since: float, zone: tzinfo | None) -> Iterator
 
 
 def shown_time(instant: float, zone: tzinfo | None) -> str:
-    """Date, time and zone, such as `2026-03-28 22:00 CET`."""
+    """Date, time and zone as a text, such as `2026-03-28 22:00 CET`."""
     return f"{civil(instant, zone):%Y-%m-%d %H:%M %Z}".rstrip()

@@ -1,5 +1,5 @@
-"""The tests of a suite: each plan on each device and bench, with each combination of its matrix, and the other tests for which each
-test waits."""
+"""Makes the tests of a suite: each plan is run on each device and bench, with each combination of its matrix. Also determines for
+which other tests each test waits."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ Measurement = tuple[Path, str, tuple[tuple[str, str], ...]]
 
 @dataclass(frozen=True, slots=True)
 class PlannedTest:
-    """One test of a night: one run of a plan.
+    """One test of a night, which is one run of a plan.
 
     name: unique name of the test, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. entry: name of the plan
-    in the suite. matrix: run information from the matrix. parameters: values for parameters of the plan. information: all run
-    information that the suite gives for the test, whether the plan asks for it or not. after, needs: indices of the tests that must
-    have ended before this test begins, and of the tests that must have passed. mark: place of the test in the suite. standard: True
-    if the test measures the check standard of its bench.
+    in the suite file. matrix: run information from the matrix. parameters: values for parameters of the plan. information: all run
+    information that the suite gives for the test, whether or not the plan asks for it. after: indices of the tests that must have
+    ended before this test begins. needs: indices of the tests that must have passed before it begins. mark: place in the suite file
+    that causes the test. standard: True if the test measures the check standard of its bench.
     """
 
     index: int
@@ -56,7 +56,7 @@ class PlannedTest:
 
     @property
     def values(self) -> dict[str, str]:
-        """The values that distinguish the test from the other tests of its plan with the same device on the same bench."""
+        """The values that distinguish the test from other tests of the same plan, device and bench."""
         return {**self.matrix, **self.parameter_values}
 
     @property
@@ -65,14 +65,15 @@ class PlannedTest:
 
     @property
     def measurement(self) -> Measurement:
-        """The key of the data that are checked once for all tests that share them."""
+        """A key that is equal for tests with the same plan file, bench and parameter values, so that the data they share are
+        checked only once."""
         return self.file, self.bench, tuple(self.parameter_values.items())
 
 
 @dataclass(frozen=True, slots=True)
 class StandardFirst:
-    """A check standard that is measured before the other tests of its bench. file: file of the plan that measures it. blocks: True
-    if the other tests need the check standard to be in control."""
+    """A check standard that is measured before the other tests of its bench. file: file of the plan that measures the check
+    standard. blocks: True if the other tests of the bench need the check standard to be in control."""
 
     device: str
     file: Path
@@ -86,8 +87,9 @@ CHECK_STANDARD = "check standard"
 def expand_suite(
     suite: Suite, folder: Path, log: Findings, standards: Mapping[str, StandardFirst] = MappingProxyType({})
 ) -> tuple[PlannedTest, ...]:
-    """The tests in the order of the file, after those of the check standards. folder: folder of the suite. standards: bench → its
-    check standard, if the check standard is measured first. Unknown names, cycles and plans without a test become findings."""
+    """Makes the tests of a suite: first those that measure check standards, then the others in the order of the file. folder:
+    folder of the suite. standards: maps each bench to its check standard, if the check standard is measured first. Unknown names,
+    plans that wait for each other, and plans without a test become findings."""
     before = log.raised
     _check_names(suite, log)
     _check_cycles(suite, log)
@@ -201,9 +203,9 @@ def _combinations(choices: Mapping[str, Sequence[_Value]]) -> Iterator[dict[str,
 def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
-    """The tests of other plans for which a test waits. For each of these plans, they are the tests with the same device on the same
-    bench; if there are none, the tests with the same device; if there are none either, all tests of the plan. groups: tests of a
-    plan, of a plan with a device, and of a plan with a device on a bench."""
+    """The tests of other plans for which a test waits. For each of these plans, these are the tests with the same device and bench;
+    if there are none, the tests with the same device; otherwise all tests of the plan. groups: maps (plan,), (plan, device) and
+    (plan, device, bench) to the tests with these properties."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
         here, of_device = groups.get((entry, test.device, test.bench)), groups.get((entry, test.device))
@@ -232,8 +234,8 @@ def _check_names(suite: Suite, log: Findings) -> None:
 
 
 def _check_values(plan: SuitePlan, log: Findings) -> None:
-    """Checks for a value that is given twice, or a name in both `matrix` and `parameters`. Either fault would give two tests the
-    same name."""
+    """Reports a value that is given twice, and a name that is in both `matrix` and `parameters`. Either fault would give two tests
+    the same name."""
     for key, choices in (("matrix", plan.matrix), ("parameters", plan.parameters)):
         for name, values in choices.items():
             for place, value in enumerate(values):
@@ -250,7 +252,7 @@ def _check_values(plan: SuitePlan, log: Findings) -> None:
 
 
 def _unknown(names: Sequence[str], known: Collection[str], key: str) -> Iterator[tuple[str, str]]:
-    """Reports unknown names, each with a hint. key: the key where they should be declared."""
+    """Reports unknown names, each with a hint. key: the key under which the names should be declared."""
     for name in names:
         if name not in known:
             yield name, closest(name, known) or f"declare it under `{key}:`"
@@ -271,8 +273,8 @@ def _check_cycles(suite: Suite, log: Findings) -> None:
 
 
 def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
-    """A cycle that can be reached from a plan without the plans in `done`; all plans that the search reaches are added to `done`.
-    The search works without recursion, so that a long chain causes no error."""
+    """Follows the plans for which a plan waits, except those in `done`; returns a cycle of plans that wait for each other, if it
+    finds one. Adds all plans that it reaches to `done`. The search works without recursion, so that a long chain causes no error."""
     path: list[str] = []
     stack: list[tuple[str, bool]] = [(start, False)]
     while stack:
@@ -295,7 +297,8 @@ def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
 
 
 def known_failure(test: str, failures: Sequence[KnownFailure], kind: str, today: date) -> KnownFailure | None:
-    """The known failure in the suite that covers a failure of this kind (`limit` or `fault`) of a test on this day."""
+    """The known failure in the suite that applies if a test fails in this way (`limit` or `fault`) on this day; None if there is
+    none."""
     for entry in failures:
         covered = any(fnmatchcase(test, pattern) for pattern in entry.tests)
         if covered and kind in entry.of and today <= date.fromisoformat(entry.until):
@@ -304,7 +307,7 @@ def known_failure(test: str, failures: Sequence[KnownFailure], kind: str, today:
 
 
 def check_known_failures(suite: Suite, tests: Sequence[PlannedTest], today: date, log: Findings) -> None:
-    """Reports patterns that match no test, dates that do not exist, and entries that have expired."""
+    """Reports known failures whose pattern matches no test, whose date does not exist, or which have expired."""
     names = [test.name for test in tests]
     for entry in suite.known_failures:
         for position, pattern in enumerate(entry.tests):

@@ -1,7 +1,7 @@
-"""JUnit XML of a night, in the form that Jenkins and GitLab read: one test suite for each plan, one test case for each test.
+"""JUnit XML of a night, in the form that Jenkins and GitLab read: one test suite for each plan, and one test case for each test.
 
-A failed limit is a `failure`. A fault, a refused plan and a test that did not run are an `error`, because CI systems count skipped tests as
-harmless. A known failure is `skipped`, with its reason.
+A failed limit is a `failure`. A fault, a refused plan and a test that did not run are an `error`, because CI systems count skipped
+tests as harmless. A known failure is `skipped`, with the reason that the suite states.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _ELEMENT = {
 
 
 def to_junit(night: JsonObject) -> bytes:
-    """The JUnit document of a night, from its record as JSON."""
+    """Makes the JUnit document of a night from the night's record in JSON."""
     tests = night["tests"]
     root = ET.Element("testsuites", {"name": _text(night["title"]), **_counts(tests), "time": _total(tests)})
     for entry in dict.fromkeys(test["entry"] for test in tests):
@@ -84,5 +84,5 @@ def _seconds(value: float) -> str:
 
 
 def _text(text: str) -> str:
-    """A text without the characters that XML 1.0 cannot contain."""
+    """Replaces the characters of a text that XML 1.0 cannot contain."""
     return _NOT_XML.sub("�", text)

@@ -18,11 +18,11 @@ SIGNATURE = "X-Planrunner-Signature"
 
 
 class NotificationError(Exception):
-    """A notification could not be sent. The message gives the reason; it contains no secret."""
+    """The error if a notification could not be sent. The message gives the reason; it contains no secret."""
 
 
 def receiver(entry: Notification) -> str:
-    """The receiver in words, without secrets."""
+    """Describes the receiver of a notification without secrets."""
     if entry.webhook_from is not None:
         return f"the address in {entry.webhook_from}"
     return entry.webhook or ", ".join(entry.email)

@@ -28,8 +28,8 @@ FORMAT = 1
 
 
 def holds_nights(folder: Path) -> bool:
-    """Whether a folder is the folder in which an archive keeps its nights. This folder lies beside the run folders, so `runs/*`
-    includes it."""
+    """Whether a folder is the one in which an archive keeps the records of its nights. This folder lies beside the run folders, so
+    `runs/*` includes it."""
     return folder.name == FOLDER and folder.is_dir() and not (folder / RUN).exists()
 
 
@@ -41,7 +41,8 @@ DONE, LIMIT_FAILED, FAULT, INTERRUPTED = 0, 1, 3, 130
 
 @dataclass(slots=True)
 class Attempt:
-    """One process of a test. kind: run, resume or estimate. run: name of the run folder in the archive."""
+    """One attempt of a test: a process that runs, resumes or estimates. kind: run, resume or estimate. run: name of the attempt's
+    run folder in the archive."""
 
     identity: str
     kind: str
@@ -56,7 +57,7 @@ class Attempt:
 
 @dataclass(slots=True)
 class RecordedTest:
-    """A test and its result."""
+    """A test in the record of a night, with its result."""
 
     about: JsonObject
     state: StateOfTest = "waiting"
@@ -134,20 +135,20 @@ class NightRecord:
         test.limits, test.analysis = event["limits"], event["analysis"]
 
     def verdict(self) -> int:
-        """The exit code of the night: 3 if a test gave no result, 1 if one failed, otherwise 0."""
+        """The exit code of the night: 3 if a test gave no result, otherwise 1 if a test failed, otherwise 0."""
         states = {test.state for test in self.tests}
         if states & {*BAD, "waiting", "running"}:
             return FAULT
         return LIMIT_FAILED if "failed" in states else DONE
 
     def counts(self) -> dict[str, int]:
-        """Maps each state to its number of tests, in the order of importance; states without tests are left out."""
+        """Number of tests in each state, with the most important state first; states without tests are left out."""
         order = ("failed", "fault", "refused", "not_run", "known_failure", "passed", "running", "waiting")
         found = {state: sum(test.state == state for test in self.tests) for state in order}
         return {state: number for state, number in found.items() if number}
 
     def time(self, instant: float | None) -> str | None:
-        """A local time with offset, ISO 8601."""
+        """Converts an instant to local time with offset, as ISO 8601 text."""
         return None if instant is None else civil(instant, self.zone).isoformat(timespec="seconds")
 
     def to_json(self) -> JsonObject:

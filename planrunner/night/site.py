@@ -1,9 +1,9 @@
 """The static site of an archive: runs, devices, benches and coefficients over time, as files that a browser opens without a server.
 
-Browsers do not let a page read files from a file share, but they load scripts from it. So the data are scripts that hand JSON to
-the page: `data-<digest>/runs-0.js` and so on, in chunks, and one file for each device. `data.js` names them and is replaced last,
-so that a reader sees the old site or the new one. Texts are data: the page receives them as JSON strings in ASCII and shows them as
-text.
+Browsers do not let a page read data files from a file share, but they do load scripts from it. The data are therefore written as
+scripts that pass JSON to the page: `data-<digest>/runs-0.js` and so on in chunks, and one file for each device. The file `data.js`
+names these scripts and is replaced last, so that a reader sees either the old site or the new one. Texts cannot become code: the
+page receives them as JSON strings in ASCII and shows them as text.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ REPORTS = (".html", ".md")
 
 @dataclass(frozen=True, slots=True)
 class BuiltSite:
-    """A site that was written. page: the file to open. runs, devices: number of runs and of devices."""
+    """A site that was written. page: the file to open in a browser. runs, devices: number of runs and of devices."""
 
     page: Path
     runs: int
@@ -70,7 +70,7 @@ class BuiltSite:
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """A coefficient of one run. run: index in the list of runs."""
+    """The value of a coefficient in one run. run: index of the run in the list of runs."""
 
     run: int
     row: CoefficientRow
@@ -122,14 +122,14 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
 
 
 def _night(runs: Sequence[RunRow]) -> str:
-    """The moment after which the wall display shows runs. runs: all runs, the newest first."""
+    """The moment from which on the wall display shows runs: a fixed time before the newest run. runs: all runs, the newest first."""
     if not runs:
         return ""
     return (datetime.fromisoformat(runs[0].created) - NIGHT).isoformat(timespec="microseconds")
 
 
 def _nights(archive: Path) -> Iterator[Json]:
-    """The newest nights: the result of each test with its reason. A damaged record is omitted; `verify` reports it."""
+    """The newest nights, each with the result of its tests and the reasons. A damaged record is omitted; `verify` reports it."""
     from jsonschema import Draft202012Validator
 
     validator = Draft202012Validator(formats.schema("night"))
@@ -167,7 +167,7 @@ def _nights(archive: Path) -> Iterator[Json]:
 
 
 def _run(run: RunRow, archive: Path) -> Json:
-    """A run as a row, in the order of `RUN` in site.js."""
+    """Converts a run to a row with the columns of `RUN` in site.js."""
     return [
         run.folder,
         run.created,
@@ -186,7 +186,7 @@ def _run(run: RunRow, archive: Path) -> Json:
 
 
 def _reports(archive: Path, run: RunRow) -> Iterator[str]:
-    """Names of the reports of the newest analysis."""
+    """Yields the file names of the reports in a run's newest analysis."""
     if not run.analysis:
         return
     folder = archive.joinpath(*PurePosixPath(run.folder).parts, stored.FOLDER, str(run.analysis))
@@ -202,7 +202,7 @@ def _reports(archive: Path, run: RunRow) -> Iterator[str]:
 
 def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs: Sequence[RunRow]) -> Json:
     """A coefficient of a device over time, the oldest run first, with the limits of the plans, the control charts and the changes.
-    Missing values and uncertainties are None, and so are control limits that do not exist."""
+    Missing values and uncertainties are None, as are control limits that do not exist."""
     ordered = list(reversed(found))
     held = trend(device, quantity, [HistoryPoint(runs[point.run], point.row, point.limits) for point in ordered])
     usable = {point.run.folder for point in held.points}
@@ -210,7 +210,7 @@ def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs
     charts = held.charts
 
     def spread(values: NDArray[np.float64] | None) -> list[Json]:
-        """The values of a chart at the indices of their runs; None for runs without a value in the chart."""
+        """Places the values of a chart at the indices of their runs, and None at runs that have no value in the chart."""
         placed: list[Json] = [None] * len(ordered)
         for k, value in zip(places, () if values is None else values.tolist(), strict=values is not None):
             placed[k] = value
@@ -240,7 +240,7 @@ def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs
 
 
 def _change(one: ChangePoint, places: Sequence[int]) -> Json:
-    """A change of level. before, after: the values between which the level changed."""
+    """A change of level as JSON data. before, after: positions in the series of the values between which the level changed."""
     return {
         "before": places[one.index - 1],
         "after": places[one.index],
@@ -252,7 +252,7 @@ def _change(one: ChangePoint, places: Sequence[int]) -> Json:
 
 
 def _standards(index: Index, runs: Sequence[RunRow]) -> Iterator[Json]:
-    """The state of the check standard of every bench whose newest run has a bench file that declares one."""
+    """The state of the check standards of those benches whose newest run has a bench file that declares one."""
     now = datetime.now(UTC)
     newest: dict[str, RunRow] = {}
     for run in runs:
@@ -273,13 +273,14 @@ def _finite(value: float) -> float | None:
 
 
 def _script(name: str, value: Json) -> bytes:
-    """A script that passes data to the page: a call with JSON in ASCII, which JavaScript reads in the same way."""
+    """A script that passes data to the page: a function call whose argument is JSON in ASCII, which JavaScript reads in the same
+    way."""
     text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return f"planrunnerData({json.dumps(name)},{text});\n".encode("ascii")
 
 
 def _archive_link(archive: Path, out: Path) -> str | None:
-    """The address of the archive relative to the site; None if there is none, as between two drives of Windows."""
+    """The path from the site to the archive, as a link; None if there is none, for example between two drives of Windows."""
     try:
         way = os.path.relpath(archive.absolute(), out.absolute())
     except ValueError:

@@ -382,6 +382,6 @@ SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
 
 
 def read_suite(root: source.Mapping, log: Findings) -> Suite | None:
-    """The suite in a document, as far as it can be read; findings are added to `log`."""
+    """Reads the suite in a document as far as possible; adds findings to `log`."""
     suite: Suite | None = RecordOf(Suite).read(root, log)
     return suite

@@ -22,14 +22,14 @@ _ANNOTATION = {"failed": "error", "fault": "error", "refused": "error", "not_run
 
 
 def headline(night: JsonObject) -> str:
-    """The result of the night in one line."""
+    """States the result of the night in one line."""
     counts = ", ".join(f"{number} {WORDS[state].lower()}" for state, number in night["counts"].items())
     state = {"finished": "", "running": " (running)", "interrupted": " (interrupted)", "abandoned": " (cut short)"}
     return f"{night['title']}: {counts}{state[night['state']]}"
 
 
 def summary(night: JsonObject) -> str:
-    """The summary as Markdown. Tests that did not pass come first."""
+    """The summary of the night as Markdown. Tests that did not pass come first."""
     lines = [f"# {_cell(headline(night))}", ""]
     lines += [f"- Begin: {night['begins']}", f"- End: {night['ends'] or '–'} (foreseen {night['foreseen_end']})"]
     lines += [
@@ -68,7 +68,7 @@ def summary(night: JsonObject) -> str:
 
 
 def github_annotations(night: JsonObject) -> Iterator[str]:
-    """Workflow commands: one annotation for each test that did not pass."""
+    """Workflow commands for GitHub Actions: one annotation for each test that did not pass."""
     for test in night["tests"]:
         level = _ANNOTATION.get(test["state"])
         if level is not None:

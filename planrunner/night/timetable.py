@@ -1,11 +1,12 @@
 """The timetable of a night: which test begins when, on which bench, and which tests do not fit.
 
-`NightCourse` is the state of a night and the rules by which it goes on. It knows no processes and no clock: the caller states which
-tests have ended and what time it is. `planrunner check` simulates it with the planned durations (`foresee`). A night updates it
-with real events. Both therefore follow the same rules. Times are instants, seconds since 1970 UTC.
+`NightCourse` holds the state of a night and the rules by which the night continues. It knows no processes and no clock: the caller
+states which tests have ended, and the time. `planrunner check` simulates the night with the planned durations (`foresee`).
+`planrunner night` updates the state with real events. Both commands therefore follow the same rules. Times are instants, seconds
+since 1970 UTC.
 
-On each bench, the test that begins next is the first one, in the order of the suite, that meets three conditions: its dependencies
-have ended, its device is free, and it ends in time according to its planned duration.
+The test that begins next on a bench is the first in the order of the suite that meets three conditions: the tests that it waits for
+have ended, its device is free, and according to its planned duration it ends in time.
 """
 
 from __future__ import annotations
@@ -49,8 +50,9 @@ class EndOfTest(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BenchHours:
-    """The hours in which a bench may work, and its warm-up. openings: None if the bench may work at any time. warm_up: duration of
-    the warm-up, s; stays_warm: time for which the bench stays warm after a warm-up or a test, s; inf if it never cools down."""
+    """The hours in which a bench may work, and the warm-up that it needs. openings: None if the bench may work at any time.
+    warm_up: duration of the warm-up, s. stays_warm: time for which the bench stays warm after a warm-up or a test, s; inf if it
+    never cools down."""
 
     openings: tuple[Opening, ...] | None = None
     warm_up: float = 0.0
@@ -59,8 +61,8 @@ class BenchHours:
 
 @dataclass(frozen=True, slots=True)
 class NightHours:
-    """The hours of a night, as instants. begins, closes: instants at which the night begins and closes; `closes` is inf without
-    window and budget."""
+    """The hours of a night, as instants. begins, closes: instants at which the night begins and ends; `closes` is inf without a
+    window and a budget."""
 
     begins: float
     closes: float
@@ -69,7 +71,7 @@ class NightHours:
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Event: a test begins now."""
+    """The action that a test begins now."""
 
     test: int
     at: float
@@ -77,7 +79,7 @@ class Begin:
 
 @dataclass(frozen=True, slots=True)
 class WarmUp:
-    """Event: a bench begins to warm up now."""
+    """The action that a bench begins to warm up now."""
 
     bench: str
     at: float
@@ -86,8 +88,8 @@ class WarmUp:
 
 @dataclass(slots=True)
 class _Test:
-    """A waiting test. since: the earliest instant at which the test may begin. pending: number of tests that must end before it begins.
-    failed: how its last attempt ended, if the test waits for a repetition."""
+    """The state of a test in a night. since: the earliest instant at which the test may begin. pending: number of tests that must
+    end before it begins. failed: how its last attempt ended, if the test waits for a repetition."""
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
     ending: EndOfTest | None = None
@@ -99,12 +101,12 @@ class _Test:
 
 @dataclass(slots=True)
 class _Bench:
-    """The state of a bench. warm_at: end of its last warm-up. last_used: end of its last test. stopped: the reason why no further
-    test begins on the bench; empty if there is none.
+    """The state of a bench during a night. warm_at: instant at which its last warm-up ended. last_used: instant at which its last
+    test ended. stopped: the reason why no further test begins on the bench; empty if there is none.
 
-    ready: device → its tests that wait only for the bench, the device and the hours, in the order of the suite. first: heap of the
-    first such test of each device. longest: heaps of the waiting tests with and without a warm-up, as (−planned seconds, test).
-    Invalid entries of heaps are removed when they reach the top.
+    ready: maps each device to its tests that now wait only for the bench, the device and the hours, in the order of the suite.
+    first: a heap with the first such test of each device. longest: two heaps of the waiting tests, with and without a warm-up, as
+    (−planned seconds, test). An entry of a heap that is no longer valid is removed when it reaches the top.
     """
 
     running: int | None = None
@@ -118,10 +120,11 @@ class _Bench:
 
 @dataclass(slots=True)
 class NightCourse:
-    """The state of a night. durations: planned seconds of each test; None if unknown (the test then counts as short).
+    """The state of a night, and the rules by which the night continues. durations: planned time of each test, s; None if it is
+    unknown, in which case the test counts as short.
 
-    The next action is found without examining every test, so that the time for a night grows with the number of its tests and
-    dependencies, not with its square.
+    The next action is found without examining every test: the computing time for a night grows in proportion to the number of its
+    tests and dependencies, not with the square of this number.
     """
 
     tests: Sequence[PlannedTest]
@@ -173,7 +176,7 @@ class NightCourse:
             bench.warm_at = None
 
     def ended(self, test: int, at: float, ending: EndOfTest) -> bool:
-        """Records that a running test has ended. Returns True if the test will not be repeated, so that this outcome is its result."""
+        """Records that a running test has ended. Returns True if the test will not be repeated, so that this end is its result."""
         planned, state = self.tests[test], self._tests[test]
         bench = self._benches[planned.bench]
         bench.running, bench.last_used = None, at
@@ -199,8 +202,8 @@ class NightCourse:
         self._benches[self.tests[test].bench].running = None
 
     def abandon(self, test: int) -> EndOfTest | None:
-        """Records that a waiting test will not run. Returns the result of a test that waited for a repetition: the end of its last
-        attempt."""
+        """Records that a waiting test will not run. Returns how the last attempt ended if the test waited for a repetition; this is
+        then its result."""
         self._withdraw(test)
         state = self._tests[test]
         state.state, state.ending = "not run" if state.failed is None else "ended", state.failed
@@ -210,7 +213,7 @@ class NightCourse:
         return state.failed
 
     def _wait(self, index: int, since: float) -> None:
-        """Makes a test wait at least until an instant."""
+        """Makes a test wait until an instant, or longer if it also waits for other tests."""
         test, state = self.tests[index], self._tests[index]
         bench = self._benches[test.bench]
         state.state, state.since = "waiting", since
@@ -221,7 +224,7 @@ class NightCourse:
             self._lost.add(index)
 
     def _settle(self, index: int) -> None:
-        """Handles a test that has its result or will not run: tests that waited for it may now begin, or can no longer run."""
+        """Handles a test that has its result or will not run: tests that waited for it can now begin, or can no longer run."""
         for other in self._followers[index]:
             state = self._tests[other]
             state.pending -= 1
@@ -231,7 +234,7 @@ class NightCourse:
             self._lost.update(self._dependents[index])
 
     def _resume(self, now: float) -> None:
-        """Makes those tests ready whose pause has ended."""
+        """Makes those tests ready whose waiting time has passed."""
         while self._paused and self._paused[0][0] <= now:
             since, index = heappop(self._paused)
             test, state = self.tests[index], self._tests[index]
@@ -243,7 +246,7 @@ class NightCourse:
                 heappush(bench.first, index)
 
     def _withdraw(self, index: int) -> None:
-        """Removes a waiting test from the ready tests."""
+        """Removes a test from the tests that are ready to begin."""
         test = self.tests[index]
         bench = self._benches[test.bench]
         ready = bench.ready.get(test.device, [])
@@ -254,7 +257,7 @@ class NightCourse:
                 heappush(bench.first, ready[0])
 
     def _follow(self, test: PlannedTest, ending: EndOfTest) -> None:
-        """Applies the consequences of a failure according to the suite."""
+        """Applies the consequences that the suite states for a failure."""
         if ending is EndOfTest.REFUSED:
             return  # nothing moved: other tests are not concerned
         action = test.plan.on_limit if ending is EndOfTest.LIMIT else test.plan.on_fault
@@ -274,7 +277,8 @@ class NightCourse:
     # -- what comes next -------------------------------------------------------------------------------------------------
 
     def next(self, now: float) -> Begin | WarmUp | None:
-        """The next action at this instant, or None. The caller reports it with `begun` or `warming` and asks again."""
+        """The next action at this instant; None if there is none. The caller confirms the action with `begun` or `warming` and asks
+        again."""
         self._resume(now)
         busy = {device for index in self.running if (device := self.tests[index].device) is not None}
         for name, bench in self._benches.items():
@@ -287,7 +291,7 @@ class NightCourse:
         return None
 
     def out_of_reach(self, now: float) -> Iterator[tuple[int, str]]:
-        """Waiting tests that can no longer run, with the reason. The caller reports them with `abandon`."""
+        """The waiting tests that can no longer run, each with the reason. The caller confirms each with `abandon`."""
         for bench in self._benches.values():
             if bench.running is None:
                 self._lost.update(self._too_late(bench, now))
@@ -297,7 +301,7 @@ class NightCourse:
                 yield index, reason
 
     def wakes(self, now: float) -> float:
-        """The next instant at which something may begin even if no test ends; inf if there is none."""
+        """The next instant at which a test or warm-up may begin even if no running test ends; inf if there is none."""
         self._resume(now)
         moments = [bench.warm_at for bench in self._benches.values() if bench.warm_at is not None]
         moments += [since for since, _ in self._paused[:1]]
@@ -314,7 +318,7 @@ class NightCourse:
         return tuple(index for index, state in enumerate(self._tests) if state.state == "waiting")
 
     def attempts(self, test: int) -> int:
-        """Number of attempts of a test. Attempts that found the bench in use do not count."""
+        """Number of attempts of a test. Attempts that failed because the bench was in use do not count."""
         return self._tests[test].attempts
 
     def _open(self, bench: str, now: float) -> bool:
@@ -324,7 +328,7 @@ class NightCourse:
         return within and self.hours.begins <= now < self.hours.closes
 
     def _first(self, bench: _Bench, busy: Collection[str], now: float) -> int | None:
-        """The first ready test of a bench that could begin now with respect to the hours, and whose device is free."""
+        """The first ready test of a bench whose device is free and that could begin now and end within the hours."""
         found: int | None = None
         looked_at: list[int] = []
         too_long: set[tuple[bool, float | None]] = set()
@@ -350,8 +354,8 @@ class NightCourse:
         return found
 
     def _too_late(self, bench: _Bench, now: float) -> Iterator[int]:
-        """The waiting tests of a bench that no longer fit into its hours. Of two tests with the same warm-up, the longer one is the
-        first that does not fit."""
+        """Yields the waiting tests of a bench that no longer fit into the hours of the bench. Among tests with the same need for a
+        warm-up, the longest is examined first, because it is the first that does not fit."""
         for heap in bench.longest.values():
             while heap:
                 index = heap[0][1]
@@ -362,7 +366,7 @@ class NightCourse:
                 heappop(heap)
 
     def _obstacle(self, test: PlannedTest, now: float) -> str:
-        """The reason why a waiting test can no longer run; empty if it can."""
+        """The reason why a waiting test can no longer run; empty if it can still run."""
         stopped = self.stopped or self._benches[test.bench].stopped or self._devices.get(test.device or "", "")
         if stopped:
             return stopped
@@ -391,8 +395,8 @@ class NightCourse:
         )
 
     def _starts(self, index: int, now: float, *, soonest: bool = False) -> float | None:
-        """The first instant from now at which a test could begin with respect to the hours alone; None if it no longer fits.
-        soonest: if True, ignores the pause of the test before a repetition."""
+        """The first instant, from now on, at which the hours permit a test to begin; None if the test no longer fits. soonest: True
+        to ignore the waiting time before a repetition of the test."""
         test, state = self.tests[index], self._tests[index]
         limits, bench = self.hours.benches[test.bench], self._benches[test.bench]
         earliest = max(now, self.hours.begins, -math.inf if soonest else state.since, bench.warm_at or -math.inf)
@@ -404,7 +408,7 @@ class NightCourse:
         return None
 
     def _warm_up(self, test: PlannedTest, bench: _Bench, at: float) -> float:
-        """Warm-up time [s] of a bench before a test that begins at an instant."""
+        """Time [s] that a bench needs to warm up before a test that begins at an instant."""
         hours = self.hours.benches[test.bench]
         if not test.plan.warm:
             return 0.0
@@ -439,7 +443,7 @@ def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A period of time on a bench: a test, or a warm-up if test is None."""
+    """A period of time in which a bench is occupied by a test, or by a warm-up if `test` is None."""
 
     bench: str
     begins: float
@@ -449,7 +453,7 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class NightForecast:
-    """The forecast of a night. left_out: index of each test that does not run, with the reason."""
+    """The forecast of a night. left_out: index of each test that will not run, with the reason."""
 
     hours: NightHours
     slots: tuple[Slot, ...]
@@ -457,19 +461,19 @@ class NightForecast:
 
     @property
     def ends(self) -> float:
-        """The predicted end of the night; its beginning if no test runs."""
+        """The predicted end of the night; if no test runs, the beginning of the night."""
         return max((slot.ends for slot in self.slots), default=self.hours.begins)
 
     @property
     def slots_of_tests(self) -> dict[int, Slot]:
-        """Maps each test that runs to its slot."""
+        """Maps each test that will run to its slot."""
         return {slot.test: slot for slot in self.slots if slot.test is not None}
 
 
 def foresee(
     tests: Sequence[PlannedTest], durations: Sequence[float | None], hours: NightHours, zone: tzinfo | None
 ) -> NightForecast:
-    """The forecast of a night in which every test takes its planned duration and passes."""
+    """Forecasts a night in which every test takes its planned duration and passes."""
     course = NightCourse(tests, durations, hours, zone)
     now = hours.begins
     slots: list[Slot] = []

@@ -1,10 +1,10 @@
-"""Durations in words, for reasons and reports of a night."""
+"""Writes durations in words, for the reasons and reports of a night."""
 
 from __future__ import annotations
 
 
 def spell_out(seconds: float) -> str:
-    """A duration in words: `3484` → `58 min`; minutes, and seconds only below two minutes."""
+    """A duration in words, such as `58 min` for `3484`: below two minutes in seconds, otherwise in hours and minutes."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     hours, minutes = divmod(round(seconds / 60), 60)

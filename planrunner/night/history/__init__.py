@@ -1,1 +1,1 @@
-"""History of devices: an index over run folders, and the statistics of coefficients over time."""
+"""History of devices: an index of run folders, and statistics of coefficients over time."""

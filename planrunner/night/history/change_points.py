@@ -1,4 +1,4 @@
-"""Changes of the level of a coefficient, and other circumstances that changed at the same time.
+"""Finds changes in the level of a coefficient, and other circumstances that changed at the same time.
 
 Model: x_i ~ N(μ of its stretch, σ_i²), where σ_i is known. For a change between values k and k + 1, the likelihood ratio is that of
 two means,
@@ -28,9 +28,9 @@ LEVEL = 0.01
 
 @dataclass(frozen=True, slots=True)
 class CauseCandidate:
-    """A circumstance that changed with the level. before, after: values of the circumstance in the last run before the change and
-    in the first run after it. shared: fraction of the runs in both stretches in which the circumstance had the value of its
-    stretch, `before` or `after`; 1 means that it distinguishes the stretches completely."""
+    """A circumstance that changed when the level changed. before, after: the circumstance in the last run before the change and in
+    the first run after it. shared: fraction of the runs before the change with the circumstance `before`, and of the runs after it
+    with the circumstance `after`, taken together; 1 means that the circumstance distinguishes the two stretches completely."""
 
     kind: CircumstanceKind
     name: str
@@ -45,9 +45,9 @@ class CauseCandidate:
 
 @dataclass(frozen=True, slots=True)
 class ChangePoint:
-    """A change of the level. index: index of the first value after the change. step, standard_uncertainty: size of the change and
-    its standard uncertainty, in the unit of the values; p: p-value of the change. begin, end: the change divides the stretches
-    [begin, index) and [index, end)."""
+    """A change in the level of a coefficient. index: index of the first value after the change. step, standard_uncertainty: size of
+    the change and its standard uncertainty, in the unit of the values. p: p-value of the change. begin, end: the change divides the
+    stretches [begin, index) and [index, end)."""
 
     index: int
     step: float
@@ -59,7 +59,7 @@ class ChangePoint:
 
 
 def change_points(values: Array, sigma: Array, level: float = LEVEL) -> tuple[ChangePoint, ...]:
-    """All changes in the order of time. values, sigma: (n,), with sigma positive."""
+    """All changes of the level in the order of time. values: (n,). sigma: (n,), positive standard deviations of the values."""
     found = sorted(_search(values, sigma, 0, len(values), level))
     edges = [0, *found, len(values)]
     points = []
@@ -102,8 +102,8 @@ def _p(z: float, n: int) -> float:
 
 def steps_fit_better(values: Array, sigma: Array, days: Array, changes: Sequence[ChangePoint]) -> bool:
     """Whether levels with these changes describe the values better than one straight line over time, by the Bayesian information
-    criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays have the shape (n,). A drift also resembles a series
-    of changes, but no circumstance changes at them."""
+    criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays have the shape (n,). This comparison is necessary
+    because a steady drift resembles a series of changes, although no circumstance changed."""
     n, w = len(values), 1 / sigma**2
     edges = [0, *(one.index for one in changes), n]
     steps = sum(_misfit(values[a:b], w[a:b], np.ones((b - a, 1))) for a, b in pairwise(edges))
@@ -112,15 +112,15 @@ def steps_fit_better(values: Array, sigma: Array, days: Array, changes: Sequence
 
 
 def _misfit(values: Array, weight: Array, design: Array) -> float:
-    """χ² of the weighted fit."""
+    """χ² of the weighted least-squares fit of a design to the values."""
     root = np.sqrt(weight)
     fit = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
     return float((weight * (values - design @ fit) ** 2).sum())
 
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
-    """Circumstances that changed with the level. The circumstances that distinguish the two stretches best come first.
-    circumstances: circumstances of every run, in the order of the values."""
+    """Circumstances that changed when the level changed. The circumstances that distinguish the two stretches best come first.
+    circumstances: the circumstances of every run, in the order of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin
     before, after = known[split - 1], known[split]

@@ -6,11 +6,11 @@ A new value x of the check standard with the stated standard uncertainty u is co
 - its own first values, if there are enough of them: the charts of `control_charts`, whose mean and τ come from these.
 
 τ is the stated repeatability or, if none is stated, the scatter of the first values. A tested value never contributes to its own
-limits. The method is that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2: a Shewhart chart, and an exponentially
-weighted moving average for small changes, of the values of a check standard about an accepted value, with limits from data that
-were taken before; SOP 17 (NISTIR 7383) describes the same with three standard deviations as limits of action, and a test against
-the reference value. Here the stated uncertainty of each value widens its own limits (docs/decisions/0045). The comparison with a
-reference has no average: its uncertainty u_R is the same in all values, and would not become smaller.
+limits. The method is that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2: the values of a check standard are charted
+about an accepted value, in a Shewhart chart and, to detect small changes, as an exponentially weighted moving average; the limits
+come from data taken before. SOP 17 (NISTIR 7383) describes the same, with three standard deviations as limits of action and a test
+against the reference value. Here the stated uncertainty of each value widens its own limits (docs/decisions/0045). The comparison
+with a reference uses no moving average: the uncertainty u_R is common to all values, so averaging would not reduce it.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class ControlStanding(Enum):
 
 
 class ControlTest(Enum):
-    """Comparisons in which a value of a check standard is tested."""
+    """The kinds of comparison in which a value of a check standard is tested."""
 
     REFERENCE = "reference"
     SHEWHART = "Shewhart"
@@ -67,7 +67,7 @@ class ControlTest(Enum):
 
 @dataclass(frozen=True)
 class ControlLimits:
-    """The limits of the newest value in a comparison without memory: with a reference value, or in the Shewhart chart."""
+    """The limits of the newest value in a comparison that tests each value alone: with a reference value, or in the Shewhart chart."""
 
     test: ControlTest
     centre: float
@@ -77,9 +77,10 @@ class ControlLimits:
 
 @dataclass(frozen=True)
 class CoefficientControl:
-    """A coefficient of the check standard. trend: history of the coefficient, the newest value last. limits: limits of the newest
-    value, in each comparison that has limits. charts: control charts of this history, None if there are too few values. failed:
-    comparisons in which the newest value is outside the limits. missing: number of earlier values that are still needed for limits."""
+    """The state of a coefficient of the check standard. trend: history of the coefficient, the newest value last. limits: limits of
+    the newest value in each comparison that has limits. charts: control charts of this history; None if there are too few values.
+    failed: comparisons in which the newest value is outside the limits. missing: number of earlier values that are still needed for
+    limits."""
 
     quantity: str
     trend: Trend
@@ -89,7 +90,7 @@ class CoefficientControl:
     missing: int
 
     def words(self) -> str:
-        """The newest value and its limits in words."""
+        """States the newest value and its limits in words."""
         value = f"{self.quantity} is {self.trend.values[-1]:.6g} {self.trend.unit}"
         if not self.limits:
             return f"{value}, and {self.missing} more values are needed for limits"
@@ -118,9 +119,10 @@ class CoefficientControl:
 
 @dataclass(frozen=True)
 class ControlState:
-    """The check standard of a bench at a moment. run: newest run of the check standard, None if there is none. reasons: reasons why
-    the check standard is not in control, in words. damaged: runs of the archive that cannot be read and that are or may be runs of
-    the check standard; left_out: folders whose bench cannot be determined, and which the rule of the bench does not use."""
+    """The state of a bench's check standard at one moment. run: newest run of the check standard; None if there is none. reasons:
+    reasons why the check standard is not in control, in words. damaged: unreadable runs of the archive that measured the check
+    standard or may have measured it. left_out: folders whose bench cannot be determined, and which the bench's rule therefore does
+    not use."""
 
     bench: str
     device: str
@@ -176,9 +178,9 @@ def judge(
     now: datetime,
     damaged: Sequence[FaultRow] = (),
 ) -> ControlState:
-    """The state of the check standard at a moment. runs: runs of the check standard on this bench, the newest first. points:
-    coefficient → its values in these runs, the oldest first. damaged: runs of the archive that cannot be read. A damaged run that
-    was recorded on another bench, or with another plan or device, is not considered."""
+    """Determines the state of the check standard at one moment. runs: runs of the check standard on this bench, the newest first.
+    points: maps each coefficient to its values in these runs, the oldest first. damaged: runs of the archive that cannot be read. A
+    damaged run that was recorded on another bench, or with another plan or device, is not considered."""
     unreadable = tuple(fault for fault in damaged if fault.recorded is None)
     own = RecordedAs(bench, rule.plan_name, rule.device)
     damaged = tuple(fault for fault in damaged if fault.recorded == own)

@@ -1,4 +1,4 @@
-"""Several runs side by side: their coefficients, and E_n of each run with the first one."""
+"""Compares several runs side by side: their coefficients, and the E_n number of each run relative to the first run."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class ComparedCoefficient:
-    """One coefficient in several runs. values: (value, standard uncertainty) by run, None if a run lacks the coefficient or has
-    another unit. agreement: E_n of every other run that has the coefficient with the first run."""
+    """One coefficient in several compared runs. values: for each run, (value, standard uncertainty); None if the run lacks the
+    coefficient or has it in another unit. agreement: E_n of each other run that has the coefficient, relative to the first run."""
 
     quantity: str
     unit: str
@@ -36,8 +36,8 @@ class ComparedCoefficient:
 
 @dataclass(frozen=True, slots=True)
 class RunComparison:
-    """The comparison of several runs. runs: the compared runs, the first of which is the reference; names: the runs as the user
-    named them, a URL for a copy of a remote run."""
+    """The comparison of several runs. runs: the compared runs, the first of which is the reference. names: the runs as the user
+    named them; for the copy of a remote run, its URL."""
 
     names: tuple[str, ...]
     runs: tuple[RunRow, ...]
@@ -72,7 +72,7 @@ class RunComparison:
 
 def compare_runs(runs: Sequence[Path]) -> RunComparison:
     """The coefficients of several runs side by side. Raises `InputError`, for example for a run without an analysis, and
-    `IntegrityError`."""
+    `IntegrityError` for a run that was changed."""
     found = [_read(run) for run in runs]
     rows = [one.run for one in found if one.run is not None]
     held = [{row.quantity: row for row in one.coefficients} for one in found]

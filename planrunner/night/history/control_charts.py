@@ -1,8 +1,9 @@
-"""Control charts of a coefficient over time, with the standard uncertainty of every value.
+"""Control charts of a coefficient over time; every value has its own standard uncertainty.
 
-The variance of value i about the mean is σ_i² = u_i² + τ². u_i is its stated standard uncertainty; τ is the scatter from run to run that
-the stated uncertainties do not include, such as that of mounting and switch-on. τ² is what the mean moving range of neighbours shows
-beyond the u_i, so that a shift or a drift of the mean hardly enters it:
+The variance of value i about the mean is σ_i² = u_i² + τ². u_i is the stated standard uncertainty of the value; τ is the scatter
+from run to run that the stated uncertainties do not include, for example that of mounting and switch-on. τ² is the part of the mean
+squared difference between consecutive values that the u_i do not explain. It is computed from the mean moving range, so that a
+shift or a drift of the mean hardly affects it:
 
     τ² = max(0, (mean |x_i − x_{i−1}| / d₂)² − mean u_i²),    d₂ = 2/√π
 
@@ -36,9 +37,9 @@ BASELINE = 20
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """The centre of the charts. mean: mean of the values, weighted with 1/σ_i²; standard_uncertainty: standard uncertainty of the
-    mean; between: τ; values: number of values from which the centre was computed. Mean, uncertainty and τ are in the unit of the
-    values."""
+    """The centre line of the charts. mean: mean of the values, weighted with 1/σ_i². standard_uncertainty: standard uncertainty of
+    the mean. between: τ, the scatter from run to run. values: number of values from which the centre line was computed. The mean,
+    its uncertainty and τ are in the unit of the values."""
 
     mean: float
     standard_uncertainty: float
@@ -48,8 +49,8 @@ class Centre:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """A chart of n values. statistic: (n,), the values, their moving averages or their sums; lower, upper: (n,), limits of the
-    statistic; alarms: (n,), True if the statistic is outside its limits."""
+    """A control chart of n values. statistic: (n,), the values, their moving averages or their cumulative sums. lower, upper: (n,),
+    limits of the statistic. alarms: (n,), True where the statistic is outside its limits."""
 
     statistic: Array
     lower: Array
@@ -59,8 +60,8 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class ControlCharts:
-    """The charts of a coefficient. sigma: (n,), standard deviation of each value about the mean. The two sums of the CUSUM chart
-    are in units of σ; the lower one counts downwards."""
+    """The control charts of a coefficient. sigma: (n,), standard deviation of each value about the mean. The two sums of the CUSUM
+    chart are in units of σ; the lower one counts downwards."""
 
     centre: Centre
     sigma: Array
@@ -76,7 +77,7 @@ class ControlCharts:
 
 
 def between_runs(values: Array, u: Array) -> float:
-    """The scatter τ from the moving ranges of the values (n,), with standard uncertainties (n,)."""
+    """The scatter τ from run to run, computed from the moving ranges of the values (n,) and their standard uncertainties (n,)."""
     if len(values) < 2:
         return 0.0
     sigma = float(np.abs(np.diff(values)).mean()) / D2
@@ -84,7 +85,7 @@ def between_runs(values: Array, u: Array) -> float:
 
 
 def centre_of(values: Array, u: Array, baseline: int = BASELINE) -> Centre:
-    """The centre from the first `baseline` values. All arrays have the shape (n,)."""
+    """The centre line of the charts, computed from the first `baseline` values. All arrays have the shape (n,)."""
     x, s = values[:baseline], u[:baseline]
     tau = between_runs(x, s)
     variance = s**2 + tau**2
@@ -102,11 +103,11 @@ def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) 
 def ewma(
     values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
 ) -> Chart:
-    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. values: (n, …); sigma: (n,), or the
+    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. values: (n, …). sigma: (n,), or the
     same shape as values.
 
-    The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. It begins with 0, so that the first limits are narrower. steady: if
-    True, the variance begins with its final value for the first σ, λ/(2 − λ) σ², as in the handbook.
+    The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default V_0 = 0, so that the first limits are narrower. steady: if
+    True, the recursion starts instead from the limit value for the first σ, V_0 = λ/(2 − λ) σ², as in the handbook.
     """
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     average, half = np.empty_like(values), np.empty_like(values)
@@ -123,7 +124,7 @@ def cusum(
     values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
 ) -> tuple[Chart, Chart]:
     """The tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i,
-    with the limits ±h. values: (n, …); sigma: (n,), or the same shape as values; all positive."""
+    with the limits ±h. values: (n, …). sigma: (n,), or the same shape as values; positive."""
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     up, down = np.empty_like(values), np.empty_like(values)
     high, low = np.zeros(values.shape[1:]), np.zeros(values.shape[1:])
@@ -136,14 +137,15 @@ def cusum(
 
 
 def control_charts(values: Sequence[float], u: Sequence[float], baseline: int = BASELINE) -> ControlCharts | None:
-    """All charts of n ≥ 2 values in the order of time, with their standard uncertainties. None if the values do not scatter at all and
-    state no uncertainty, so that there are no limits."""
+    """All charts of n ≥ 2 values in the order of time, with their standard uncertainties. None if there are no limits, because the
+    values do not scatter at all and state no uncertainty."""
     x, s = np.asarray(values, dtype=float), np.asarray(u, dtype=float)
     return charts_about(x, s, centre_of(x, s, baseline)) if len(x) > 1 else None
 
 
 def charts_about(x: Array, u: Array, centre: Centre) -> ControlCharts | None:
-    """All charts of the values x with the standard uncertainties u, (n,), about a given centre. None if there are no limits."""
+    """All charts of the values x (n,) with the standard uncertainties u (n,) about a given centre line. None if there are no
+    limits."""
     sigma = np.sqrt(u**2 + centre.between**2)
     if not (sigma > 0).all():
         return None

@@ -1,19 +1,19 @@
-"""Drift of a coefficient compared with its uncertainty, and the date by which the device should be calibrated again.
+"""Drift of a coefficient compared with its uncertainty, and the date on which the device should be calibrated again.
 
 The drift is a weighted straight line through the values, x = a + b·(t − t̄), with the covariance of its two parameters. At a later time t
 the value is predicted with the variance
 
     u²(t) = u_line²(t) + τ² + ū²,    u_line² = var a + (t − t̄)² var b
 
-where τ is the scatter from run to run and ū the root mean square of the stated uncertainties. The next calibration is due when the
-predicted deviation from the last value, together with its expanded uncertainty, reaches the permissible deviation:
+where τ is the scatter from run to run and ū is the root mean square of the stated uncertainties. The next calibration is due when
+the predicted deviation from the last value, together with its expanded uncertainty, reaches the permissible deviation:
 
     |b|·(t − t_last) + k·√(u_line²(t) + τ² + ū²) = permissible
 
 This is method 2, the control chart, of ILAC-G24:2022 / OIML D 10:2022 (7.3): the interval follows from the scatter and the drift of
-successive calibrations; NCSLI RP-1 describes the same idea as the variables-data method. Without a permissible deviation, the date is
-given at which the drift alone exceeds the expanded uncertainty of a value, k·√(τ² + ū²): from then on the last calibration no longer
-describes the device.
+successive calibrations; NCSLI RP-1 describes the same idea as the variables-data method. Without a permissible deviation, the date
+is given on which the drift alone exceeds the expanded uncertainty of a value, k·√(τ² + ū²): from then on the last calibration no
+longer describes the device.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ the next calibration is a date."""
 
 @dataclass(frozen=True, slots=True)
 class DriftLine:
-    """A fitted line. slope, slope_uncertainty: unit per day. level: value of the line at the mean time `middle`. between: τ;
-    stated: ū. All times are in days."""
+    """A straight line fitted to the values of a coefficient over time. slope, slope_uncertainty: slope and its standard
+    uncertainty, in units of the values per day. level: value of the line at the mean time `middle`. between: τ, the scatter from
+    run to run. stated: ū, the root mean square of the stated uncertainties. All times are in days."""
 
     slope: float
     slope_uncertainty: float
@@ -56,14 +57,15 @@ class DriftLine:
         return abs(self.slope) > COVERAGE * self.slope_uncertainty
 
     def uncertainty(self, time: float) -> float:
-        """Standard uncertainty of the predicted value at a time in days."""
+        """Standard uncertainty of the value that the line predicts for a time in days."""
         line = self.level_uncertainty**2 + ((time - self.middle) * self.slope_uncertainty) ** 2
         return math.sqrt(line + self.between**2 + self.stated**2)
 
 
 def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLine | None:
-    """Fits the weighted straight line. days, values, u: (n,); between: τ. None if there are too few values, or if they cover too
-    short a time."""
+    """Fits the weighted straight line to the values over time. days, values, u: (n,), times, values and their standard
+    uncertainties. between: τ, the scatter from run to run. Returns None if there are too few values or if they cover too short a
+    time."""
     if len(values) < LEAST or float(np.ptp(days)) < LEAST_SPAN:
         return None
     variance = u**2 + between**2
@@ -81,8 +83,8 @@ def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLin
 
 
 def days_left(line: DriftLine, permissible: float | None = None) -> float:
-    """Days from the last value to the next calibration; 0 if the calibration is due at once, `HORIZON` if it is due later than
-    that. permissible: largest deviation."""
+    """Days from the last value to the next calibration; 0 if the calibration is due at once, `HORIZON` if it is due after more days
+    than that. permissible: largest permissible deviation."""
 
     def due(later: float) -> bool:
         change = abs(line.slope) * later

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 
 def export_index(index: Index, target: Path) -> None:
-    """Writes the tables runs, coefficients and limits: to a DuckDB database if the name ends with `.duckdb`, otherwise as Parquet
-    files to a folder, which is created. An existing database or file of these names is replaced as a whole. Raises `InputError`."""
+    """Writes the tables runs, coefficients and limits. If the name ends with `.duckdb`, they are written to a DuckDB database;
+    otherwise, as Parquet files to a folder, which is created. An existing database or file of these names is replaced as a whole.
+    Raises `InputError`."""
     tables = index_tables(index)
     try:
         if target.suffix == ".duckdb":
@@ -33,7 +34,7 @@ def export_index(index: Index, target: Path) -> None:
 
 
 def index_tables(index: Index) -> dict[str, pa.Table]:
-    """The index as Arrow tables. `folder` joins them; times have the type timestamp in UTC."""
+    """The index as Arrow tables. The column `folder` joins the tables; times have the type timestamp in UTC."""
     import pyarrow as pa
 
     runs = index.runs()

@@ -1,4 +1,5 @@
-"""Gauge repeatability and reproducibility: the variance of a measurement by device, operator, bench and repetition.
+"""Gauge repeatability and reproducibility: how much device, operator, bench and repetition contribute to the variance of a
+measurement.
 
 The model is a balanced, fully crossed random-effects model with all interactions, for one to three factors. Each mean square has
 the expectation
@@ -6,10 +7,10 @@ the expectation
     E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
 
 with r repetitions and a_f levels of factor f. The variance components follow from these expectations; a negative component counts
-as zero, also in the sums. Reproducibility is all variance that is neither that of the device nor repeatability. Intervals are those of
-the modified large-sample method: Graybill and Wang (Journal of the American Statistical Association 75, 1980) for sums of mean squares,
-and Ting et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as Burdick, Borror and Montgomery (Design and
-Analysis of Gauge R&R Studies, 2005) apply them.
+as zero, also in sums of components. Reproducibility is all variance except that of the device and repeatability. Confidence
+intervals come from the modified large-sample method: Graybill and Wang (Journal of the American Statistical Association 75, 1980)
+for sums of mean squares, and Ting et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as Burdick,
+Borror and Montgomery (Design and Analysis of Gauge R&R Studies, 2005) apply them.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ CONFIDENCE = 0.95
 
 
 class UnbalancedError(ValueError):
-    """The values do not fill the design. The message states which values are missing."""
+    """The error for values that do not fill all cells of the design. The message states which values are missing."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeanSquare:
-    """One mean square of the analysis of variance. factors: factors of the effect; empty for the repetitions. df: degrees of
-    freedom."""
+    """One mean square of the analysis of variance. factors: the factors whose effect or interaction it measures; empty for the
+    repetitions. df: degrees of freedom."""
 
     factors: tuple[str, ...]
     sum_of_squares: float
@@ -48,8 +49,8 @@ class MeanSquare:
 
 @dataclass(frozen=True, slots=True)
 class VarianceComponent:
-    """One component of variance. variance: in the squared unit of the values, not below zero; lower, upper: limits of its 95 %
-    interval."""
+    """One component of variance. variance: in the squared unit of the values, not below zero. lower, upper: limits of the 95 %
+    confidence interval of the variance."""
 
     name: str
     variance: float
@@ -67,8 +68,8 @@ GAUGE_FORMAT = 1
 @dataclass(frozen=True, slots=True)
 class GaugeStudy:
     """Result of a gauge study. components: repeatability, every factor and interaction, reproducibility, gauge (repeatability and
-    reproducibility together), and total. levels: factor → number of levels; repetitions: number of values in each cell; unused:
-    number of values beyond these repetitions."""
+    reproducibility together), and total. levels: maps each factor to its number of levels. repetitions: number of values used in
+    each cell. unused: number of further values that are not used."""
 
     anova: tuple[MeanSquare, ...]
     components: tuple[VarianceComponent, ...]
@@ -99,9 +100,10 @@ class GaugeStudy:
 def gauge_study(
     factors: Mapping[str, Sequence[str]], values: Sequence[float], item: str = "device", *, pooled: bool = False
 ) -> GaugeStudy:
-    """Makes the study of n values. factors: name → label of each value (n); a factor with one level is left out. item: the factor
-    of the measured items. If a cell has more values than the others, only its first values count. pooled: True if interactions
-    count as repeatability, which is usual if they are not significant. Raises `UnbalancedError`."""
+    """Makes the gauge study of n values. factors: maps each factor to the labels of the values (n); a factor with only one level is
+    left out. item: the factor that distinguishes the measured items. If a cell has more values than others, only its first values
+    are used. pooled: True if interactions count as repeatability, which is usual if they are not significant. Raises
+    `UnbalancedError` if a cell has no value."""
     used = {name: list(labels) for name, labels in factors.items() if len(set(labels)) > 1}
     levels = {name: sorted(set(labels)) for name, labels in used.items()}
     cells: dict[tuple[int, ...], list[float]] = {}
@@ -133,7 +135,7 @@ def gauge_study(
 
 
 def _anova(data: Array, names: tuple[str, ...]) -> list[MeanSquare]:
-    """Sums of squares of all effects of a full table (a₁, …, a_m, r)."""
+    """The sums of squares of all effects, for a full table of values with shape (a₁, …, a_m, r)."""
     m = len(names)
     effects: dict[tuple[int, ...], Array] = {}
     found = []
@@ -158,8 +160,8 @@ def _pooled(anova: Sequence[MeanSquare]) -> list[MeanSquare]:
 
 
 def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int, item: str) -> list[VarianceComponent]:
-    """The components of variance. Each component is a linear combination of mean squares; the expectations are solved from the
-    highest interaction down."""
+    """The components of variance. Each component is a linear combination of mean squares; the equations are solved from the highest
+    interaction downwards."""
     squares = {one.factors: one for one in anova}
     combos: dict[tuple[str, ...], dict[tuple[str, ...], float]] = {(): {(): 1.0}}
     for factors in sorted((one for one in squares if one), key=len, reverse=True):
@@ -204,7 +206,8 @@ def _estimated(
 
 
 def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tuple[float, float]:
-    """Two-sided limits of Σ c·E(MS) by the modified large-sample method. terms: (c, MS, degrees of freedom)."""
+    """Two-sided limits of Σ c·E(MS) by the modified large-sample method. terms: tuples of c, the mean square MS and its degrees of
+    freedom."""
     a = (1 - CONFIDENCE) / 2
     plus, minus = [t for t in terms if t[0] > 0], [t for t in terms if t[0] < 0]
     below = sum((_g(a, n) * c * ms) ** 2 for c, ms, n in plus) + sum((_h(a, n) * c * ms) ** 2 for c, ms, n in minus)
@@ -219,10 +222,10 @@ def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tup
 
 
 def _g(a: float, n: int) -> float:
-    """The value 1 − 1/F(1 − a; n, ∞)."""
+    """The coefficient 1 − 1/F(1 − a; n, ∞)."""
     return 1 - n / float(chi2.isf(a, n))
 
 
 def _h(a: float, n: int) -> float:
-    """The value 1/F(a; n, ∞) − 1."""
+    """The coefficient 1/F(a; n, ∞) − 1."""
     return n / float(chi2.ppf(a, n)) - 1

@@ -1,9 +1,9 @@
-"""The index over the run folders of an archive: its runs with their coefficients and verdicts.
+"""The index of the run folders in an archive: the runs with their coefficients and verdicts.
 
 The run folders are the record; the index is a copy for quick answers. It can be made again from the folders at any time. Each run
 is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is refreshed or rebuilt.
-Several processes may refresh an index at the same time: each writes the runs that it read, and the next refresh reads a folder that
-changed in the meantime again.
+Several processes may refresh an index at the same time: each writes the runs that it has read. If a folder changed in the meantime,
+the next refresh reads it again.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ _SCHEMA = (
 
 @dataclass(frozen=True, slots=True)
 class Refreshed:
-    """Result of a refresh. read: number of runs that were read again; removed: number of runs that no longer exist; faults: folders
-    that are not in the index."""
+    """Result of refreshing an index. read: number of runs that were read again. removed: number of runs that no longer exist.
+    faults: folders that could not be read and are therefore not in the index."""
 
     read: int
     removed: int
@@ -86,7 +86,7 @@ class Refreshed:
 
 @dataclass(frozen=True, slots=True)
 class DeviceSummary:
-    """Summary of a device. runs: number of its runs; last: time of its newest run."""
+    """Summary of a device. runs: number of the device's runs. last: time of the newest of these runs."""
 
     device: str
     runs: int
@@ -97,7 +97,7 @@ class Index:
     """An open index. Close it, or use it as a context manager.
 
     All methods raise `InputError` if the database cannot be used, for example because a server stopped, a disk is full, or another
-    process keeps a lock. Data that were written before stay, and the next refresh continues.
+    process keeps a lock. Data written before the error stay in the index, and the next refresh continues from there.
     """
 
     def __init__(self, archive: Path, database: Database):
@@ -108,7 +108,8 @@ class Index:
 
     @classmethod
     def open(cls, archive: Path, index: str | None = None) -> Index:
-        """Opens the index of an archive. index: a file or a URL, by default a file of this user. Raises `InputError`."""
+        """Opens the index of an archive. index: a file or a URL; by default, a file of this user. Raises `InputError` if the index
+        cannot be opened."""
         if not archive.is_dir():
             hint = "give the folder that contains the runs, such as runs/"
             raise InputError.at(Mark(str(archive)), "index-no-archive", "there is no such folder", hint)
@@ -127,7 +128,7 @@ class Index:
 
     @property
     def database(self) -> str:
-        """Name of the database, without a password."""
+        """Name of the database, for messages; it contains no password."""
         return self._database.name
 
     def _make_tables(self) -> None:
@@ -150,8 +151,9 @@ class Index:
     def refresh(
         self, *, rebuild: bool = False, notice: Announce | None = None, workers: Workers | None = None
     ) -> Refreshed:
-        """Reads the runs that are new or changed, and removes those that no longer exist. rebuild: if True, reads all runs again.
-        notice: receives the progress; workers: processes that read; by default, as many of this machine as the work justifies."""
+        """Reads the runs that are new or changed, and removes those that no longer exist. rebuild: True to read all runs again.
+        notice: receives the progress. workers: the processes that read; by default, as many processes on this machine as the work
+        justifies."""
         query = self._database.query
         rows = query("SELECT folder, fingerprint FROM runs WHERE archive = ?", (self._name,))
         known = {str(place): mark for place, mark in rows}
@@ -243,7 +245,7 @@ class Index:
     # -- asking ------------------------------------------------------------------------------------------------------
 
     def runs(self, wanted: RunFilter = RunFilter()) -> list[RunRow]:  # noqa: B008 - frozen
-        """The runs that pass the filter, the newest first."""
+        """The runs that pass a filter, the newest first."""
         where, values = self._where(wanted)
         most = "" if wanted.limit is None else f" LIMIT {int(wanted.limit)}"
         found = self._database.query(
@@ -252,12 +254,12 @@ class Index:
         return [_run_row(row) for row in found]
 
     def count(self, wanted: RunFilter = RunFilter()) -> int:  # noqa: B008 - frozen
-        """Number of runs that pass the filter; the limit of the filter is ignored."""
+        """Number of runs that pass a filter, ignoring the limit of the filter."""
         where, values = self._where(wanted)
         return cast(int, self._database.query(f"SELECT count(*) FROM runs WHERE {where}", values)[0][0])
 
     def run(self, folder: str) -> RunRow | None:
-        """The run in a folder of the archive, named with slashes."""
+        """The run in a folder; None if it is not in the index. folder: path relative to the archive, with slashes."""
         found = self._database.query(f"SELECT {_RUN} FROM runs WHERE archive = ? AND folder = ?", (self._name, folder))
         return _run_row(found[0]) if found else None
 
@@ -280,7 +282,7 @@ class Index:
         return tuple(map(_limit_row, found))
 
     def all_coefficients(self) -> list[tuple[str, CoefficientRow]]:
-        """Folder and coefficient, for all coefficients of all runs, sorted by folder and name."""
+        """All coefficients of all runs, each with the folder of its run, sorted by folder and name."""
         found = self._database.query(
             f"SELECT folder, {_named(_COEFFICIENT, 'c')} FROM runs JOIN coefficients c ON c.run_id = runs.id "
             "WHERE archive = ? ORDER BY folder, quantity",
@@ -289,7 +291,7 @@ class Index:
         return [(str(folder), _coefficient_row(tuple(row))) for folder, *row in found]
 
     def all_limits(self) -> list[tuple[str, LimitRow]]:
-        """Folder and limit, for all limits of all runs, sorted by folder and quantity."""
+        """All limits of all runs, each with the folder of its run, sorted by folder and quantity."""
         found = self._database.query(
             f"SELECT folder, {_named(_LIMIT, 'l')} FROM runs JOIN limits l ON l.run_id = runs.id "
             "WHERE archive = ? ORDER BY folder, quantity, requirement",
@@ -298,7 +300,7 @@ class Index:
         return [(str(folder), _limit_row(tuple(row))) for folder, *row in found]
 
     def devices(self) -> list[DeviceSummary]:
-        """The devices, sorted by serial number; runs that state no serial number belong to a device with an empty one."""
+        """The devices, sorted by serial number; runs without a serial number belong to a device whose serial number is empty."""
         found = self._database.query(
             "SELECT device, count(*), max(created) FROM runs WHERE archive = ? GROUP BY device ORDER BY device",
             (self._name,),
@@ -315,7 +317,7 @@ class Index:
         return [str(quantity) for (quantity,) in found]
 
     def points(self, quantity: str, wanted: RunFilter = RunFilter()) -> list[HistoryPoint]:  # noqa: B008 - frozen
-        """A coefficient in all runs that pass the filter and have it, the oldest first."""
+        """The values of a coefficient in the runs that pass a filter, the oldest first."""
         where, values = self._where(wanted)
         tail = f"WHERE {where} AND quantity = ? ORDER BY created, folder"
         found = self._database.query(
@@ -336,11 +338,12 @@ class Index:
         return points
 
     def history(self, device: str, quantity: str, since: str = "") -> list[HistoryPoint]:
-        """A coefficient of a device over time, the oldest first. since: first day or moment; empty for the whole history."""
+        """The values of a coefficient of a device over time, the oldest first. since: first day or moment to include; empty for the
+        whole history."""
         return self.points(quantity, RunFilter(device=literal(device), since=since))
 
     def faults(self) -> list[FaultRow]:
-        """Folders that are not in the index, by name."""
+        """Folders that could not be read and are therefore not in the index, sorted by name."""
         found = self._database.query(
             "SELECT folder, message, bench, plan, device FROM faults WHERE archive = ? ORDER BY folder", (self._name,)
         )
@@ -377,7 +380,8 @@ def _read(item: tuple[Path, str]) -> IndexedRun:
 
 
 def _pattern(text: str) -> tuple[str, str | None]:
-    """The text without escapes, and the pattern for LIKE if it contains `*` or `?`. A backslash makes the next character literal."""
+    """The text of a filter without its escapes; also, if the text contains `*` or `?`, the pattern for LIKE, otherwise None. A
+    backslash makes the next character literal."""
     plain, like, wild = [], [], False
     letters: Iterator[str] = iter(text)
     for letter in letters:
@@ -393,13 +397,13 @@ def _pattern(text: str) -> tuple[str, str | None]:
 
 
 def literal(text: str) -> str:
-    """A text for `RunFilter` that matches only this text."""
+    """Escapes a text so that in a `RunFilter` it matches only itself."""
     return "".join(f"\\{letter}" if letter in "*?\\" else letter for letter in text)
 
 
 def _moment(text: str) -> datetime:
-    """The moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`, so earlier and later moments are moved to just
-    outside this range. Adding days to the moment then stays within the calendar."""
+    """Converts a text to a moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`, so earlier and later moments are
+    moved to just outside this range. Adding days to the moment then stays within the calendar."""
     try:
         moment = datetime.fromisoformat(text)
         if not FIRST_YEAR <= moment.year <= LAST_YEAR:
@@ -417,7 +421,7 @@ _RUN_COLUMNS = len(_RUN.split(","))
 
 
 def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
-    """Values in the form in which the database stores them. nan becomes NULL, as SQLite would convert it anyway."""
+    """Converts values to the form in which the database stores them. nan becomes NULL, as SQLite would convert it anyway."""
     found = []
     for item in fields(row):
         value = getattr(row, item.name)
@@ -427,8 +431,8 @@ def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
 
 
 def _apart(row: _Row, parameters: Mapping[str, str]) -> _Row:
-    """A row of a run for which values of plan parameters were given. Its history is separate from the history with other values, so
-    its quantity gets another name."""
+    """The row of a run for which values of plan parameters were given. The results must not enter the history with other parameter
+    values, so their quantities get another name."""
     return replace(row, quantity=variant_name(row.quantity, parameters)) if parameters else row
 
 

@@ -1,4 +1,4 @@
-"""Rows of the index: a run, its coefficients and verdicts, and a folder that could not be read. All times are UTC, ISO 8601."""
+"""Rows of the index: runs, their coefficients and verdicts, and folders that could not be read. All times are UTC, ISO 8601."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ IndexedVerdict = VerdictKind | Literal["not analysed"]
 
 
 class CircumstanceKind(Enum):
-    """Kinds of circumstances that may change from one run to the next and may cause a change of results."""
+    """Kinds of circumstances that may differ between runs and may cause results to change."""
 
     BENCH = "bench"
     LABORATORY = "laboratory"
@@ -32,8 +32,8 @@ class CircumstanceKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Circumstance:
-    """One circumstance of a run. name: name among the circumstances of this kind, such as `table.serial`; empty if there is only
-    one."""
+    """One circumstance of a run. name: name that distinguishes circumstances of this kind, such as `table.serial`; empty if there
+    is only one."""
 
     kind: CircumstanceKind
     name: str
@@ -46,9 +46,9 @@ class Circumstance:
 
 @dataclass(frozen=True, slots=True)
 class RunRow:
-    """A run in the index. folder: relative to the archive, with slashes. device: serial number of the device, empty if not stated.
-    analysis: number of the newest analysis, 0 without one; the verdict and the coefficients come from this analysis. warnings:
-    number of warnings of the run and of its estimates."""
+    """A run in the index. folder: path relative to the archive, with slashes. device: serial number of the device; empty if it is
+    not stated. analysis: number of the newest analysis, from which the verdict and the coefficients come; 0 if there is none.
+    warnings: number of warnings of the run and of its estimates."""
 
     folder: str
     run: str
@@ -89,8 +89,8 @@ class RunRow:
 
 @dataclass(frozen=True, slots=True)
 class CoefficientRow:
-    """A coefficient of the newest analysis of a run. quantity: `estimate.coefficient`. value, standard_uncertainty, period: in `unit`. nan
-    for numbers that could not be computed."""
+    """A coefficient of the newest analysis of a run. quantity: `estimate.coefficient`. value, standard_uncertainty, period: in
+    `unit`; `period` is the period of a circular quantity, otherwise inf. Numbers that could not be computed are nan."""
 
     quantity: str
     value: float
@@ -116,7 +116,7 @@ class LimitRow:
 
 @dataclass(frozen=True, slots=True)
 class RecordedAs:
-    """The identity of a run when it began: the names of its bench and its plan, and its device."""
+    """The identity of a run, as recorded when it began: the names of its bench and its plan, and its device."""
 
     bench: str
     plan: str
@@ -125,8 +125,8 @@ class RecordedAs:
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """A folder of the archive that is not in the index, with the reason. recorded: the identity of the run, if the damage has not
-    changed it."""
+    """A folder of the archive that is not in the index, and the reason. recorded: the identity of the run, if it can still be
+    trusted."""
 
     folder: str
     message: str
@@ -135,9 +135,9 @@ class FaultRow:
 
 @dataclass(frozen=True, slots=True)
 class IndexedRun:
-    """A run folder as it was read: the run with its coefficients and limits, or the fault. fingerprint: fingerprint of the folder;
-    empty if it must be read again next time. recorded: identity of a run with a fault. parameters: values that were given for
-    parameters of its plan."""
+    """The result of reading a run folder: the run with its coefficients and limits, or the fault. fingerprint: value that changes
+    whenever planrunner writes to the folder; empty if the folder must be read again next time. recorded: identity of a run with a
+    fault. parameters: values that were given for parameters of the run's plan."""
 
     folder: str
     fingerprint: str
@@ -151,8 +151,8 @@ class IndexedRun:
 
 @dataclass(frozen=True, slots=True)
 class RunFilter:
-    """A filter for runs; an empty value matches all runs. Texts match equal values and, with `*` and `?`, patterns. since, until:
-    first and last moment, ISO 8601 in UTC; if `until` is a day, it means the end of that day."""
+    """A filter for runs; a criterion that is empty matches all runs. A text matches values equal to it; with `*` and `?`, it is a
+    pattern. since, until: first and last moment, ISO 8601 in UTC; if `until` is a day, the whole day is included."""
 
     device: str = ""
     plan: str = ""
@@ -166,7 +166,7 @@ class RunFilter:
 
 @dataclass(frozen=True, slots=True)
 class HistoryPoint:
-    """A coefficient of one run of a device, with the limits in the plan of that run."""
+    """The value of a coefficient in one run of a device, with the limits in the plan of that run."""
 
     run: RunRow
     coefficient: CoefficientRow

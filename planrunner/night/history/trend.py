@@ -1,5 +1,5 @@
-"""The history of one coefficient of one device: control charts, changes of level with candidates for their causes, drift with the next
-calibration, and the agreement of benches and laboratories."""
+"""The history of one coefficient of one device: control charts, changes of level and candidates for their causes, drift and the
+next calibration, and the agreement of benches and laboratories."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ DAY = 86400.0
 
 @dataclass(frozen=True)
 class Trend:
-    """The history of a coefficient. points: the runs whose value can be used, the oldest first; values, standard_uncertainties:
-    (n,), in `unit`, which is the unit of the newest run. left_out: folders of runs without a usable value: in another dimension,
-    missing, or without a finite uncertainty. charts, drift: None if there are too few values. tolerance: permissible deviation for
-    computing the next calibration, None if it is not stated."""
+    """The history of a coefficient. points: the runs whose value can be used, the oldest first. values, standard_uncertainties:
+    (n,), in `unit`, which is the unit of the newest run. left_out: folders of runs whose value cannot be used, because it has
+    another dimension, is missing, or has no finite uncertainty. charts, drift: None if there are too few values. tolerance:
+    permissible deviation from which the next calibration is computed; None if it is not stated."""
 
     device: str
     quantity: str
@@ -45,7 +45,8 @@ class Trend:
 
     @property
     def next_calibration(self) -> datetime | None:
-        """The date of the next calibration; None without a drift line, or if it is later than `HORIZON` days after the last run."""
+        """The date of the next calibration; None if there is no drift line or if the date is later than `HORIZON` days after the
+        last run."""
         if self.drift is None:
             return None
         left = days_left(self.drift, self.tolerance)
@@ -130,7 +131,8 @@ class Trend:
 
 
 def trend(device: str, quantity: str, found: Sequence[HistoryPoint], tolerance: float | None = None) -> Trend:
-    """The trend of the points of a device, the oldest first. tolerance: permissible deviation in the unit of the newest run."""
+    """Makes the history of a coefficient from the values of a device, the oldest first. tolerance: permissible deviation in the
+    unit of the newest run."""
     unit = found[-1].coefficient.unit if found else ""
     points: list[HistoryPoint] = []
     values: list[float] = []
@@ -182,7 +184,8 @@ def _explained(one: ChangePoint, held: Sequence[Sequence[Circumstance]]) -> Chan
 
 
 def _in_unit(point: HistoryPoint, unit: str, first: float | None) -> tuple[float, float] | None:
-    """Value and uncertainty in a unit. A circular value is shifted by whole turns so that it is nearest to the first value."""
+    """Converts a value and its uncertainty to another unit. A circular value is shifted by whole turns so that it is nearest to the
+    first value."""
     one = point.coefficient
     try:
         value, u, period = one.value, one.standard_uncertainty, one.period
