@@ -1,4 +1,5 @@
-"""The description of each effect that a diagnosis names: plain name, physics, who acts, and what to do, with the fitted parameters."""
+"""The description of each effect that a diagnosis names: its plain name, its physics, who must act, and what to do, with the fitted
+parameters."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ class Advice:
 
 
 def advice(effect: Effect, fitted: Sequence[ParameterEstimate]) -> Advice:
-    """The advice about an effect. fitted: estimates of all named effects."""
+    """The advice about an effect. fitted: the estimates of all effects that the diagnosis names."""
     own = [one for one in fitted if one.effect == effect.id]
     shape_name = effect.shape_name if isinstance(effect, HasShape) else None
     shape = next((one for one in own if one.name == shape_name), None)
@@ -50,7 +51,7 @@ def advice(effect: Effect, fitted: Sequence[ParameterEstimate]) -> Advice:
 
 
 def found(own: Sequence[ParameterEstimate], shape_name: str | None = None) -> str:
-    """The estimates of an effect in words: the shape, then the most significant amplitudes."""
+    """The estimates of an effect in words: first its shape, then its most significant amplitudes."""
     shape = [one for one in own if one.name == shape_name]
     amplitudes = sorted((one for one in own if one.name != shape_name), key=_clearness, reverse=True)
     clear = [one for one in amplitudes if _clearness(one) >= CLEAR] or amplitudes[:1]

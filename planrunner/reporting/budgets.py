@@ -1,4 +1,5 @@
-"""Uncertainty budgets for templates: the columns of JCGM 100:2008, table H.1, with the share and source of each input."""
+"""Uncertainty budgets for templates: the columns of JCGM 100:2008, table H.1, and in addition the share and the source of each
+input."""
 
 from __future__ import annotations
 
@@ -12,11 +13,12 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 
 
 def budget_views(estimate: Estimate) -> list[JsonObject]:
-    """The budgets that have contributions other than the data; those of the headline coefficients come first.
+    """The budgets that contain more than the contribution of the data; those of the headline coefficients come first.
 
     Each budget has the keys {coefficient, unit, headline, lines, standard, freedom, factor, expanded}; each of its lines has
     {quantity, kind, value, standard, unit, distribution, freedom, sensitivity, contribution, share, source, added}. All values
-    except `headline` and `added` are text. Shares are of the combined variance and add up to 100 %.
+    except `headline` and `added` are text. A share is a percentage of the combined variance; the shares of a budget add up to 100
+    %.
     """
     shown = [_view(one, not estimate.headline or one.coefficient in estimate.headline) for one in estimate.budgets]
     told = [
@@ -59,7 +61,7 @@ def _line(line: BudgetLine, variance: float) -> JsonObject:
 
 
 def shown_unit(unit: str) -> str:
-    """The text of a unit after a number; empty for pure numbers."""
+    """The unit as text that follows a number; empty for pure numbers."""
     return "" if unit == "1" else unit
 
 
@@ -72,7 +74,8 @@ def two_digits(uncertainty: float) -> str:
 
 
 def freedom(value: float) -> str:
-    """Degrees of freedom; effective ones below a hundred have one decimal. Above ten thousand they no longer affect the coverage factor."""
+    """Degrees of freedom as text; effective degrees of freedom below a hundred have one decimal. Numbers above ten thousand no
+    longer affect the coverage factor."""
     if not math.isfinite(value):
         return "∞"
     if value > 1e4:

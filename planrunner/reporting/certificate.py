@@ -1,7 +1,8 @@
-"""Data for the template of a certificate, in addition to the data of the report: plain text in parts that catalogues translate.
+"""Data for the template of a certificate, in addition to the data of the report. They are plain text, in parts that catalogues can
+translate.
 
-The template has the wording; names, figures and dates are prepared here. A missing value is an empty text, which the page shows as
-not stated.
+The wording is in the template; names, figures and dates are prepared here. A missing value is an empty text, which the page shows
+as not stated.
 """
 
 from __future__ import annotations
@@ -124,8 +125,8 @@ def _factor(item: Coefficient, probability: float) -> str:
 
 
 def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
-    """The decision rules that were used, each once. factor: r of the guard band r·U; percent: coverage of U; risk: upper bound, in
-    percent, of the probability that an accepted value lies beyond one limit, for r ≥ 1."""
+    """The decision rules that were used, each listed once. factor: the factor r of the guard band r·U. percent: the coverage
+    probability of U. risk: for r ≥ 1, an upper bound, in percent, of the probability that an accepted value lies beyond one limit."""
     used = sorted({(limit.rule, limit.guard_factor, limit.coverage) for limit in limits})
     return [
         {
@@ -164,5 +165,5 @@ def _conformity(limit: LimitVerdict) -> dict[str, str]:
 
 
 def css_string(text: str) -> str:
-    """Text as a safe CSS string: everything except letters and digits is escaped."""
+    """A text as a safe CSS string: all characters except letters and digits are escaped."""
     return "".join(char if char.isascii() and char.isalnum() else f"\\{ord(char):06x}" for char in text)

@@ -1,5 +1,5 @@
-"""Names that certificates show in their own language: names of conditions, of references that are named after their role, and of
-estimators.
+"""Names that certificates show in their own language: names of conditions, of estimators, and of references that are named after
+their role.
 
 In English, an estimator has the name that plans use. An estimator of a plug-in package has, in every language, the name that plans
 use.
@@ -42,7 +42,7 @@ def of_room(condition: str) -> Said:
 
 
 def of_reference(name: str, role: str) -> Said:
-    """The name of the site or an instrument in the bench file. It is translated if it is only the role."""
+    """The name that the bench file gives the site or an instrument. The name is translated if it is only the role, such as `table`."""
     return _ROLES[role] if name == role and role in _ROLES else Said(name)
 
 

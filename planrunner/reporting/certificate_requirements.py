@@ -2,7 +2,7 @@
 
 `ASKED` lists the run information that certificates use by name. docs/certificates.md shows where each item appears on the page.
 
-The references to which the results of a bench are traceable are also collected here: its instruments and its site, with their
+The module also collects the references to which the results of a bench are traceable: its instruments and its site, with their
 calibrations.
 """
 
@@ -20,7 +20,7 @@ from planrunner.plan.schedule import Schedule
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """An instrument of the bench, or its site, with its calibration, if stated."""
+    """A reference of a certificate: an instrument of the bench, or its site, and the calibration if one is stated."""
 
     name: str
     role: str
@@ -29,7 +29,7 @@ class Reference:
 
 
 def references(bench: Bench) -> tuple[Reference, ...]:
-    """Site and instruments in the order of the file, without the sensor, because it is the device under test."""
+    """The site and the instruments in the order of the bench file. The sensor is left out, because it is the device under test."""
     instruments = [
         Reference(name, driver_of(entry).role, entry.asset or "", entry.calibration)
         for name, entry in bench.instruments.items()
@@ -43,8 +43,8 @@ STANDARD = "ISO/IEC 17025:2017"
 
 @dataclass(frozen=True, slots=True)
 class CertificateItem:
-    """Run information that a certificate shows. required: True if no certificate is written without it. instead: name of other run
-    information that is accepted in its place."""
+    """An item of run information that a certificate shows. required: True if no certificate is written without it. instead: name of
+    another item of run information that is accepted in place of this one."""
 
     name: str
     clause: str
@@ -108,14 +108,15 @@ def is_certificate(report: str) -> bool:
 
 
 def room_condition(information: str) -> str | None:
-    """The condition of the room that an item of run information states, such as `pressure` for `ambient_pressure`; None for others."""
+    """The condition of the room that an item of run information states, such as `pressure` for `ambient_pressure`; None if the item
+    states no condition."""
     head, _, condition = information.partition("_")
     return condition if head == "ambient" and condition else None
 
 
 def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
     """The required information that the bench file lacks. known: names of the run information that is given, or that the plan asks
-    for; holds_temperature: whether the plan holds a temperature."""
+    for. holds_temperature: True if the plan holds a temperature."""
     found = []
     if bench.laboratory is None:
         remedy = "add laboratory: {name: …, address: …} to the bench file"
@@ -131,7 +132,8 @@ def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool
 
 
 def lacks_of_information(known: Collection[str], remedy: str) -> list[Lack]:
-    """The required run information that is not among the `known` names. remedy: a text with {name}."""
+    """The required run information that is not among the `known` names. remedy: a text in which {name} stands for the name of the
+    missing item."""
     return [
         Lack(item.clause, f"'{item.name}': {item.about}", remedy.format(name=item.name))
         for item in ASKED

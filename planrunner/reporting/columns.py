@@ -13,8 +13,8 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True, slots=True)
 class Shown(Generic[Row]):
-    """One column of a table. cell: makes the cell of a row. idle: cells that carry no information; a column that contains only such
-    cells is omitted."""
+    """One column of a table. cell: function that makes the column's cell for a row. idle: cells that carry no information; a column
+    that contains only such cells is omitted."""
 
     column: TableColumn
     cell: Callable[[Row], Cell]
@@ -22,7 +22,7 @@ class Shown(Generic[Row]):
 
 
 def table_of(title: str, columns: Iterable[Shown[Row]], rows: Sequence[Row]) -> Table:
-    """The table of all rows without idle columns; empty if there are no rows."""
+    """Makes the table of all rows, without columns that carry no information; empty if there are no rows."""
     if not rows:
         return Table(title, (), ())
     filled = [(item, [item.cell(row) for row in rows]) for item in columns]
@@ -31,5 +31,5 @@ def table_of(title: str, columns: Iterable[Shown[Row]], rows: Sequence[Row]) -> 
 
 
 def alike(role: Role, *titles: str, unit: str = "") -> tuple[TableColumn, ...]:
-    """Columns with a common role and unit."""
+    """Makes columns that have the same role and unit."""
     return tuple(TableColumn(title, role, unit) for title in titles)

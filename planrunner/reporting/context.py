@@ -1,4 +1,4 @@
-"""Input of reports: plain records, independent of instruments and estimators."""
+"""The input of reports: plain records that depend on no instrument and no estimator."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from planrunner.reporting.verdict import Headline, headline
 
 @dataclass(frozen=True, slots=True)
 class Traced:
-    """A reference used in the calibration: the site or an instrument, its description of itself, and its stated calibration."""
+    """A reference used in the calibration: the site or an instrument, the instrument's description of itself, and the stated
+    calibration."""
 
     name: Said
     identity: str = ""
@@ -31,11 +32,11 @@ class Traced:
 
 @dataclass(frozen=True, slots=True)
 class PrintedSignature:
-    """A signature of the run as pages print it (21 CFR 11.50). meaning: `reviewed`, `approved`, `released`, or for a bench
-    `recorded`, `evaluated`; name: name of the signer; at: time according to the signer's clock, UTC; key: fingerprint of the key;
-    analyses: numbers of the analyses that the signature covers. standing: valid (made with a key of the key ring), unknown (made
-    with a key that nobody has confirmed), or invalid; owner: name of the key in the key ring; why: the reason why the signature is
-    not valid."""
+    """A signature of the run in the form in which pages print it (21 CFR 11.50). meaning: `reviewed`, `approved` or `released`; for
+    a bench, `recorded` or `evaluated`. name: name of the signer. at: time according to the signer's clock, UTC. key: fingerprint of
+    the key. analyses: numbers of the analyses that the signature covers. standing: valid (made with a key in the key ring), unknown
+    (made with a key that nobody has confirmed), or invalid. owner: name of the key in the key ring. why: the reason why the
+    signature is not valid."""
 
     meaning: str
     name: str
@@ -49,14 +50,14 @@ class PrintedSignature:
 
 @dataclass(frozen=True, slots=True)
 class CertificateFacts:
-    """Data that only certificates show. Dates are ISO 8601.
+    """The data that only certificates show. Dates are ISO 8601.
 
-    laboratory: the bench file's `laboratory`. told: run information, from the run and from the issue of the certificate; corrected:
-    name of each item that was changed at the issue → value recorded with the run. performed: first and last day of the run.
-    conditions: (name, text). events: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected,
-    fault. approvals: approvals of the plan, each with person, time and key. before: estimates of the run before the adjustment, by
-    name. duration: time from the first to the last sample, s. simulated: True if no real item was measured; replayed: True if a
-    recording was played back.
+    laboratory: the entry `laboratory` of the bench file. told: run information that was given with the run and when the certificate
+    was issued. corrected: for each item that was changed when the certificate was issued, the value that was recorded with the run.
+    performed: first and last day of the run. conditions: pairs of the name of a condition and its value as text. events: deviations
+    from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. approvals: approvals of the plan, each
+    with person, time and key. before: estimates of the run before the adjustment, by the name of the estimate. duration: time from
+    the first to the last sample, s. simulated: True if no real item was measured. replayed: True if a recording was played back.
     """
 
     run: str
@@ -79,7 +80,7 @@ class CertificateFacts:
 
 @dataclass(frozen=True, slots=True)
 class SegmentSummary:
-    """One segment as executed. statistics: None if no data were kept. units: channel → unit."""
+    """A summary of one segment as it was executed. statistics: None if no data were kept. units: maps each channel to its unit."""
 
     segment: Segment
     statistics: Statistics | None = None
@@ -97,11 +98,12 @@ class ReportContext:
     """All data that reports show. Mappings keep their order.
 
     run_information: information given for this run (operator, device_serial, work_order, fixture, ambient_pressure …). bench: facts
-    about the bench (name, description …); instruments: role → identity as the instrument gave it. failures: estimates that could
-    not be made → reason. provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times.
-    probability: coverage probability of the expanded uncertainties. certificate: additional data for certificates. on_top: the most
-    important facts: item, operator, date, duration, analysis. origin: source of the samples, if known. seal: SHA-256 of seal.json,
-    if the run is sealed. signatures: signatures of the run that were made before the page.
+    about the bench (name, description …). instruments: maps each role to the instrument's description of itself. failures: maps
+    each estimate that could not be made to the reason. provenance: versions, hashes of plan, bench, journal head and seal, number
+    of the analysis, UTC times. probability: coverage probability of the expanded uncertainties. certificate: additional data for
+    certificates. on_top: the facts shown first: item, operator, date, duration, analysis. origin: whether the samples are measured,
+    simulated or played back, if known. seal: SHA-256 of seal.json, if the run is sealed. signatures: signatures that the run had
+    when the page was made.
     """
 
     title: str
@@ -126,13 +128,13 @@ class ReportContext:
 
     @property
     def headline(self) -> Headline:
-        """The verdict, together with the number of warnings of the run and of its estimates."""
+        """The verdict with the number of warnings about the run and its estimates."""
         warnings = len(self.warnings) + sum(len(estimate.warnings) for estimate in self.estimates)
         return headline(self.limits, self.failures, warnings)
 
 
 def site_facts(site: Site) -> dict[str, str]:
-    """The site in words and customary units."""
+    """Facts about the site, by name, in customary units."""
     north_south = "N" if site.latitude >= 0 else "S"
     return {
         "Latitude": f"{abs(math.degrees(site.latitude)):.4f}° {north_south}",

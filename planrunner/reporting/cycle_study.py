@@ -1,4 +1,4 @@
-"""Output of a design study of a rotation cycle: the residuals and moves of the cycles, the searches, and plots over time."""
+"""Output of a design study of a rotation cycle: residuals and moves of the cycles, the searches, and plots over time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TITLES = {"planned": "as planned", "same order": "same order of stops", "free or
 
 
 def study(found: FoundCycles, subject: Subject) -> Study:
-    """The complete output for a designed cycle."""
+    """Makes the complete output for a designed cycle."""
     about = facts(found)
     said = notes(found)
     reason = found.reasons.get(found.chosen, "none was found")
@@ -93,7 +93,8 @@ def _rounds(found: FoundCycles) -> Table:
 
 
 def vector(left: complex) -> str:
-    """A residual in seconds as text: its component along the error and, if not zero, its component across the error."""
+    """The residual of a sensor error as text, in seconds: its component along the sensor error and, if not zero, its component
+    perpendicular to the sensor error."""
     along, across = (f"{part:+.2f}" if abs(part) >= 5e-3 else "0" for part in (left.real, left.imag))
     return f"{along} s" if across == "0" else f"{along} s, {across} s across"
 
@@ -124,7 +125,7 @@ def notes(found: FoundCycles) -> tuple[str, ...]:
 
 
 def plots(found: FoundCycles) -> tuple[Plot, ...]:
-    """Plots of the table's angle over one period of the longest cycle, and of the accumulated error over several periods."""
+    """Plots of the table's angle over one period of the longest cycle, and of the accumulated sensor error over several periods."""
     longest = max(one.cycle.period for one in found.cycles.values())
     times = np.linspace(0, longest, POINTS)
     angles = {
@@ -143,7 +144,7 @@ def plots(found: FoundCycles) -> tuple[Plot, ...]:
 
 
 def _added(cycle: RotationCycle, seconds: float) -> tuple[float, ...]:
-    """∫ cos θ dt [s] at POINTS times, by the trapezoidal rule on a grid of at most a quarter of a second."""
+    """The integral ∫ cos θ dt [s] up to each of `POINTS` times, by the trapezoidal rule on a grid of at most a quarter of a second."""
     fine = max(1, math.ceil(4 * seconds / POINTS))
     times = np.linspace(0, seconds, (POINTS - 1) * fine + 1)
     along = np.cos(cycle.angle(times))

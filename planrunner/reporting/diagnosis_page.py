@@ -1,6 +1,6 @@
 """Output of a diagnosis: sentences and tables for the terminal, and one page with plots.
 
-The input is plain data according to `schemas/diagnosis.schema.json`. Only fractions and rounding are computed here.
+The input is plain data according to `schemas/diagnosis.schema.json`. Only fractions and rounded numbers are computed here.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ Data = Mapping[str, Json]
 
 @dataclass(frozen=True)
 class DiagnosisContext:
-    """Input of the page of a diagnosis. title: title of the plan; diagnosis: the diagnosis as plain data; facts: facts about the
-    diagnosed recording; remarks: warnings about the recording; next_plan: text of the proposed plan, or empty. origin: source of
-    the samples."""
+    """Input of the page of a diagnosis. title: title of the plan. diagnosis: the diagnosis as plain data. facts: facts about the
+    diagnosed recording. remarks: warnings about the recording. next_plan: text of the proposed plan, empty if there is none.
+    origin: whether the samples are measured, simulated or played back."""
 
     title: str
     diagnosis: Data
@@ -57,7 +57,7 @@ class DiagnosisContext:
 
 
 def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
-    """One self-contained HTML page. Raises `ReportError`."""
+    """Renders one self-contained HTML page. Raises `ReportError`."""
     from planrunner.reporting.diagnosis_pictures import pictures
 
     found = context.diagnosis
@@ -80,7 +80,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """One named effect for readers: a heading with who acts, what to do, and the physics."""
+    """The text about one named effect: a heading that says who acts, what to do, and the physics."""
 
     heading: str
     remedy: str
@@ -109,12 +109,12 @@ def _capital(text: str) -> str:
 
 
 def verdict(found: Data) -> str:
-    """The answer in one sentence, and a second one if the noise is far from its declaration."""
+    """States the answer of the diagnosis in one sentence, and in a second one if the noise differs much from its declaration."""
     return " ".join(filter(None, (_cause(found), *_noise_beside(found), *_noise_declared_wrongly(found))))
 
 
 def _noise_beside(found: Data) -> list[str]:
-    """Sentences about the effects on the noise that act beside the cause."""
+    """A sentence about each effect on the noise that acts in addition to the cause of the gap."""
     chances = found.get("noise_effects", {})
     return [
         f"The noise differs from its declaration: {name} ({probability(chances[name])})."
@@ -123,7 +123,7 @@ def _noise_beside(found: Data) -> list[str]:
 
 
 def _noise_declared_wrongly(found: Data) -> list[str]:
-    """Sentences about channels whose white noise is not within a factor of two of its declaration."""
+    """A sentence about each channel whose white noise differs from its declaration by more than a factor of two."""
     factors = {one["channel"]: one["white"] / one["declared"] for one in found.get("noise", ()) if one["declared"]}
     larger = {name: ratio for name, ratio in factors.items() if ratio > WRONG_BY}
     smaller = {name: 1 / ratio for name, ratio in factors.items() if 0 < ratio < 1 / WRONG_BY}
@@ -137,13 +137,13 @@ def _noise_declared_wrongly(found: Data) -> list[str]:
 
 
 def _noise_alone(found: Data) -> float:
-    """The probability that nothing but noise acts, whether at its declared level or not."""
+    """The probability that only noise acts, at its declared level or at another level."""
     levels = {"none", *found.get("noise_effects", ())}
     return min(1.0, float(sum(p for name, p in found["posterior"].items() if levels.issuperset(name.split("+")))))
 
 
 def _cause(found: Data) -> str:
-    """The cause of the gap in one sentence."""
+    """States the cause of the gap in one sentence."""
     said, posterior = found["verdict"], found["posterior"]
     kind, effects = said["kind"], list(said["effects"])
     noise = _noise_alone(found)
@@ -180,14 +180,14 @@ def _cause(found: Data) -> str:
 
 
 def _open(found: Data) -> bool:
-    """Whether something else acts in addition to the named effects, judged by its pattern or by the size of the residual gap."""
+    """Whether something acts in addition to the named effects; this is judged from the pattern or the size of the residual gap."""
     rest = found.get("rest")
     visible = rest is not None and not rest["passes"] and float(rest["share"]) >= SMALL_REST
     return visible or (found["verdict"].get("something_else") is True and not _form(found))
 
 
 def _form(found: Data) -> bool:
-    """Whether the residual gap may come from the idealised form of a strong effect."""
+    """Whether the residual gap may arise because the model of a strong effect is idealised."""
     residue: str | None = found["verdict"].get("form_residue")
     return residue == "unknown"
 
@@ -201,7 +201,7 @@ def _something_else(found: Data) -> str:
 
 
 def _much(found: Data, nearly: bool) -> str:
-    """The part of the gap that the named effects explain. If the remaining gap is only noise, the named effects explain all of it."""
+    """How much of the gap the named effects explain, in words. If the residual gap is only noise, they explain all of it."""
     rest = found.get("rest")
     if rest is not None and not rest["passes"]:
         return "nearly all of the gap"
@@ -209,7 +209,7 @@ def _much(found: Data, nearly: bool) -> str:
 
 
 def _rest(found: Data) -> str:
-    """The size of the gap that the named effects leave, if it is not noise."""
+    """A sentence about the size of the gap that the named effects leave; empty if this residual gap is only noise."""
     rest = found.get("rest")
     if rest is None or rest["passes"]:
         return ""
@@ -219,7 +219,8 @@ def _rest(found: Data) -> str:
 
 
 def _remainder(residue: str | None, named: list[str]) -> str:
-    """Other causes in addition to a named effect, or the certainty of the weaker of two effects."""
+    """A sentence about a cause in addition to the named effects, or about how certain the weaker of two effects is; empty if
+    neither applies."""
     if residue is None:
         return ""
     if residue in named:
@@ -248,7 +249,7 @@ NOT_MEASURED = {
 
 
 def closure_words(found: Data) -> str:
-    """The reduction or growth of the gap, in one or two sentences, or the reason why it is not known."""
+    """States in one or two sentences by how much the effects reduce or increase the gap, or why this is not known."""
     closure = found["closure"]
     if found["verdict"]["kind"] == "none":
         return "There is no gap to close."
@@ -272,7 +273,7 @@ def closure_words(found: Data) -> str:
 
 
 def expected_words(found: Data) -> str:
-    """What to measure next, in one sentence."""
+    """States in one sentence what to measure next."""
     following = found["next"]
     if following is None:
         return ""
@@ -285,13 +286,13 @@ def expected_words(found: Data) -> str:
 
 
 def priors_words(found: Data) -> str:
-    """The priors behind the probabilities, if the diagnosis contains them."""
+    """States the prior probabilities behind the result, if the diagnosis contains them."""
     listed = [f"{name} {p:.2f}" for name, p in found.get("priors", {}).items()]
     return f"Priors: {', '.join(listed)}." if listed else ""
 
 
 def probability(p: float) -> str:
-    """A probability with its significant digits, never 0 or 1."""
+    """A probability as text with its significant digits, never as 0 or 1."""
     if p > 0.999:
         return "P > 0.999"
     return "P < 0.001" if p < 0.001 else f"P = {p:.3f}" if p > 0.99 or p < 0.01 else f"P = {p:.2f}"
@@ -301,7 +302,7 @@ def probability(p: float) -> str:
 
 
 def tables(found: Data) -> dict[str, Table]:
-    """The tables by name; empty tables are omitted."""
+    """The tables of a diagnosis by name; empty tables are omitted."""
     made = {
         "comparison": comparison(found),
         "unknown_form": _unknown_form(found),
@@ -317,7 +318,7 @@ def tables(found: Data) -> dict[str, Table]:
 
 
 def unknown_words(found: Data) -> str:
-    """A description of the unknown cause in one sentence; empty if its form is not known."""
+    """Describes the unknown cause in one sentence; empty if the form of the cause is not known."""
     form = found.get("unknown_form")
     if not form:
         return ""
@@ -364,7 +365,7 @@ def _gap(found: Data) -> Table:
 
 
 def _closure(found: Data) -> Table:
-    """The closure by channel, for channels whose data determine it."""
+    """A table of the gap without and with the effect, with one row for each channel whose data determine it."""
     columns: tuple[Shown[Data], ...] = (
         Shown(TableColumn("Channel"), lambda one: one["channel"]),
         Shown(TableColumn("before [σ]", Role.VALUE), lambda one: _short(one["before"])),
@@ -380,8 +381,8 @@ def _closure(found: Data) -> Table:
 
 
 def comparison(found: Data) -> Table:
-    """The gap between the recording and simulations without and with the effects found, by channel; empty if the diagnosis contains
-    no comparison."""
+    """A table of the gap in each channel between the recording and the simulation, without and with the effects found; empty if the
+    diagnosis contains no comparison."""
     channels = (found.get("comparison") or {}).get("channels", {})
     rows = tuple(
         (
@@ -407,7 +408,7 @@ def comparison(found: Data) -> Table:
 
 
 def _noise(found: Data) -> Table:
-    """Channels whose noise is not white, not as declared, or not equal in all segments."""
+    """A table of the channels whose noise is not white, not as declared, or not equal in all segments."""
     rows = tuple(
         (one["channel"], one["unit"], *entries) for one in found.get("noise", ()) if any(entries := _departures(one))
     )
@@ -420,7 +421,7 @@ def _noise(found: Data) -> Table:
 
 
 def _departures(noise: Data) -> tuple[str, str, str, str, str]:
-    """The five values that describe a channel's noise; empty for values as expected."""
+    """The five values that describe the noise of a channel as text; a value that is as expected is empty."""
     white, declared, count, line = noise["white"], noise["declared"], noise["count"], noise["line"]
     ratio = white / declared if declared else 1.0
     other_count = not math.isclose(count, noise["declared_count"], rel_tol=0.01, abs_tol=1e-300)
@@ -505,8 +506,8 @@ def _change(shrinks_by: float) -> str:
 
 
 def _interval(low: float, high: float) -> str:
-    """The interval with the smaller value first, for a gap that shrinks or grows. If the gap may do either, the interval is in
-    words."""
+    """The interval of the relative change of a gap as text, with the smaller value first. If the interval includes both reduction
+    and growth, it is in words."""
     if low >= 0:
         return f"{_percent(low)} to {_percent(high)}"
     if high <= 0:

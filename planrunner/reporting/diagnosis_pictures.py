@@ -1,4 +1,5 @@
-"""The pictures of a diagnosis: heat map over segments and channels, spectra, segment means, probabilities, confusability."""
+"""The pictures of a diagnosis: heat map over segments and channels, spectra, means of segments, probabilities, and confusability of
+effects."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ MOST_HYPOTHESES = 12
 
 
 def ranked(found: Data) -> list[tuple[str, float]]:
-    """The hypotheses to show, the most probable first; all others are combined as `others`."""
+    """The hypotheses to show, the most probable first; all other hypotheses are combined as `others`."""
     posterior: Mapping[str, float] = found["posterior"]
     order = sorted(posterior.items(), key=lambda pair: -pair[1])
     shown = [(name, p) for name, p in order if p >= SHOWN][:MOST_HYPOTHESES]
@@ -137,8 +138,8 @@ def _spectrum(name: str, one: Data) -> Plot:
 
 
 def heat_svg(heat: Data, key: str) -> str:
-    """A heat map of the gap, with one row for each channel and one column for each segment. White is noise alone; a darker field is
-    a larger gap, on a logarithmic scale."""
+    """A heat map of the gap, with one row for each channel and one column for each segment. White stands for noise alone; a darker
+    field stands for a larger gap, on a logarithmic scale."""
     from matplotlib.colors import LinearSegmentedColormap
 
     channels, segments = list(heat["channels"]), list(heat["segments"])
@@ -179,7 +180,7 @@ def _legend(axes: Axes, colours: Colormap, hottest: float) -> None:
 
 
 def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
-    """One bar per hypothesis, labelled with its probability."""
+    """A chart with one bar for each hypothesis, labelled with its probability."""
     with drawing(WIDTH, 0.9 + 0.27 * len(hypotheses)) as (figure, save):
         axes = figure.add_subplot()
         for row, (name, p) in enumerate(hypotheses):
@@ -197,8 +198,8 @@ def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
 
 
 def confusability_svg(alike: Data, key: str) -> str:
-    """A map of the confusability, in hundredths: each row is the effect with the signature, and each column an effect that
-    reproduces it."""
+    """A map of the confusability in hundredths: each row is an effect that causes a signature, and each column an effect that
+    reproduces this signature."""
     from matplotlib.colors import LinearSegmentedColormap
 
     names = list(alike["effects"])

@@ -1,8 +1,8 @@
-"""The difference of two plans, benches or runs as a page, and as a comment in Markdown for a review.
+"""The difference between two plans, benches or runs as a page, and as a comment in Markdown for a review.
 
-On both, texts from files are treated as data. The page is escaped, and its content security policy prevents loading and running
-anything. In the comment, every text from a file is in a code element, and all characters that Markdown could interpret are written
-as entities.
+On the page and in the comment, texts from files are treated as data. On the page, they are escaped, and the content security policy
+prevents loading and running anything. In the comment, every text from a file is in a code element, and all characters that Markdown
+could interpret are written as entities.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _timeline(schedule: Schedule | None, side: str) -> str:
 
 
 def _pictures(compared: Compared) -> Iterator[JsonObject]:
-    """One picture of every changed orientation. Segments whose orientation changes in the same way share one picture."""
+    """One picture for each changed orientation. Segments whose orientation changes in the same way share one picture."""
     from markupsafe import Markup
 
     groups: dict[str, tuple[PartChange, list[str]]] = {}

@@ -1,5 +1,5 @@
-"""The difference of two plans, benches or runs as tables and as JSON; the terminal, the page and the comment in Markdown show the same
-tables.
+"""The difference between two plans, benches or runs as tables and as JSON; the terminal, the page and the comment in Markdown show
+the same tables.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MOST_TEXT = 160
 
 
 def headline(compared: Compared) -> str:
-    """One line: whether the two plans, benches or runs differ, and in how many places."""
+    """States in one line whether the two plans, benches or runs differ, and in how many places."""
     found = compared.meaning
     if compared.kind == "run":
         return "The runs differ." if compared.different else "The runs have the same results."
@@ -52,12 +52,12 @@ def _both(item: SegmentChange) -> bool:
 
 
 def difference_tables(compared: Compared) -> list[Table]:
-    """Tables with rows, the most important first. Values are shown as the files contain them."""
+    """The tables that have rows, the most important first. Values are shown as the files contain them."""
     return [table for table in _tables(compared) if table.rows]
 
 
 def notes(compared: Compared) -> list[str]:
-    """Differences that do not change the meaning but may interest a reader, and results that could not be computed."""
+    """Notes on differences that do not change the meaning but may interest a reader, and on results that could not be computed."""
     found = compared.meaning
     lines = [
         f"The {change.place[-1]} differs. It is a text for readers, so this is not a difference in meaning."
@@ -96,7 +96,7 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Cell]], n
 
 
 def cut(text: str) -> str:
-    """A text shortened to fit a cell."""
+    """A text, shortened to fit a cell."""
     return text if len(text) <= MOST_TEXT else f"{text[: MOST_TEXT - 1]}…"
 
 
@@ -104,7 +104,7 @@ def cut(text: str) -> str:
 
 
 def _segments(segments: Sequence[SegmentChange]) -> Table:
-    """One row for each kind of change: segments that change in the same way share one row."""
+    """A table with one row for each kind of change: segments that change in the same way share a row."""
     rows: dict[tuple[str, str, str], list[str]] = {}
     for item in segments:
         name = item.after if item.after is not None else item.before or ""
@@ -115,7 +115,7 @@ def _segments(segments: Sequence[SegmentChange]) -> Table:
 
 
 def _segment_rows(item: SegmentChange) -> Iterator[tuple[str, str, str]]:
-    """The changes of one segment: what changed, the text before, and the text after."""
+    """Yields the changes of one segment: what changed, the text before the change, and the text after it."""
     if item.before is None or item.after is None:
         text = cut(", ".join(f"{_key(change.place)} {change.shown[0] or change.shown[1]}" for change in item.changes))
         yield ("added", "–", text) if item.before is None else ("removed", text, "–")
@@ -133,7 +133,7 @@ def _key(place: Sequence[str]) -> str:
 
 
 def _sides(change: PartChange) -> tuple[str, str]:
-    """The values before and after. For lists of names, only the removed and the added names are shown."""
+    """The values before and after a change as text. For lists of names, only the removed and the added names are shown."""
     if change.gained or change.lost:
         return cut(", ".join(change.lost)) or "–", cut(", ".join(change.gained)) or "–"
     return cut(change.shown[0]) or "–", cut(change.shown[1]) or "–"
@@ -271,7 +271,7 @@ def _facts(title: str, compared: Compared, *, conditions: bool) -> Table:
 
 
 def difference_json(compared: Compared) -> JsonObject:
-    """The difference according to schemas/difference.schema.json. JSON has no NaN and no infinity: both are null."""
+    """The difference according to schemas/difference.schema.json. JSON has no NaN and no infinity: both become null."""
     found = compared.meaning
     document: JsonObject = {
         "planrunner_difference": FORMAT,

@@ -1,4 +1,4 @@
-"""Coefficients as files for other tools: CSV, MATLAB, YAML and C header, in full precision with units and covariance.
+"""Writes coefficients as files for other tools: CSV, MATLAB, YAML and C header, in full precision with units and covariance.
 
 The text of a name, unit or description cannot leave its field, comment or string.
 """
@@ -40,11 +40,12 @@ M_WORDS = frozenset(
 
 
 class ExportError(Exception):
-    """The coefficients cannot be written in this form. The message gives the reason."""
+    """The error for coefficients that cannot be written in this form. The message gives the reason."""
 
 
 def export(estimate: Estimate, form: str, provenance: Mapping[str, str] | None = None) -> str:
-    """The text of one file. form: csv, matlab, yaml or c (see `FORMS`); provenance: facts that the opening comment states.
+    """Makes the text of one file of coefficients. form: csv, matlab, yaml or c (see `FORMS`). provenance: facts that the comment at
+    the beginning of the file states.
 
     Raises `ExportError` for an unknown form.
     """
@@ -54,7 +55,8 @@ def export(estimate: Estimate, form: str, provenance: Mapping[str, str] | None =
 
 
 def identifiers(names: Iterable[str], words: frozenset[str] = frozenset()) -> list[str]:
-    """Valid identifiers of programming languages for the names, in their order. They are distinct even if case is ignored."""
+    """Converts the names to valid identifiers of programming languages, in the same order. The identifiers are distinct even if
+    case is ignored."""
     taken: set[str] = set()
     result = []
     for name in names:
@@ -70,7 +72,8 @@ def identifiers(names: Iterable[str], words: frozenset[str] = frozenset()) -> li
 
 
 def comment(text: str) -> str:
-    """Text that cannot end a comment in any of the four languages: one line, printable, no `*/`, no trailing backslash."""
+    """A text in a form that cannot end a comment in any of the four languages: one line, printable, without `*/` and without a
+    trailing backslash."""
     line = "".join(char if char.isprintable() else " " for char in text)
     line = " ".join(line.split()).replace("*/", "* /").replace("/*", "/ *").replace("??/", "? ?/")
     return line.rstrip("\\ ")
@@ -83,8 +86,8 @@ def _opening(estimate: Estimate, provenance: Mapping[str, str]) -> list[str]:
 
 
 def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """The CSV text with the columns name, value, unit, standard_uncertainty, degrees_of_freedom, description, period; comment lines
-    begin with #. period: for a circular quantity, in its unit; otherwise empty."""
+    """The CSV text with the columns name, value, unit, standard_uncertainty, degrees_of_freedom, description, period. Comment lines
+    begin with #. The column `period` contains the period of a circular quantity in the quantity's unit; otherwise it is empty."""
     out = io.StringIO()
     for line in _opening(estimate, provenance):
         out.write(f"# {line}\n")
@@ -99,14 +102,14 @@ def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Text on one line that spreadsheets do not interpret as a formula."""
+    """A text on one line, in a form that spreadsheets do not interpret as a formula."""
     line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
     return f"'{line}" if line[:1] in ("=", "+", "-", "@") else line
 
 
 def _matlab(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """A script that sets a struct: value, unit, u and nu of every coefficient, the period of a circular one, names, and the covariance
-    matrix."""
+    """A MATLAB script that sets a struct: value, unit, u and nu of every coefficient, the period of circular quantities, the names,
+    and the covariance matrix."""
     root = identifiers([estimate.name], M_WORDS)[0]
     fields = identifiers([item.name for item in estimate.coefficients], M_WORDS)
     lines = [f"% {line}" for line in _opening(estimate, provenance)]
@@ -176,7 +179,7 @@ def _yaml(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 class _Exact(float):
-    """A float that is written so that YAML 1.1 and 1.2 readers accept it as a number."""
+    """A float that is written in a form that YAML 1.1 and 1.2 readers accept as a number."""
 
 
 def yaml_float(value: float) -> str:
@@ -192,7 +195,8 @@ def yaml_float(value: float) -> str:
 
 
 def _c(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """A header of constants for C and C++: value and standard uncertainty of every coefficient, the period of a circular one."""
+    """A header of constants for C and C++: value and standard uncertainty of every coefficient, and the period of circular
+    quantities."""
     root = identifiers([estimate.name])[0].upper()
     constants = [constant for item in estimate.coefficients for constant in _constants(item)]
     names = identifiers(name for name, _, _ in constants)
@@ -205,7 +209,7 @@ def _c(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _constants(item: Coefficient) -> list[tuple[str, float, str]]:
-    """Name, value and comment of each constant of a coefficient. Raises `ExportError` for non-finite values."""
+    """Name, value and comment of each constant that describes a coefficient. Raises `ExportError` for non-finite values."""
     if not (math.isfinite(item.value) and math.isfinite(item.standard_uncertainty)):
         raise ExportError(f"{item.name} is not a finite number, which a C header cannot represent")
     found = [

@@ -1,6 +1,6 @@
 """Output of a diagnosis of several runs: sentences and tables for the terminal, and one page.
 
-The input is plain data according to `schemas/fleet.schema.json`. Only rounding is done here.
+The input is plain data according to `schemas/fleet.schema.json`. Only rounded numbers are computed here.
 """
 
 from __future__ import annotations
@@ -41,24 +41,25 @@ _REMEDY = {
 
 
 def sentences(found: Data) -> list[str]:
-    """Sentences about changes and their times, about common properties of lots, and about the attribution to sources."""
+    """Sentences about changes and their times, about properties that the devices of a lot have in common, and about the sources to
+    which effects are attributed."""
     return [*news(found), *(text for amplitude in found["amplitudes"] for text in _of_amplitude(found, amplitude))]
 
 
 def statements(found: Data) -> list[str]:
-    """The sentences without those about terms that the simulation fits, because every device has its own bias."""
+    """All sentences except those about terms that the simulation fits, because it is normal that every device has its own bias."""
     beside = [one for one in found["amplitudes"] if one["effect"] not in found["nominal"]]
     return [*news(found), *(text for amplitude in beside for text in _of_amplitude(found, amplitude))]
 
 
 def news(found: Data) -> list[str]:
-    """The sentences about changes and their times, and about common properties of lots."""
+    """The sentences about changes and their times, and about properties that the devices of a lot have in common."""
     changed = [_of_change(one, change) for one in found["amplitudes"] for change in one["changes"]]
     return [*changed, *map(_of_lot, found["shared"])]
 
 
 def _of_change(amplitude: Data, change: Data) -> str:
-    """A sentence such as `bench b2: table_tilt about_east changed by 4.0 ± 0.5 arcsec between …`."""
+    """States a change of an amplitude, as in `bench b2: table_tilt about_east changed by 4.0 ± 0.5 arcsec between …`."""
     names = [
         _WORDS[source] if source == "common" else f"{_WORDS[source]} {label}" for source, label in change["sources"]
     ]
@@ -74,7 +75,7 @@ def _of_change(amplitude: Data, change: Data) -> str:
 
 
 def _minute(moment: object) -> str:
-    """A moment in ISO 8601 as text, such as `2026-03-03 22:14`."""
+    """Shortens a moment in ISO 8601 to minutes, such as `2026-03-03 22:14`."""
     return str(moment)[:16].replace("T", " ")
 
 
@@ -111,8 +112,8 @@ def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
 
 
 def _clear(part: Data) -> float:
-    """Ratio of the difference from the other parts to its expanded uncertainty; if there are no other parts, ratio of the part
-    itself to its expanded uncertainty."""
+    """Ratio of a part's difference from the other parts to the expanded uncertainty of the difference. If there are no other parts,
+    ratio of the part's own value to its expanded uncertainty."""
     one = part["difference"] or part["part"]
     return abs(float(one["value"])) / float(one["expanded_uncertainty"])
 
@@ -123,8 +124,8 @@ def _with_u(one: Data, unit: str) -> str:
 
 
 def _who(found: Data, sources: Sequence[str], part: Data) -> str:
-    """A source in words, such as `bench bench-2`, `bench bench-2 since 2026-03-03 22:14 UTC`, or `bench bench-2, or what all runs
-    have in common`."""
+    """Names a source, such as `bench bench-2`, `bench bench-2 since 2026-03-03 22:14 UTC`, or `bench bench-2, or what all runs have
+    in common`."""
     if list(sources) == ["common"]:
         return "all runs"
     run = next(run for run in found["runs"] if run[sources[0]] == part["label"])
@@ -134,7 +135,7 @@ def _who(found: Data, sources: Sequence[str], part: Data) -> str:
 
 
 def _count(sources: Sequence[str], part: Data) -> str:
-    """The number of runs of a part, and for a bench the number of devices."""
+    """The number of runs that belong to a part and, if the part is a bench, the number of devices."""
     runs = f"{count_of(part['runs'], 'run')}, "
     if list(sources) != ["bench"]:
         return runs
@@ -146,7 +147,7 @@ def _either(sources: Sequence[str]) -> str:
 
 
 def limits(found: Data) -> list[str]:
-    """Sources that the runs cannot distinguish, with the affected amplitudes and the measurements that would distinguish them."""
+    """The sources that the runs cannot distinguish, with the amplitudes concerned and the measurements that would distinguish them."""
     concerned: dict[tuple[str, ...], list[str]] = {}
     for amplitude in found["amplitudes"]:
         for one in amplitude["contributions"]:
@@ -165,7 +166,7 @@ def limits(found: Data) -> list[str]:
 
 
 def _alone(found: Data, sources: Sequence[str]) -> str:
-    """The reason why sources cannot be distinguished, such as `One bench only`."""
+    """The reason why some sources cannot be distinguished, such as `One bench only`."""
     if "common" in sources:
         return f"One {' and one '.join(name for name in sources if name != 'common')} only"
     if "occasion" in sources:
@@ -201,7 +202,8 @@ def _attribution(found: Data) -> Table:
 
 
 def _share(amplitude: Data, source: str) -> str:
-    """A share in percent. It is an upper bound if other sources group the runs in the same way."""
+    """The share of a source in an amplitude, in percent. It is marked as an upper bound if other sources group the runs in the same
+    way."""
     one = next(one for one in amplitude["contributions"] if source in one["sources"])
     shown = f"{100 * one['share']:.0f} %"
     return shown if len(one["sources"]) == 1 else f"≤ {shown}"
@@ -233,8 +235,7 @@ def _runs(found: Data) -> Table:
 
 
 def plots(found: Data) -> list[Plot]:
-    """Plots of the estimates of the effects other than the nominal terms, and of amplitudes that a device, bench or occasion
-    changes."""
+    """Plots of the estimated effects other than the nominal terms, and of amplitudes that a device, bench or occasion changes."""
     fitted = set(found["effects"])
     chosen = [
         one
@@ -272,8 +273,8 @@ def facts(found: Data) -> dict[str, str]:
 def render_page(
     found: Data, remarks: Sequence[str] = (), origin: DataOrigin | None = None, folder: Path | None = None
 ) -> str:
-    """Renders one self-contained HTML page. remarks: warnings about the recordings; origin: source of the samples. Raises
-    `ReportError`."""
+    """Renders one self-contained HTML page. remarks: warnings about the recordings. origin: whether the samples are measured,
+    simulated or played back. Raises `ReportError`."""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import plot_svg

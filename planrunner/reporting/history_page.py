@@ -1,4 +1,5 @@
-"""The history of a coefficient as one page: sentences, control charts, the values, agreement of benches and laboratories."""
+"""The history of a coefficient as one page: sentences, control charts, a table of the values, and the agreement of benches and
+laboratories."""
 
 from __future__ import annotations
 
@@ -62,7 +63,7 @@ def pictures(found: Trend) -> Iterator[tuple[str, str]]:
 
 
 def _chart(found: Trend, key: str, y_title: str, series: list[tuple[str, Chart]], *, bars: bool = False) -> str:
-    """One chart over the dates, with its limits, its alarms as rings, and the changes of level as dotted lines."""
+    """Draws one chart over the dates, with its limits as lines, its alarms as rings, and the changes of level as dotted lines."""
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 
     days = [float(date2num(datetime.fromisoformat(point.run.created))) for point in found.points]  # type: ignore[no-untyped-call]

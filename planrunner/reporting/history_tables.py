@@ -1,4 +1,4 @@
-"""Tables, sentences and a plot of characters for the commands `runs`, `history` and `compare`."""
+"""Tables, sentences and a plot drawn with text characters, for the commands `runs`, `history` and `compare`."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def runs_table(runs: Sequence[RunRow]) -> Table:
 
 
 def _made(run: RunRow) -> str:
-    """The time of a run to the minute."""
+    """The time at which a run was made, to the minute."""
     return run.created[:16].replace("T", " ")
 
 
 def points_table(found: Trend) -> Table:
-    """A table with one row for each value and its result in the control charts."""
+    """A table with one row for each value of the coefficient and its result in the control charts."""
     runs = [point.run for point in found.points]
     columns: tuple[Shown[int], ...] = (
         Shown(TableColumn("made (UTC)"), lambda k: _made(runs[k])),
@@ -64,7 +64,7 @@ def points_table(found: Trend) -> Table:
 
 
 def alarms(found: Trend, k: int) -> list[str]:
-    """The charts in which value k is outside the limits."""
+    """Names of the charts in which value k is outside the limits."""
     charts = found.charts
     if charts is None:
         return []
@@ -78,8 +78,8 @@ def alarms(found: Trend, k: int) -> list[str]:
 
 
 def control_table(state: ControlState) -> Table:
-    """A table with one row for each comparison of a coefficient of a check standard: the newest value with the limits, or a row
-    without limits."""
+    """A table of the control of a check standard: for each coefficient, one row for each comparison of the newest value with
+    limits, or a single row if there are no limits."""
     titles = (
         "coefficient", "unit", "newest value", "u", "values", "compared with", "centre", "lower limit", "upper limit", "outside"
     )  # fmt: skip
@@ -126,7 +126,7 @@ def comparison_table(found: RunComparison) -> Table:
 
 
 def gauge_table(found: GaugeStudy, unit: str) -> Table:
-    """A table of the standard deviations of the components with their intervals, and their shares of the total variance."""
+    """A table of the components of variance: their standard deviations with intervals, and their shares of the total variance."""
     total = found.components[-1].variance
     columns: tuple[Shown[VarianceComponent], ...] = (
         Shown(TableColumn("component"), lambda one: one.name),
@@ -139,7 +139,7 @@ def gauge_table(found: GaugeStudy, unit: str) -> Table:
 
 
 def sentences(found: Trend) -> list[str]:
-    """Description of the history in sentences."""
+    """Describes the history in sentences."""
     unit = words.behind_number(found.unit)
     said = list(_stamps(found))
     charts = found.charts
@@ -175,7 +175,7 @@ def sentences(found: Trend) -> list[str]:
 
 
 def _stamps(found: Trend) -> Iterator[str]:
-    """Notes on the runs whose samples were not measured in the run itself, such as simulated samples."""
+    """Notes on the runs whose samples were not measured in the run itself, for example simulated samples."""
     origins = [point.run.origin for point in found.points]
     for origin in _NOT_MEASURED:
         mark = stamp(origin)
@@ -203,7 +203,7 @@ def _drift(found: Trend, unit: str) -> list[str]:
 
 
 def _no_drift(found: Trend) -> list[str]:
-    """Why there is no drift, and what is needed."""
+    """States why the drift cannot be computed, and what is needed for it."""
     if len(found.points) < 2:
         return []
     runs = [point.run for point in found.points[found.changes[-1].index if found.changes else 0 :]]
@@ -220,8 +220,8 @@ def _no_drift(found: Trend) -> list[str]:
 
 
 def plot_lines(found: Trend) -> list[str]:
-    """The values over time as a plot of characters: `●` a value, `○` a value with an alarm, `─` the mean, `┄` the Shewhart limits
-    of the newest value."""
+    """The values over time as a plot of text characters: `●` a value, `○` a value with an alarm, `─` the mean, `┄` the Shewhart
+    limits of the newest value."""
     if len(found.values) < 2:
         return []
     times = [_seconds(point.run) for point in found.points]

@@ -1,7 +1,8 @@
-"""Languages of pages: English as in the templates, other languages through the catalogues of translations in `locales/`.
+"""The languages of pages: English as in the templates, and other languages through the catalogues of translations in `locales/`.
 
-Catalogues are read as PO text of gettext. Pages therefore show exactly the texts that reviewers read, and nothing has to be
-compiled. Placeholders of page templates have only the form `%(name)s`, so a template cannot request widths that fill the memory.
+Catalogues are read as gettext PO text. Pages therefore show exactly the texts that reviewers read, and nothing has to be compiled.
+A placeholder of a page template can only have the form `%(name)s`, so that no template can request a width that would fill the
+memory.
 
 Texts of estimators are `planrunner.base.said.Said`: "{output}: offset at zero rate" with its values is a message of the catalogue, in which
 the translation has the same names. The format of a number is that of the English template, with the decimal sign of the language.
@@ -23,14 +24,14 @@ _PLACE = re.compile(r"%(?:%|\((\w+)\)s)")
 
 
 def languages() -> tuple[str, ...]:
-    """The languages with a catalogue, in addition to English."""
+    """The languages that have a catalogue of translations, in addition to English."""
     return tuple(sorted(path.stem for path in shipped("locales").glob("*.po")))
 
 
 @lru_cache(maxsize=8)
 def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
     """Maps each English message to its translation, or to the plural forms of its translation. Doubtful (fuzzy) and empty entries
-    are omitted. The English plural is also a message, because in earlier versions a text could have only this form, and stored
+    are omitted. The English plural form is also a key, because in earlier versions a text could have only this form, and stored
     results contain it."""
     if language == ENGLISH:
         return {}
@@ -55,7 +56,8 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
 
 def spoken(language: str) -> dict[str, Callable[..., str]]:
     """The functions that Jinja's i18n extension calls, and the function `term` for texts with a template in the data, such as the
-    description of a coefficient. Text without a template or a translation stays as it is. The result is escaped like other text."""
+    description of a coefficient. Text without a template or without a translation stays as it is. The result is escaped like other
+    text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Json) -> str:
@@ -92,7 +94,7 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
 
 @lru_cache(maxsize=8)
 def plural_form(language: str) -> Callable[[int], int]:
-    """The index of the plural form for a number, by the rule of the language."""
+    """The index of the plural form for a number, according to the rule of the language."""
     from gettext import c2py
 
     from babel.messages.plurals import get_plural
@@ -114,5 +116,5 @@ def numeral(text: str, language: str) -> str:
 
 
 def filled(message: str, values: Mapping[str, Json]) -> str:
-    """The message in which each `%(name)s` is replaced by its value, and `%%` by `%`. Raises KeyError for a name without a value."""
+    """A message after each `%(name)s` has been replaced by its value, and `%%` by `%`. Raises KeyError for a name without a value."""
     return _PLACE.sub(lambda place: "%" if place[1] is None else str(values[place[1]]), message)

@@ -1,4 +1,4 @@
-"""The timetable of a night, as lines for the terminal and as a page with a Gantt chart."""
+"""The timetable of a night, as lines of text for the terminal and as a page with a Gantt chart."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STEPS = (60, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 17280
 
 @dataclass(frozen=True, slots=True)
 class Timetable:
-    """A suite with the predicted night. durations: planned duration of each test, s; None if a recording determines it."""
+    """A suite and the forecast of its night. durations: planned duration of each test, s; None if a recording determines it."""
 
     suite: Suite
     file: str
@@ -44,7 +44,7 @@ class Timetable:
         return WARM_UP if slot.test is None else self.tests[slot.test].name
 
     def time(self, instant: float) -> str:
-        """The time of day, with the date if it is not the date of the beginning."""
+        """The time of day of an instant, preceded by the date if the night began on another date."""
         local, first = civil(instant, self.zone), civil(self.begins, self.zone)
         return f"{local:%H:%M}" if local.date() == first.date() else f"{local:%m-%d %H:%M}"
 
@@ -54,7 +54,7 @@ class Timetable:
 
 
 def headline(table: Timetable) -> str:
-    """The number of tests and benches, beginning, predicted end and limit."""
+    """States the number of tests and benches, and when the night begins, ends according to the forecast, and must end."""
     night = table.forecast
     benches = len({slot.bench for slot in night.slots})
     runs = sum(slot.test is not None for slot in night.slots)
@@ -69,7 +69,7 @@ def headline(table: Timetable) -> str:
 
 
 def timetable_lines(table: Timetable, width: int = 100) -> list[str]:
-    """One line for each test and warm-up, with a bar, grouped by bench; then the tests that do not run."""
+    """One line for each test and warm-up, with a bar, grouped by bench; then the tests that will not run."""
     night = table.forecast
     lines = [f"  {headline(table)}"]
     names = [table.name(slot) for slot in night.slots]
@@ -138,7 +138,7 @@ def timetable_page(table: Timetable, warnings: Sequence[str]) -> str:
 
 
 def gantt_svg(table: Timetable) -> str:
-    """The night as a chart: a row for each test below the name of its bench, over local time."""
+    """The night as a chart over local time: below the name of each bench, one row for each of its tests."""
     left, right, row, top = 260, 900, 24, 34
     begins, ends = table.begins, max(table.forecast.ends, table.begins + 60)
 

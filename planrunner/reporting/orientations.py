@@ -27,7 +27,7 @@ _COLOURS = {"x": "#b3261e", "y": "#1b6e3c", "z": "#1c4fa1"}
 
 
 def project(direction: Array) -> tuple[float, float]:
-    """Picture coordinates (right, down) of an East-North-Up vector (3,) whose unit is one axis length."""
+    """Picture coordinates (right, down) of a vector (3,) in East-North-Up. A vector of length one has the length of a drawn axis."""
     right, upward = float(_RIGHT @ direction), float(_UPWARD @ direction)
     return _CENTRE[0] + _REACH * right, _CENTRE[1] - _REACH * upward
 
@@ -35,7 +35,7 @@ def project(direction: Array) -> tuple[float, float]:
 def orientation_svg(attitude: Array | None, name: str = "") -> str:
     """The picture as an `<svg>` element with a title for screen readers.
 
-    attitude: (3, 3), rows are the sensor's x, y, z axes in East-North-Up; None draws the frame with a question mark.
+    attitude: shape (3, 3), whose rows are the sensor's x, y, z axes in East-North-Up; None draws the frame with a question mark.
     """
     words = "unknown orientation" if attitude is None else in_words(np.asarray(attitude, dtype=float))
     title = f"{name}: {words}" if name else words
@@ -56,7 +56,7 @@ def orientation_svg(attitude: Array | None, name: str = "") -> str:
 
 
 def _site_frame() -> list[str]:
-    """The horizon as a disc, with its four directions named, and a plumb line."""
+    """Draws the horizon as a disc with its four directions named, and a plumb line."""
     turns = np.linspace(0, 2 * math.pi, 49)
     ring = [project(1.0 * np.array([math.cos(t), math.sin(t), 0.0])) for t in turns]
     path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in ring[:-1]) + "Z"
@@ -74,7 +74,7 @@ def _site_frame() -> list[str]:
 
 
 def _beyond(tip: tuple[float, float], by: float) -> tuple[float, float]:
-    """The point `by` units beyond a tip."""
+    """The point of the picture that lies `by` units beyond the tip of an axis, seen from the centre."""
     right, down = tip[0] - _CENTRE[0], tip[1] - _CENTRE[1]
     scale = 1 + by / math.hypot(right, down)
     return _CENTRE[0] + scale * right, _CENTRE[1] + scale * down

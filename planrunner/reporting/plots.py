@@ -1,4 +1,4 @@
-"""Charts as inline SVG: values per label or over x, curves, correlations, and the timeline of a schedule.
+"""Charts as inline SVG: values for labels or over x, curves, correlations, and the timeline of a schedule.
 
 They are drawn by matplotlib at the width of a phone and scaled by the page, so that text is legible on phones and large screens.
 Text in a chart stays text, and equal data give equal bytes.
@@ -62,7 +62,7 @@ _STYLE: dict[RcKeyType, object] = {
 def plot_svg(plot: Plot, key: str) -> str:
     """One chart: points with error bars (±1 standard uncertainty) over labels, points and lines over numbers, or curves.
 
-    key: a name unique in the page, of letters, digits and hyphens; ids in the picture begin with it.
+    key: a name unique in the page, of letters, digits and hyphens, with which the ids in the picture begin.
     """
     labels = _labels(plot.x)
     with drawing(WIDTH, 3.1) as (figure, save):
@@ -81,8 +81,8 @@ def plot_svg(plot: Plot, key: str) -> str:
 
 
 def _plain_ticks(axes: Axes) -> None:
-    """Formats the numbers at logarithmic axes as text, because formulas are not drawn. An axis of less than two decades also shows
-    2 and 5."""
+    """Formats the numbers at logarithmic axes as plain text, because formulas are not drawn. An axis of less than two decades also
+    shows 2 and 5."""
 
     def between(value: float, _: float) -> str:
         leading = round(value / 10 ** math.floor(math.log10(value)), 6)
@@ -118,7 +118,7 @@ def _draw_points(axes: Axes, plot: Plot, labels: list[str]) -> None:
 
 
 def _draw_courses(axes: Axes, plot: Plot) -> None:
-    """Draws each series as a line, with ±1 standard uncertainty, if given, as a band. A non-finite value interrupts the line."""
+    """Draws each series as a line, and its standard uncertainty, if given, as a band of ±1. A non-finite value interrupts the line."""
     xs = np.array([float(x) for x in plot.x])
     for index, (name, values) in enumerate(plot.series.items()):
         colour = COLOURS[index % len(COLOURS)]
@@ -135,8 +135,9 @@ def _draw_courses(axes: Axes, plot: Plot) -> None:
 
 
 def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Indices of the values (n,) of a curve to draw. Up to `most` values are all drawn. Of a longer curve, the ends are drawn, and
-    from each of equal intervals the lowest, the highest and the first non-finite value. No peak and no gap is lost."""
+    """Indices of those values (n,) of a curve that are drawn. A curve of up to `most` values is drawn completely. Of a longer
+    curve, the first and the last value are drawn, and from each of many equal intervals the lowest, the highest and the first
+    non-finite value. No peak and no gap is lost in this way."""
     if len(values) <= most:
         return np.arange(len(values))
     kept = {0, len(values) - 1}
@@ -152,7 +153,7 @@ def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
 
 
 def _labels(x: Sequence[object]) -> list[str]:
-    """Labels if x contains text, otherwise nothing."""
+    """The items of x as labels if at least one is a text; otherwise none."""
     return [str(item) for item in x] if any(isinstance(item, str) for item in x) else []
 
 
@@ -175,7 +176,8 @@ def _finish(axes: Axes, plot: Plot, labels: list[str]) -> None:
 
 
 def correlation(covariance: Array) -> Array:
-    """Correlation matrix of a covariance (m, m); rows of a quantity without variance are zero off the diagonal."""
+    """Correlation matrix that belongs to a covariance matrix (m, m). For a quantity without variance, the elements off the diagonal
+    are zero."""
     sigma = np.sqrt(np.clip(np.diag(covariance), 0, None))
     scale = np.where(sigma > 0, sigma, np.inf)
     result = covariance / np.outer(scale, scale)
@@ -184,7 +186,7 @@ def correlation(covariance: Array) -> Array:
 
 
 def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
-    """Heat map of the correlations, in hundredths; blue is positive, orange negative, white none."""
+    """A heat map of the correlations in hundredths: positive values are blue, negative ones orange, and zero is white."""
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -219,7 +221,7 @@ def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
 
 
 def strong(names: Sequence[str], matrix: Array, at_least: float = 0.3) -> list[tuple[str, str, float]]:
-    """Pairs of names with an absolute correlation of at least `at_least`, the strongest first."""
+    """Pairs of names whose correlation has an absolute value of at least `at_least`, the strongest first."""
     pairs = [
         (names[i], names[j], float(matrix[i, j]))
         for i in range(len(names))
@@ -230,7 +232,8 @@ def strong(names: Sequence[str], matrix: Array, at_least: float = 0.3) -> list[t
 
 
 def timeline_svg(schedule: Schedule, key: str) -> str:
-    """Timeline: transitions, settling and recording as bars, with temperature and rate if they are held."""
+    """Draws the timeline of a schedule: transitions, settling and recording as bars; also temperature and rate if the plan holds
+    them."""
     from planrunner.reporting.timeline import draw_panels, panels_of
 
     panels = panels_of(schedule)
@@ -245,7 +248,7 @@ def timeline_svg(schedule: Schedule, key: str) -> str:
 
 @contextmanager
 def drawing(width: float, height: float) -> Iterator[tuple[Figure, Callable[[str, str, str], str]]]:
-    """A figure in the project's style and a function that turns it into an `<svg>` element."""
+    """Yields a figure in the project's style, and a function that turns the figure into an `<svg>` element."""
     import io
 
     import matplotlib as mpl
@@ -268,9 +271,9 @@ def drawing(width: float, height: float) -> Iterator[tuple[Figure, Callable[[str
 
 
 def _make_room(figure: Figure) -> None:
-    """Sets the margins so that the lettering around the axes, which are arranged in one column, is within the figure.
+    """Sets the margins so that the text around the axes, which stand in one column, lies within the figure.
 
-    Lettering is measured once: matplotlib's constrained layout measures it twice, and measuring takes as long as drawing.
+    The text is measured only once: matplotlib's constrained layout measures it twice, and measuring takes as long as drawing.
     """
     width, height = 72 * figure.get_size_inches()
     across, upright = _MARGIN / width, _MARGIN / height
@@ -293,12 +296,14 @@ def _make_room(figure: Figure) -> None:
 
 
 def _bounded(margins: Array) -> Array:
-    """Margins, as fractions of the figure, that leave at least a tenth of it to the axes, however long the lettering is."""
+    """Reduces the margins, which are fractions of the figure, so that at least a tenth of the figure is left to the axes even if
+    the text is long."""
     return margins * min(1.0, 0.9 / float(margins.sum()))
 
 
 def _inline(text: str, key: str, title: str, described: str) -> str:
-    """The file from matplotlib as an `<svg>` element: without prologue, with unique ids and a name, scaling with its container."""
+    """Converts the file from matplotlib to an `<svg>` element without prologue, with unique ids and a name, that scales with its
+    container."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r"<!--.*?-->\s*", "", body, flags=re.DOTALL)
@@ -315,7 +320,7 @@ def _inline(text: str, key: str, title: str, described: str) -> str:
 
 
 def _with_attributes(tag: re.Match[str]) -> str:
-    """A tag with its style as attributes, because pages allow only the style sheet in their head."""
+    """A tag in which the style is replaced by attributes, because pages permit no style outside the style sheet in their head."""
     return re.sub(r' style="([^"]*)"', _attributes, tag[0])
 
 

@@ -1,4 +1,4 @@
-"""Output of a design study of positions: their criteria, efficiencies, and the positions before and after."""
+"""Output of a design study of positions: criteria, efficiencies, and the positions before and after the design."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FOOTER = (
 
 
 def study(found: FoundPositions, subject: Subject) -> Study:
-    """The complete output for designed positions."""
+    """Makes the complete output for designed positions."""
     about = facts(found)
     said = notes(found)
     return Study(
@@ -57,7 +57,7 @@ def facts(found: FoundPositions) -> dict[str, str]:
 
 
 def tables(found: FoundPositions) -> tuple[Table, ...]:
-    """Criteria, efficiencies, the chosen positions, expected uncertainties and residual ratios."""
+    """Tables of the criteria, the efficiencies, the chosen positions, the expected uncertainties and the residual ratios."""
     return (_criteria(found), _efficiencies(found), _positions(found), *_uncertainties(found), *_ratios(found))
 
 
@@ -113,7 +113,7 @@ def _positions(found: FoundPositions) -> Table:
 
 
 def _predicted(found: FoundPositions, one: PositionSet) -> tuple[Coefficient, ...]:
-    """Standard uncertainties of the coefficients of the estimate with a set of positions."""
+    """Standard uncertainties that the coefficients of the estimate have with a set of positions."""
     design = one.designs.get(found.sight.name)
     return design.predicted if design is not None else ()
 
@@ -145,7 +145,7 @@ def _ratios(found: FoundPositions) -> list[Table]:
 
 
 def notes(found: FoundPositions) -> tuple[str, ...]:
-    """Explanations of the plan's estimates and of the numbers, in sentences."""
+    """Explains the plan's estimates and the numbers in sentences."""
     chosen, planned = found.chosen, found.sets["planned"]
     said = [
         note

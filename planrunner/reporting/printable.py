@@ -1,8 +1,8 @@
-"""Text from files in a form that cannot control the terminal.
+"""Converts text from files to a form that cannot control the terminal.
 
-Labels, paths and answers of instruments may hold control characters that erase lines, set a window's title or reverse the reading order.
-The output stream shows them as codes, regardless of what printed them. planrunner's own control sequences, such as colours, go to the
-stream `beneath`.
+Labels, paths and answers of instruments may hold control characters that erase lines, set a window's title or reverse the reading
+order. Text streams show these characters as codes, whatever part of the program prints them. planrunner's own control sequences,
+such as colours, go to the stream `beneath`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ def escape(char: str) -> str:
 
 
 def printable(text: str, keep: str = "\n", code: Callable[[str], str] = escape) -> str:
-    """Text with control characters, reading-order marks and other invisible characters as codes. Characters in `keep` and spaces of any
-    width are unchanged."""
+    """A text in which control characters, reading-order marks and other invisible characters are shown as codes. Characters in
+    `keep` and spaces of any width are unchanged."""
     if text.replace("\n", "").isprintable() and ("\n" in keep or "\n" not in text):
         return text
     return "".join(char if char in keep or _shown(char) else code(char) for char in text)
@@ -74,17 +74,18 @@ class PrintableStream(io.TextIOBase):
         return self.stream.closed
 
     def close(self) -> None:
-        """Does not close the underlying stream, which belongs to the process."""
+        """Does nothing: the underlying stream must stay open because it belongs to the process."""
 
 
 def beneath(stream: TextIO) -> TextIO:
-    """The underlying stream, whose output reaches the terminal unchanged, for colours and for text that is already printable."""
+    """The underlying stream, whose output reaches the terminal unchanged. It is used for colours and for text that is already
+    printable."""
     return stream.stream if isinstance(stream, PrintableStream) else stream
 
 
 @contextlib.contextmanager
 def printable_streams() -> Iterator[None]:
-    """Standard output and standard error as printable streams while a command runs."""
+    """Replaces standard output and standard error by printable streams while a command runs."""
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (
         stream if stream is None or isinstance(stream, PrintableStream) else PrintableStream(stream)

@@ -1,4 +1,4 @@
-"""Output of a design study of rates: their efficiencies, expected results, and the variance as a function of the rate."""
+"""Output of a design study of rates: efficiencies, expected results, and the variance as a function of the rate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FOOTER = (
 
 
 def study(found: FoundRates, subject: Subject) -> Study:
-    """The complete output for designed rates."""
+    """Makes the complete output for designed rates."""
     about = facts(found)
     said = notes(found)
     return Study(
@@ -48,7 +48,7 @@ def facts(found: FoundRates) -> dict[str, str]:
 
 
 def tables(found: FoundRates) -> tuple[Table, ...]:
-    """Efficiencies, the rates with their recording times, and expected uncertainties."""
+    """Tables of the efficiencies, the rates with their recording times, and the expected uncertainties."""
     compared = tuple(
         (TITLES[name], _percent(one.efficiency), _percent(one.per_hour), words.duration(one.total))
         for name, one in found.sets.items()
@@ -80,7 +80,7 @@ def _rates(found: FoundRates) -> Table:
 
 
 def _pairs(found: FoundRates) -> dict[str, tuple[Coefficient, Coefficient]]:
-    """Maps each name of a coefficient to the expected coefficients of the planned set and of the best set."""
+    """Maps the name of each coefficient to a pair: the coefficient expected with the planned rates, and with the best rates."""
     after = {item.name: item for item in found.sets["best"].predicted}
     return {item.name: (item, after[item.name]) for item in found.sets["planned"].predicted if item.name in after}
 
@@ -90,7 +90,7 @@ def _alike(before: Coefficient, now: Coefficient) -> bool:
 
 
 def _uncertainties(found: FoundRates) -> list[Table]:
-    """Uncertainties of the coefficients whose uncertainty changes."""
+    """A table of the coefficients whose uncertainty changes; none if no uncertainty changes."""
     rows = [
         (name, f"{before.standard_uncertainty:.3g}", f"{now.standard_uncertainty:.3g}", now.unit)
         for name, (before, now) in _pairs(found).items()
@@ -105,7 +105,7 @@ def _uncertainties(found: FoundRates) -> list[Table]:
 
 
 def notes(found: FoundRates) -> tuple[str, ...]:
-    """Explanations of the numbers, in sentences."""
+    """Explains the numbers in sentences."""
     planned, best = found.sets["planned"], found.sets["best"]
     said = []
     if len(planned.variance) and len(best.variance):

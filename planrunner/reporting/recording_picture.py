@@ -1,4 +1,4 @@
-"""The picture of a recording that has no description yet: levels over time, with the intervals at rest shaded."""
+"""A picture of a recording whose motion is not described yet: levels over time, with the intervals at rest shaded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SHOWN = 6  # channels of a kind
 
 
 def recording_picture(look: Look) -> str:
-    """An SVG file with one chart for each kind of channel."""
+    """Makes an SVG file with one chart for each kind of channel."""
     kinds = [kind for kind in ("accel", "gyro", "temperature") if any(one.sensed == kind for one in look.channels)]
     with drawing(9.0, 0.6 + 2.2 * max(len(kinds), 1)) as (figure, save):
         for place, kind in enumerate(kinds):

@@ -18,8 +18,8 @@ from planrunner.reporting.view import report_view
 
 @dataclass(frozen=True, slots=True)
 class RunDeviation:
-    """Something that a reviewer must judge. kind: kind of the deviation in words; segment: label of the affected segment, if any;
-    estimate: name of the affected estimate, if any. grave: True if the deviation prevents the release of the run."""
+    """A deviation of the run that a reviewer must judge. kind: kind of the deviation in words. segment: label of the affected
+    segment, if any. estimate: name of the affected estimate, if any. grave: True if the deviation prevents the release of the run."""
 
     kind: str
     text: str
@@ -30,8 +30,8 @@ class RunDeviation:
 
 @dataclass(frozen=True, slots=True)
 class DigestedFile:
-    """A file of the run folder. segment: label of the segment whose samples the file contains; size: in bytes, None if not
-    recorded."""
+    """A file of the run folder. segment: label of the segment whose samples the file contains. size: number of bytes; None if it
+    was not recorded."""
 
     name: str
     sha256: str
@@ -41,7 +41,8 @@ class DigestedFile:
 
 @dataclass(frozen=True, slots=True)
 class ReviewContext:
-    """Input of the review page. report: as for a report of the analysis; events: unusual events, as (UTC time, kind, text)."""
+    """The input of the review page. report: the input for a report of the analysis. events: unusual events, as (UTC time, kind,
+    text)."""
 
     report: ReportContext
     deviations: tuple[RunDeviation, ...]
@@ -91,7 +92,7 @@ def render_review(context: ReviewContext) -> str:
 
 
 def _segments(segments: Sequence[SegmentSummary], files: Sequence[DigestedFile]) -> list[JsonObject]:
-    """One entry per segment: its anchor, its means, and the anchors of its files."""
+    """One entry for each segment: its anchor in the page, its means, and the anchors of its files."""
     found: list[JsonObject] = []
     for number, item in enumerate(segments, 1):
         statistics = item.statistics

@@ -1,4 +1,5 @@
-"""Numbers for readers: a value rounded by its uncertainty, and the uncertainty to two significant digits (JCGM 100:2008, 7.2.6).
+"""Rounds numbers for readers: a value as its uncertainty requires, and the uncertainty to two significant digits (JCGM 100:2008,
+7.2.6).
 
 -1.2346 ± 0.0021        (1.5000 ± 0.0012)e-07        12400 ± 1300
 """
@@ -15,7 +16,8 @@ _PLAIN_FROM, _PLAIN_TO = -5, 6  # decimal exponents of the leading digit that ar
 
 @dataclass(frozen=True, slots=True)
 class Rounded:
-    """`value` and `uncertainty` as text with the same number of decimals; `exponent` is the common power of ten, 0 for none."""
+    """A rounded value: `value` and `uncertainty` are texts with the same number of decimals; `exponent` is their common power of
+    ten, or 0."""
 
     value: str
     uncertainty: str
@@ -29,9 +31,9 @@ class Rounded:
 
 
 def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Rounded:
-    """The value rounded to the last of `digits` significant digits of its uncertainty, with ties to even.
+    """Rounds a value to the last one of `digits` significant digits of its uncertainty; ties are rounded to even.
 
-    Without an uncertainty (zero) the value is given to seven significant digits; a non-finite value is shown as such.
+    If the uncertainty is zero, the value has seven significant digits; a non-finite value is shown as such.
     """
     if not math.isfinite(value):
         return Rounded(_word(value), "" if standard_uncertainty == 0 else _alone(standard_uncertainty))
@@ -47,15 +49,16 @@ def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Round
 
 
 def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
-    """Value and uncertainty as text with the same last decimal and power of ten; the uncertainty has two significant digits."""
+    """Value and uncertainty as texts with the same last decimal and the same power of ten; the uncertainty has two significant
+    digits."""
     pair = rounded(value, uncertainty)
     power = f"e{pair.exponent}" if pair.exponent else ""
     return pair.value + power, pair.uncertainty + power if pair.uncertainty else ""
 
 
 def in_parentheses(value: float, standard_uncertainty: float) -> str:
-    """A value with its standard uncertainty in units of the last digit, `-1.2346(21)` (JCGM 100:2008, 7.2.2). The sign ± thus stays
-    reserved for expanded uncertainties.
+    """A value with its standard uncertainty in parentheses, in units of the value's last digit: `-1.2346(21)` (JCGM 100:2008,
+    7.2.2). The sign ± is thus used for expanded uncertainties only.
 
     An uncertainty of one or more is written with its decimals: `12.4(1.3)`.
     """
@@ -69,7 +72,7 @@ def in_parentheses(value: float, standard_uncertainty: float) -> str:
 
 
 def _decimal(number: float) -> Decimal:
-    """The number as the shortest decimal: 0.1 is 0.1, not its nearest binary fraction."""
+    """The number as the shortest decimal that stands for it: 0.1 becomes 0.1, not the nearest binary fraction."""
     return Decimal(repr(float(number)))
 
 
@@ -84,7 +87,7 @@ def _quantized(number: Decimal, last: int) -> Decimal:
 
 
 def _fixed(number: Decimal, exponent: int, last: int) -> str:
-    """A number with decimals up to the last significant digit; zero has no sign."""
+    """A number as text with decimals up to the last significant digit; zero has no sign."""
     return f"{number.scaleb(-exponent) or Decimal(0):.{max(0, exponent - last)}f}"
 
 

@@ -1,4 +1,4 @@
-"""A Jinja environment in which a template can only lay out its data.
+"""A Jinja environment in which a template can only arrange its data.
 
 The environment is sandboxed. Text is escaped unless it was made by this program. An undefined name is an error. Templates are read
 from the user's folder, if one is named, and then from the shipped folder. Every failure is a `ReportError` with its place and
@@ -35,12 +35,13 @@ _REMOVED_FILTERS = ("center", "format", "indent", "pprint", "random", "wordwrap"
 
 
 class ReportError(Exception):
-    """A report cannot be written. The message gives the template, the line and the reason, for the author of the template."""
+    """The error for a report that cannot be written. The message gives the template, the line and the reason, for the author of the
+    template."""
 
 
 def available(folder: Path | None = None) -> tuple[str, ...]:
-    """Names of the available reports: templates at the top of the folders, without extension, and `name.LANGUAGE.html` for translated
-    ones."""
+    """Names of the available reports. A name is that of a template in one of the folders, without extension, or
+    `name.LANGUAGE.html` for a translated report."""
     found = {path.name.removesuffix(ENDING) for root in _roots(folder) for path in root.glob("*" + ENDING)}
     for name in TRANSLATED:
         stem, _, ending = name.partition(".")
@@ -49,8 +50,8 @@ def available(folder: Path | None = None) -> tuple[str, ...]:
 
 
 def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
-    """The template's file and the language of a report: `certificate.zh.html` is `certificate.html` in Chinese, unless a template with
-    that exact name exists."""
+    """The template file and the language of a report. For example, `certificate.zh.html` is `certificate.html` in Chinese, unless a
+    template with the name `certificate.zh.html` exists."""
     full = name if name.endswith(ENDING) else name + ENDING
     parts = full.split(".")
     if len(parts) == 4 and parts[1] in languages() and not any((root / full).is_file() for root in roots):
@@ -59,9 +60,10 @@ def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
 
 
 def lay_out(name: str, given: Mapping[str, Json], folder: Path | None = None, most: int = MAX_OUTPUT) -> str:
-    """The text that the template `name` (with or without `.j2`) makes from `given`, in this process.
+    """Renders the template `name` (with or without `.j2`) with the data `given` in this process; returns the text.
 
-    folder: a user's template folder, searched before the shipped one; most: maximum number of characters of the text. Raises `ReportError`.
+    folder: a user's template folder, which is searched before the shipped one. most: maximum number of characters of the text.
+    Raises `ReportError`.
     """
     import jinja2
 
@@ -99,7 +101,7 @@ def _reason(error: Exception) -> str:
 
 
 def _place(error: Exception, name: str) -> str:
-    """`template:line` of the innermost template line that the error passed through."""
+    """The place, as `template:line`, of the innermost template line through which the error passed."""
     place, trace = name, error.__traceback__
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
@@ -126,7 +128,7 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
     from markupsafe import Markup
 
     class Closed(ImmutableSandboxedEnvironment):
-        """The sandbox. Only permitted methods can be called, and arithmetic cannot fill the memory."""
+        """The sandboxed environment. Only permitted methods can be called, and no arithmetic in a template can fill the memory."""
 
         intercepted_binops = frozenset(("*", "**", "%"))
 
@@ -138,7 +140,7 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
             return super().is_safe_attribute(obj, attr, value)
 
         def wrap_str_format(self, value: Any) -> None:
-            """Refuses formatting by methods, because a large width would fill the memory."""
+            """Refuses the string methods that format, because a large width would fill the memory."""
 
         def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
             for operand in (left, right):
@@ -190,7 +192,7 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
 
 
 def digest(text: str) -> str:
-    """SHA-256 of a style for the content security policy of a page."""
+    """The SHA-256 of a style, for the content security policy of a page."""
     import hashlib
 
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
@@ -200,6 +202,6 @@ _SPECIAL = re.compile(r"^[#+-](?=\s)|[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
 
 
 def markdown(text: str) -> str:
-    """The text escaped so that Markdown shows it unchanged, on one line."""
+    """A text on one line, escaped so that Markdown shows it unchanged."""
     one_line = " ".join(text.split())
     return _SPECIAL.sub(r"\\\g<0>", one_line).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

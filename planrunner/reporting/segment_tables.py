@@ -1,6 +1,6 @@
-"""Tables of segments, one row per segment: its planned state and the statistics of its channels.
+"""Tables of segments, with one row for each segment: its planned state and the statistics of its channels.
 
-The width of paper and screens is limited, so many channels are divided over several tables.
+Because paper and screens have a limited width, many channels are distributed over several tables.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ def segment_table(segments: Sequence[SegmentSummary]) -> Table:
 
 
 def segment_tables(segments: Sequence[SegmentSummary]) -> list[Table]:
-    """The same content in one table, or in several if there are too many channels: first the segments, then the channels, each table
-    with the numbers and labels of the segments."""
+    """The content of `segment_table` in one table or, if there are too many channels, in several: first the segments, then the
+    channels. Each table repeats the numbers and labels of the segments."""
     channels = _channels(segments)
     if len(channels) <= ABREAST:
         return [segment_table(segments)]

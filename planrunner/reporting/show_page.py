@@ -1,4 +1,4 @@
-"""The `show` page of a schedule before it runs: timeline, a picture of every orientation, predicted uncertainties."""
+"""The `show` page of a schedule before it runs: its timeline, a picture of every orientation, and the predicted uncertainties."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _IDLE = ("–", "0")
 class ShowContext:
     """A schedule and its expected results.
 
-    designs: estimate's name → its design, whose `predicted` coefficients have the expected standard uncertainties.
+    designs: maps each estimate to its design, whose `predicted` coefficients have the expected standard uncertainties.
     """
 
     title: str
@@ -51,7 +51,7 @@ def render_show(context: ShowContext) -> str:
 
 
 def show_view(context: ShowContext) -> JsonObject:
-    """Data for the template: title, description, facts, timeline (SVG), segments, pictures, predictions …"""
+    """Data for the template of the page: title, description, facts, timeline (SVG), segments, pictures, predictions and others."""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import timeline_svg
@@ -93,7 +93,7 @@ def show_view(context: ShowContext) -> JsonObject:
 
 def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> JsonObject:
     """A schedule and its expected results as plain JSON data. The keys are total_s, segments, and predicted, which has one entry
-    for each estimate. Keys name the units of their values. None means that the plan does not specify a value."""
+    for each estimate. Keys name the units of their values. The value None means that the plan does not specify it."""
     return {
         "total_s": schedule.total,
         "segments": [_segment_json(item) for item in schedule.segments],
@@ -164,7 +164,7 @@ def totals(schedule: Schedule) -> dict[str, str]:
 
 
 def orientations(segments: Sequence[Segment]) -> list[list[Segment]]:
-    """Segments grouped by attitude, in the order of first use."""
+    """Groups segments with the same attitude, in the order in which the attitudes are first used."""
     groups: dict[object, list[Segment]] = {}
     for item in segments:
         key = None if item.attitude is None else tuple(np.round(item.attitude, 7).ravel() + 0.0)
@@ -173,7 +173,7 @@ def orientations(segments: Sequence[Segment]) -> list[list[Segment]]:
 
 
 def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
-    """Labels in short form: `P6, T3` or `P6, P7, P8 and 5 more`."""
+    """A list of labels in short form: `P6, T3`, or `P6, P7, P8 and 5 more`."""
     distinct = list(dict.fromkeys(labels))
     if len(distinct) <= most:
         return ", ".join(distinct)
@@ -181,10 +181,10 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
 
 
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
-    """One row per segment: start, transition, state, duration. Columns without information are omitted.
+    """A table with one row for each segment: start, transition, state, duration. Columns without information are omitted.
 
-    brief: if True, the table fits the width of a terminal: soaking and settling in one column, no end time, no orientation if there
-    is only one.
+    brief: True to make the table fit a terminal: soaking and settling share a column, the end time is left out, and so is the
+    orientation if there is only one.
     """
     segments = schedule.segments
     ends = {span.segment.index: words.clock(span.end) for span in spans(schedule) if span.segment.dwell is not None}
@@ -217,8 +217,8 @@ _SOAK_AND_SETTLE: tuple[Shown[Segment], ...] = (
 
 
 def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[Shown[Segment]]:
-    """The columns for motion: none if all segments are at rest; rates as numbers if all motions are rates about one direction;
-    otherwise the motions in words."""
+    """The columns that show the motion: none if all segments are at rest; numbers if all motions are rates about one direction;
+    otherwise words."""
     moving = [item.motion for item in segments if not isinstance(item.motion, Rest)]
     if not moving:
         return []

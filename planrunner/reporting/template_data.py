@@ -1,4 +1,4 @@
-"""Data for templates as JSON, so that a user's template can be filled in a separate process."""
+"""Converts the data for templates to JSON and back, so that a user's template can be rendered in a separate process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planrunner.base.said import Said
 
 
 class Told(dict[str, str]):
-    """Run information by name; missing information is empty."""
+    """Run information by name; a missing item is an empty text."""
 
     def __missing__(self, name: str) -> str:
         return ""
@@ -21,12 +21,12 @@ _PAIRS, _TOLD, _HTML, _SAID = "pairs", "told", "html", "said"
 
 
 def to_json(given: Mapping[str, Json]) -> str:
-    """Converts the data to JSON text, with pictures drawn. Raises TypeError for anything except plain data."""
+    """Converts the data to JSON text, in which every picture has been drawn. Raises TypeError for an object that is not plain data."""
     return json.dumps(_plain(given), ensure_ascii=True)
 
 
 def from_json(text: str) -> JsonObject:
-    """Reads the data from JSON text. Pictures become markup that is not escaped."""
+    """Reads the data for a template from JSON text. Pictures become markup that is not escaped."""
     given: JsonObject = json.loads(text, object_hook=_restored)
     return given
 

@@ -1,8 +1,10 @@
-"""The child process that lays out a user's template: it reads a request from standard input, limits its resources, and answers with JSON.
+"""The child process that renders a user's template: it reads a request from standard input, limits its own resources, and answers
+with JSON.
 
-A thread limits the computing time and knows the current line of the template. In addition the limits of the operating system are set where
-they exist (Linux, partly macOS): on time and memory, and against writing files and starting processes. Windows has no such limits. There
-the thread and the time-out of the parent limit the time, and only the sandbox limits what a template can do.
+A thread limits the computing time and knows which line of the template is being rendered. In addition, limits of the operating
+system are set where they exist (Linux, partly macOS): they limit time and memory, and prevent writing files and starting processes.
+Windows has no such limits. There the thread and the time-out of the parent limit the time, and only the sandbox limits what a
+template can do.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ CHECK_EVERY = 0.2  # s
 
 
 def main() -> None:
-    """Lays out one template on request of `planrunner.reporting.templates`."""
+    """Renders one template at the request of `planrunner.reporting.templates`."""
     request: JsonObject = json.loads(sys.stdin.buffer.read())
     _import_what_is_needed()
     _limit(request["seconds"], request["memory"])
@@ -41,7 +43,7 @@ _ANSWERING = threading.Lock()
 
 
 def _answer(answer: dict[str, str]) -> None:
-    """Sends the answer and ends the process at once; only the first answer counts."""
+    """Sends the answer and ends the process at once, so that only the first answer counts."""
     _ANSWERING.acquire()
     sys.stdout.buffer.write(json.dumps(answer).encode())
     sys.stdout.flush()
@@ -49,7 +51,7 @@ def _answer(answer: dict[str, str]) -> None:
 
 
 def _import_what_is_needed() -> None:
-    """Imports modules before the limits are set, so that an import does not end a report that is close to the limits."""
+    """Imports the modules that rendering needs before the limits are set, so that an import cannot exhaust the limits."""
     import jinja2.ext
     import jinja2.sandbox
     import markupsafe
@@ -80,7 +82,7 @@ def _watch(name: str, seconds: float) -> None:
 
 
 def _place(frame: FrameType | None) -> str | None:
-    """`template:line` of the innermost template that a frame belongs to, as jinja2.debug finds it."""
+    """The place, as `template:line`, of the innermost template in the call stack of a frame, found as in jinja2.debug."""
     while frame is not None:
         template = frame.f_globals.get("__jinja_template__")
         if template is not None:
@@ -91,7 +93,7 @@ def _place(frame: FrameType | None) -> str | None:
 
 
 def _line(frame: FrameType) -> int:
-    """The current line of a frame, or the line before it, because the jump at the end of a loop has no line."""
+    """The line of a frame that is executed at present. At the end of a loop, where the jump has no line, it is the line before."""
     passed = [line for start, _, line in frame.f_code.co_lines() if line is not None and start <= frame.f_lasti]
     return passed[-1] if passed else frame.f_code.co_firstlineno
 

@@ -1,8 +1,9 @@
-"""Makes pages from templates: shipped templates in this process, templates of users in a child process with limits on time and memory.
+"""Makes pages from templates: shipped templates are rendered in this process, templates of users in a child process with limits on
+time and memory.
 
-Both kinds of templates use the sandbox. Shipped templates are part of the program and are tested with it. Other templates may loop
-for ever or fill the memory without leaving the sandbox, and a long run must not fail because of that. Therefore a child process
-receives the data as JSON and returns the page or the error. Any failure of the child is a `ReportError`.
+Templates of both kinds are rendered in the sandbox. Shipped templates are part of the program and are tested with it. Other
+templates may loop for ever or fill the memory even within the sandbox, and this must not make a long run fail. Therefore a child
+process receives the data as JSON and returns the page or the error. Any failure of the child is a `ReportError`.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ PATIENCE = 10
 
 
 def render(name: str, given: Mapping[str, Json], folder: Path | None = None) -> str:
-    """The text that the template `name` (with or without `.j2`) makes from `given`, which must be plain data.
+    """Renders the template `name` (with or without `.j2`) with the data `given`, which must be plain data; returns the text.
 
-    The name may contain a language: `certificate.zh.html`. folder: a user's template folder, searched before the shipped one. Raises
-    `ReportError`.
+    The name may contain a language, as in `certificate.zh.html`. folder: a user's template folder, which is searched before the
+    shipped one. Raises `ReportError`.
     """
     return lay_out(name, given) if folder is None else _lay_out_apart(name, given, folder)
 

@@ -1,4 +1,4 @@
-"""Tables for the terminal as rich renderables. If the output is not a terminal, rich prints plain text.
+"""Tables for the terminal, made with the library rich. If the output is not a terminal, rich prints plain text.
 
 Text from files is not interpreted as markup, and control characters are shown as codes.
 """
@@ -34,18 +34,20 @@ VERDICT = {"pass": "bold green", "warned": "bold yellow", "fail": "bold red", "n
 
 
 def console(width: int | None = None, file: TextIO | None = None) -> Console:
-    """A console for these tables. If the output is not a terminal, the console is wide enough for unbroken rows and has no colour."""
+    """A rich console for these tables. If the output is not a terminal, the console is wide enough for unbroken rows and has no
+    colour."""
     from rich.console import Console
     from rich.segment import Segment
 
     class Piped(Console):
-        """Lets the caller handle a closed pipe, as from `head`, instead of ending the process."""
+        """Leaves a closed pipe, as after `head`, to the caller instead of ending the process."""
 
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
         def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-            """Prints with control characters in the text shown as codes. Control sequences from rich are separate from the text."""
+            """Renders text with its control characters shown as codes. The control sequences of rich itself are kept separate from
+            the text and stay unchanged."""
             for segment in super().render(renderable, options):
                 text = segment.text if segment.control else printable(segment.text)
                 yield segment if text == segment.text else Segment(text, segment.style)
@@ -59,13 +61,14 @@ def console(width: int | None = None, file: TextIO | None = None) -> Console:
 
 
 def coefficients_table(estimate: Estimate, only: Sequence[str] | None = None) -> RenderableType:
-    """Coefficients with standard and expanded uncertainties. only: names to show, such as `estimate.headline`."""
+    """A table of coefficients with their standard and expanded uncertainties. only: names of the coefficients to show, such as
+    `estimate.headline`."""
     shown = [item for item in estimate.coefficients if only is None or item.name in only]
     return _coefficients(f"{estimate.name} ({estimate.estimator})", shown, "value")
 
 
 def predicted_table(name: str, design: Design) -> RenderableType:
-    """A table of the expected uncertainties at the declared nominal values."""
+    """A table of the uncertainties that are expected at the declared nominal values."""
     return _coefficients(f"{name}: predicted", design.predicted, "nominal")
 
 
@@ -132,10 +135,10 @@ def _plain(facts: Iterable[tuple[str, str]]) -> RichTable:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """A table that is divided into several, one below the other, if its columns do not fit side by side.
+    """A table that is divided into several parts, one below the other, if its columns do not fit side by side.
 
     Numbers are never wrapped or cut. Titles and text are wrapped first. Then columns move to a further part, which repeats the
-    first column. columns: (title, whether it has numbers).
+    first column. columns: pairs of a title and True if the column has numbers.
     """
 
     title: str
@@ -150,7 +153,7 @@ class _Columns:
             yield _text(line)
 
     def _parts(self, width: int) -> list[list[int]]:
-        """Columns of each part. Every part begins with the first column."""
+        """The indices of the columns in each part. Every part begins with the first column."""
         least = [self._least(place, width) + _GAP for place in range(len(self.columns))]
         parts: list[list[int]] = [[]]
         for place, size in enumerate(least):

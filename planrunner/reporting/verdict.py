@@ -1,4 +1,4 @@
-"""The verdict at the top of every page and at the end of the terminal output, and its stamp."""
+"""The verdict at the top of every page and at the end of the terminal output, and the stamp beside the verdict."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planrunner.estimators.results import DataOrigin
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """The headline of a report. kind: `warned` means passed with warnings; `none` means that the plan sets no limits."""
+    """The headline of a report. kind: `warned` means passed with warnings, `none` that the plan sets no limits."""
 
     kind: VerdictKind
     text: str
@@ -20,7 +20,7 @@ class Headline:
 
 
 def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> Headline:
-    """The headline: whether the limits are met, with the number of warnings that may invalidate the verdict."""
+    """Makes the headline: whether the limits are met, and the number of warnings that may invalidate the verdict."""
     kind = verdict_kind(limits, failures, warnings)
     failed = [limit.quantity for limit in limits if limit.verdict != "pass"]
     total = len(limits)
@@ -49,8 +49,8 @@ def _and(verdict: str, beside: str, why: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """The mark next to every verdict on samples that were not measured in this run. about: an explanation in a sentence; alarming:
-    True if the samples were never measured on an item."""
+    """The mark next to every verdict on samples that were not measured in this run. about: a sentence that explains the mark.
+    alarming: True if no real item was measured."""
 
     word: str
     about: str
@@ -66,5 +66,5 @@ _STAMPS = {
 
 
 def stamp(origin: DataOrigin | None) -> Stamp | None:
-    """The stamp; None for measured samples, and for results without this information."""
+    """The stamp for a kind of samples; None for measured samples, and for results that do not state the kind."""
     return None if origin is None else _STAMPS.get(origin)

@@ -99,7 +99,7 @@ def stamped(origin: DataOrigin | None) -> JsonObject:
 
 
 def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObject:
-    """One estimate with its pictures. index: number of the estimate, which makes ids in the page unique."""
+    """One estimate with its pictures. index: number of the estimate, from which ids that are unique in the page are made."""
     from planrunner.reporting.plots import correlation, correlation_svg, plot_svg, strong
 
     key = f"e{index + 1}"
@@ -138,7 +138,7 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObj
 
 
 def coefficient_row(item: Coefficient, probability: float = 0.95) -> dict[str, str]:
-    """A coefficient as text; its value and expanded uncertainty are rounded to two digits of the uncertainty."""
+    """A coefficient as texts; its value and its expanded uncertainty are rounded to two digits of the uncertainty."""
     factor = coverage_factor(item.degrees_of_freedom, probability)
     expanded = factor * item.standard_uncertainty
     value, width = format_pair(item.value, expanded)
@@ -178,7 +178,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
 
 
 def table_view(table: Table) -> JsonObject:
-    """A table as text, with a flag for numeric columns; at most MAX_ROWS rows, with a note if there are more."""
+    """A table as texts, with a flag for each column of numbers. If there are more than `MAX_ROWS` rows, a note replaces the others."""
     roles = [column.role for column in table.columns]
     guides = [_guide(roles, index) for index in range(len(roles))]
     rows = [
@@ -195,7 +195,8 @@ def table_view(table: Table) -> JsonObject:
 
 
 def _guide(roles: Sequence[Role], index: int) -> int | None:
-    """The column that determines the rounding of column `index`: itself, or the next column to the right with an uncertainty."""
+    """The index of the column that determines the rounding of column `index`: the column itself if it contains uncertainties, or
+    the next such column to the right; None if there is none."""
     if not (roles[index] is Role.VALUE or roles[index].uncertain):
         return None
     return next((place for place in range(index, len(roles)) if roles[place].uncertain), None)
@@ -218,7 +219,7 @@ def _measured(value: Cell) -> TypeGuard[float]:
 
 
 def cell(value: object) -> str:
-    """A cell as text; numbers without uncertainty have five significant digits."""
+    """A cell as text; a number without an uncertainty has five significant digits."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -241,7 +242,7 @@ def setting(value: object) -> str:
 
 
 def named(facts: Mapping[str, Json]) -> list[list[str]]:
-    """The nonempty facts as [name, value] pairs with readable names: `device_serial` becomes `Device serial`."""
+    """The facts that are not empty, as [name, value] pairs with readable names: `device_serial` becomes `Device serial`."""
     return [[readable(name), setting(value)] for name, value in facts.items() if value != ""]
 
 
@@ -253,7 +254,7 @@ def readable(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """SVG that this program made and that is not escaped again. It is drawn when a template shows it."""
+    """SVG that this program made and that is not escaped again. It is drawn only when a template shows it."""
 
     draw: Callable[[], str]
 
@@ -264,8 +265,8 @@ class Picture:
 def render_report(context: ReportContext, template: str, folder: Path | None = None) -> str:
     """Renders the report of the context with `template` (such as `report.html` or `summary.md`): one self-contained text.
 
-    folder: a user's template folder, searched before the shipped one. The same context gives the same text.
-    Raises `ReportError`.
+    folder: a user's template folder, which is searched before the shipped one. The same context gives the same text. Raises
+    `ReportError`.
     """
     return render(template, report_view(context), folder)
 
@@ -277,7 +278,7 @@ MODULE = 2
 
 
 def seal_code(digest: str) -> str:
-    """A QR code with a digest as inline SVG, black on white in every colour scheme. The page gives the alternative text."""
+    """A QR code of a digest as inline SVG, black on white in every colour scheme. It has no alternative text; the page gives it."""
     import segno
 
     code = segno.make(PREFIX + digest, error="m", micro=False)

@@ -1,4 +1,4 @@
-"""Wording of states and times, common to reports, the show page and the terminal."""
+"""The wording of states and times that reports, the show page and the terminal have in common."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ AT_REST = "rest"
 
 
 def number(value: float, digits: int = 6) -> str:
-    """A number without uncertainty, with at most `digits` significant digits."""
+    """A number without uncertainty as text, with at most `digits` significant digits."""
     if not math.isfinite(value):
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "not a number")
     text = re.sub(r"e([+-])0*(?=\d)", lambda match: "e-" if match[1] == "-" else "e", f"{value:.{digits}g}")
@@ -23,18 +23,18 @@ def number(value: float, digits: int = 6) -> str:
 
 
 def listed(names: Sequence[str], word: str = "and") -> str:
-    """Items as a list in words: `a`, `a and b`, or `a, b and c`. word: text before the last item."""
+    """Items as a list in words: `a`, `a and b`, or `a, b and c`. word: the word before the last item."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
 def behind_number(unit: str) -> str:
-    """A space and the unit, to follow a number; empty for pure numbers."""
+    """The unit with a space before it, to follow a number; empty for pure numbers."""
     return "" if unit in ("", "1") else f" {unit}"
 
 
 def rule(name: str, factor: float, coverage: float) -> str:
-    """A decision rule in words. Deviations from the usual rule are stated: a guard band other than U, or a coverage other than 95
-    %."""
+    """A decision rule in words. Deviations from the usual rule are added: a guard band other than U, or a coverage probability
+    other than 95 %."""
     if name != "guarded" or math.isnan(factor):
         return name
     band = [] if factor == 1 else [f"w = {number(factor)}·U"]
@@ -43,7 +43,7 @@ def rule(name: str, factor: float, coverage: float) -> str:
 
 
 def probability(value: float) -> str:
-    """A probability in percent, written as a bound near 0 % and 100 %."""
+    """A probability in percent; near 0 % and 100 %, it is written as a bound."""
     if math.isnan(value):
         return "–"
     if value > 0.9995:
@@ -52,7 +52,8 @@ def probability(value: float) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """A duration in words: `95 s` → `1 min 35 s`; tenths below ten seconds; hours and days for long durations."""
+    """A duration in words, such as `1 min 35 s` for 95 s. Durations below ten seconds have tenths of a second, and long durations
+    are in hours and days."""
     if seconds is None:
         return "as recorded"
     if not math.isfinite(seconds):
@@ -79,7 +80,7 @@ def celsius(kelvin: float) -> str:
 
 
 def temperature(segment: Segment) -> str:
-    """The temperature in °C, with the target of a ramp; a dash if the plan holds no temperature."""
+    """The temperature of a segment in °C, with the target of a ramp; a dash if the plan holds no temperature."""
     held = "–" if segment.temperature is None else celsius(segment.temperature)
     return held if segment.ramp_to is None else f"{held} → {celsius(segment.ramp_to)}"
 
@@ -95,18 +96,18 @@ def pressure(segment: Segment) -> str:
 
 
 def rate(segment: Segment) -> str:
-    """The commanded rate in °/s; a dash at rest."""
+    """The commanded rate in °/s; a dash if the segment is at rest."""
     return number(round(math.degrees(segment.rate), 9)) if isinstance(segment.motion, Spin) else "–"
 
 
 def direction(about: tuple[float, float, float]) -> str:
-    """A site direction (East-North-Up) in words."""
+    """A direction at the site, given in East-North-Up, in words."""
     east, north, up = (round(component, 9) + 0.0 for component in about)
     return word_of(about) or f"({east:g} E, {north:g} N, {up:g} U)"
 
 
 def motion(what: Motion) -> str:
-    """A motion in words."""
+    """The motion of a segment in words."""
     match what:
         case Rest():
             return AT_REST
@@ -126,7 +127,8 @@ def motion(what: Motion) -> str:
 
 
 def orientation(segment: Segment) -> str:
-    """Directions of the axes: as written in the plan or, if the plan does not write them, from the attitude."""
+    """The directions of the sensor's axes in words: as written in the plan or, if the plan does not write them, derived from the
+    attitude."""
     if segment.orientation:
         return segment.orientation
     return "unknown" if segment.attitude is None else in_words(segment.attitude)
