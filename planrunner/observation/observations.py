@@ -36,9 +36,9 @@ class Observations:
     (n,), start and end of the recorded interval, s on the run's clock; the end does not belong to the interval. correlation: (k,
     k), correlation between the noise of the channels, over all segments. expected: True if the observations are predicted from a
     schedule; the means then contain no noise, and the standard errors come from the declared noise. share: (n,), fraction of the
-    samples of each segment that are used; None if all are used. courses: (n,), for each segment the functions of time that its
-    motion causes, as in `Statistics`; None without motion. within: number of observations at the end that are not means but
-    contrasts within segments; the standard errors of these are known.
+    samples of each segment that are used; None if all are used. courses: (n,), for each segment the functions of its motion that
+    are fitted together with its mean, as `course` in `Statistics`; None without motion. within: number of observations at the end
+    that are not means but contrasts within segments; the standard errors of these are known.
     """
 
     channels: tuple[str, ...]

@@ -49,7 +49,8 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
 
     durations: recorded durations of the dwells, s; by default the planned dwells. A segment with a spin starts at its planned
     attitude. Its mean is taken over the angle that it covers or, if its duration is unknown, over whole turns. Raises
-    `StimulusError` if an attitude is unknown, or for rocking and for cycles, where a mean does not represent the stimulus.
+    `StimulusError` if an attitude is unknown, or if a segment moves in another way than by a spin (rocking, a cycle), because a mean
+    then does not represent the stimulus.
     """
     return Poses.of(segments, durations).felt(site)
 

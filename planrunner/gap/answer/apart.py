@@ -5,9 +5,9 @@ Such effects are found first and removed from the samples, so that the other eff
 present or absent independently of the other effects, so its log evidence is added to the log evidence of the others.
 
 One effect of this kind is a stuck output, which keeps one value for longer than its noise allows. With white noise, a sample
-repeats the previous count with a probability r, so the number L of equal samples in a row has the geometric distribution P(L) = (1
-− r)·r^(L−1). r is estimated as the fraction of a segment's samples that repeat the previous sample; the longest row of equal
-samples is not counted. A stuck stretch may have any length; its prior is uniform in the logarithm of the length. The evidence
+repeats the previous count with a probability r, so the number L of consecutive equal samples has the geometric distribution P(L) =
+(1 − r)·r^(L−1). r is estimated as the fraction of a segment's samples that repeat the previous sample; the longest sequence of
+equal samples is not counted. A stuck stretch may have any length; its prior is uniform in the logarithm of the length. The evidence
 compares stuck stretches with the repeats of white noise. The prior expects one stuck stretch in a recording. Real noise is
 correlated, so √r is used instead of r. Channels with coarse counts are not used, because their noise often stays within one count
 for a long time. Recordings that contain means over bins are not examined, because such means do not show repeated samples.

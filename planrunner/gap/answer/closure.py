@@ -259,7 +259,7 @@ def measured_noise(
     """Measures the noise that remains after the fit of an effect. log_bayes: (G,), log BF of the effect at each setting of the
     noise. walking: True if a random walk of the gyros acts in addition; the random walk belongs to the gap, not to the noise.
     explained: True if the effect leaves only noise. If False, the residuals contain a part of the gap, so the measured noise is
-    limited to the declared noise."""
+    limited to the noise of the model."""
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
     still = next(k for k, one in enumerate(weighing.settings["gyro"]) if one.flicker == flicker and one.walk == 0)
@@ -378,7 +378,7 @@ def predictions(
     weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row.
-    change: (M, K), coefficients of the known change in the outputs. This function serves tests in which the true gap is known.
+    change: (M, K), coefficients of the known change in the outputs. The function serves tests in which the true gap is known.
     worth: the log BF that a choice must reach to be selected in a fold."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
@@ -500,8 +500,7 @@ def _fold(
     held: NDArray[np.bool_],
     worth: float = WORTH,
 ) -> _Fold:
-    """Returns the held-out rows of all channels in one fold; the effect is chosen with the other rows. The effect is chosen from
-    the other rows."""
+    """Returns the held-out rows of all channels in one fold. The effect is chosen from the other rows."""
     used = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([choice.raw[0].shape[1] for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]

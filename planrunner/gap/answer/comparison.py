@@ -27,8 +27,8 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """The comparison of one channel, in its `unit`. before, after: size of the difference between the recording and the simulation
-    without (before) and with the effects (after), root mean square over the segments. Each segment contributes its mean, slow
+    """The comparison of one channel, in its `unit`. before, after: size of the difference between the recording and a simulation
+    without the effects (before) or with them (after), root mean square over the segments. Each segment contributes its mean, slow
     changes and harmonics. noise: size of the difference that noise alone causes. before_sigma, after_sigma: `before` and `after` in
     standard deviations of the noise; 1 if there is only noise. sample_noise: standard deviation of a single sample in the recording
     and in both simulations. means: offset of each common segment (S,), in the recording and both simulations, after the fit of the
@@ -85,9 +85,9 @@ class GapComparison:
 
 
 def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> GapComparison:
-    """Compares the recording in `weighing` with the simulations without (`before`) and with the effects (`after`). nominal: names
-    of the terms that the nominal simulation fits. Raises `ObservationError` if the recording and the simulations share too few
-    segments, or if a simulation lacks a channel of the recording."""
+    """Compares the recording in `weighing` with two simulations: `before` is without the effects, `after` is with them. nominal:
+    names of the terms that the nominal simulation fits. Raises `ObservationError` if the recording and the simulations share too
+    few segments, or if a simulation lacks a channel of the recording."""
     recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white)
     first, second = (_Reduced.simulated(one, nominal) for one in (before, after))
     labels = [name for name in recorded.observed.labels if name in first.rows and name in second.rows]

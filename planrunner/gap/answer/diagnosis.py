@@ -1,9 +1,10 @@
 """The diagnosis of a recording: where it differs from its simulation, which effect explains the difference, and by how much the gap
 shrinks.
 
-Steps: spectra and noise, nominal parameters projected out (`weighing`); evidence for every installed effect (`candidates`), for pairs and
-for patterns outside the catalogue (`posterior`, `open_set`); a verdict that names no single member of a class that the plan cannot separate
-(`verdict`, `confusability`); the place of the gap (`where`) and its closure on held-out segments (`closure`).
+The steps are: compute spectra and noise, and project the nominal parameters out (`weighing`); evaluate the evidence for every
+installed effect (`candidates`), for pairs, and for patterns outside the catalogue (`posterior`, `open_set`); derive a verdict,
+which names a class as a whole if the plan cannot separate its members (`verdict`, `confusability`); locate the gap (`where`); and
+compute its closure on held-out segments (`closure`).
 """
 
 from __future__ import annotations

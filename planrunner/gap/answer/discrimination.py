@@ -1,4 +1,4 @@
-"""Log evidence between rival explanations that is expected from further measurements, computed before they are made.
+"""The log evidence between rival explanations that further measurements are expected to give, computed before they are made.
 
 Every rival is a linear model that consists of the nominal parameters and of effects with normally distributed amplitudes. The
 posterior from the recording is the prior for the next measurements. If A is true, the expected log evidence of A against B is

@@ -148,8 +148,8 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
 
 
 def _gains(rivals: Sequence[Rival], total: Array, loss: float, moves: Sequence[Sequence[Foreseen]]) -> list[float]:
-    """Reduction of the expected loss that each move causes if the information `total` (P, P) is already available. A move is one
-    segment or a bundle of segments."""
+    """How much each move reduces the expected loss if the information `total` (P, P) is already available. A move is one segment or
+    a bundle of segments."""
     after = np.array([total + _sum(move, len(total)) for move in moves])
     gains: list[float] = (loss - expected_loss(rivals, after)).tolist()
     return gains
@@ -197,8 +197,8 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """Removes chosen segments without which the target is still reached. If the target is out of reach, the probability expected
-    from all chosen segments takes its place."""
+    """Removes those of the chosen segments that are not needed, because the target is reached without them. If the target is out of
+    reach, the target is the probability that all chosen segments together give."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:
@@ -217,9 +217,9 @@ def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
 
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
-    """Test time [s] of the repetitions of the recorded segments after which the true explanation has the expected probability
-    `aim`, and the expected probability reached. If no number of repetitions is enough, both values belong to the largest number
-    considered."""
+    """Returns the test time [s] for which the recorded segments must be repeated until the true explanation has the expected
+    probability `aim`, and the expected probability that is then reached. If no number of repetitions is enough, both values are
+    those for the largest number considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:

@@ -37,9 +37,9 @@ _NEAR = math.sqrt(2 - 2 * 0.999)
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
     """A part of the recording where the gap appears. share: fraction of the energy above the noise. Every factor divides the same
-    energy: the shares of one factor, over all channels, add up to at most 1; shares of different factors overlap. of: what `share`
-    is a fraction of: the gap, or `noise` for energy outside the basis, which is compared with the noise of the channel. p: p-value,
-    adjusted for the number of places."""
+    energy: the shares of one factor, over all channels, add up to at most 1; shares of different factors overlap. of: the quantity
+    of which `share` is a fraction: `gap`, or `noise` for energy outside the basis, which is compared with the noise of the channel.
+    p: p-value, adjusted for the number of places."""
 
     channel: str
     factor: Factor

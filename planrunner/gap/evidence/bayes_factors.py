@@ -3,12 +3,12 @@
 The strength of an effect is its energy λ: the energy of its signature in units of the noise, after the part that the nominal
 parameters absorb has been removed. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to
 `STRONGEST`. Weaker effects cannot be distinguished from no effect; they count as absent. Amplitudes θ ~ N(0, s²·D) with a
-log-uniform s² have the same directions, but λ may also be smaller. The Bayes factor is therefore computed in three steps. For given
-s², the Bayes factor of the Gaussian model is log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c, where G is the Gram
-matrix of the signatures and c their product with the data. This Bayes factor is multiplied by the posterior probability that λ =
-θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is a sum of scaled non-central χ² variables; its
-distribution is approximated by a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the
-density continues, because a stronger effect is still that effect.
+log-uniform s² have the same directions, but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three
+steps. For given s², the Bayes factor of the Gaussian model is log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c, where G
+is the Gram matrix of the signatures and c their product with the data. This Bayes factor is multiplied by the posterior probability
+that λ = θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is a sum of scaled non-central χ²
+variables; its distribution is approximated by a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above
+`STRONGEST`, the prior density continues, because a stronger effect is still the same effect.
 """
 
 from __future__ import annotations
@@ -118,8 +118,8 @@ def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tu
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
-    """The most probable s² (p,) of the effect to which each column belongs. The s² of one effect is found at a time, while the
-    others are fixed."""
+    """The most probable s² (p,) of the effect to which each column belongs. The s² are found effect by effect, while the s² of the
+    other effects are fixed."""
     ends = np.cumsum(widths or (len(score),))
     parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
     traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]

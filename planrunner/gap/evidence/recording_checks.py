@@ -182,9 +182,9 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
 def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, float]:
     """Returns two numbers: the fraction of a segment, at its start and end together, in which the output (n,) of a gyro deviates
     from the output in the middle because the rate changes; and the largest such deviation relative to the rate. Both numbers are 0
-    if the rate is steady. Other changes, such as an uneven motion, are judged by the scatter of the means over `PARTS` parts, in
-    the middle half of the segment. If this scatter is large, no part of the segment counts as steady. earth_rate: rad/s, amplitude
-    of the input that the Earth's rotation may add once per turn."""
+    if the rate is steady. For this purpose, the segment is divided into `PARTS` parts. Other changes, such as an uneven motion, are
+    judged by the scatter between the means of the parts in the middle half. If this scatter is large, no part of the segment counts
+    as steady. earth_rate: rad/s, amplitude of the input that the Earth's rotation may add once per turn."""
     if len(values) < 4 * PARTS:
         return 0.0, 0.0
     means = np.array([part.mean() for part in np.array_split(values, PARTS)])
@@ -290,7 +290,7 @@ def segment_means(observed: Observed, values: Array) -> Array:
 
 
 def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
-    """Reports segments that share samples as an error. Shared samples would count twice in the evidence."""
+    """Reports an error if segments share samples. Shared samples would count twice in the evidence."""
     used = [item for item in in_time_order(recording) if item.statistics.count > 1]
     for before, after in pairwise(used):
         shared = before.statistics.start + before.statistics.duration - after.statistics.start

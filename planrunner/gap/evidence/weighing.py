@@ -191,8 +191,8 @@ class ChannelWeights:
         self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
 
     def beside(self, columns: Array) -> ChannelWeights:
-        """A copy in which further columns (M, p), SI, have been added to the nominal columns. Only the smaller residual changes
-        `log_likelihood`; the determinant of the additional columns is not included."""
+        """A copy in which further columns (M, p), SI, have been added to the nominal columns. `log_likelihood` changes only because
+        the residual becomes smaller; the determinant of the additional columns is not included."""
         made = copy(self)
         whitened = self.whiten(columns[:, columns.any(axis=0)])
         whitened /= np.linalg.norm(whitened, axis=0)
@@ -424,7 +424,7 @@ def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
 
 
 def _seen(values: Array, along: Array, largest: float) -> Eigen:
-    """Removes directions that the nominal parameters absorb completely from the eigenvalues and the squared scores. largest:
+    """Removes from the eigenvalues and the squared scores those directions that the nominal parameters absorb completely. largest:
     largest energy of a column before the projection."""
     seen = values > _NOTHING**2 * largest
     return values[seen], along[seen]

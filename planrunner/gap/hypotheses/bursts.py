@@ -127,7 +127,7 @@ def _larger(energy: Array, degrees: float, added: Array) -> Array:
 
 
 def _here_and_there(windows: Array) -> float:
-    """The log BF that each window contains a burst with a small probability. windows: (W, E), log BF of a burst in each window at
-    each energy."""
+    """The log BF of the hypothesis that every window has the same small probability of containing a burst, against no bursts.
+    windows: (W, E), log BF of a burst in each window at each energy."""
     each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
     return float(log_mean_exp(np.array(each).ravel(), 0))

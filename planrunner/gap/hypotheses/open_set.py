@@ -280,7 +280,7 @@ class _Periodogram:
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
-    """The log BF that the mean of one channel deviates in one segment, neither of which is known."""
+    """The log BF that the mean of one channel deviates in one segment; it is unknown in which channel and in which segment."""
     each = []
     for left in channels:
         at, whitened = left.whitened(np.eye(len(means)), means)

@@ -78,7 +78,7 @@ class Repeating:
         return raw.view(float).reshape(len(self.rows), *pulses.shape, 2)
 
     def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
-        """For each count, the eigenvalues (F, n) and squared scores (F, n) of the first `count` columns of each frequency."""
+        """The eigenvalues (F, n) and squared scores (F, n) of the first n columns of each of F frequencies, for each n in `counts`."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
