@@ -1,12 +1,14 @@
-"""The algebra of a triad: scale factors and misalignments from the fitted matrix of three outputs, and the triad's own frame.
+"""Provides the algebra of a triad: scale factors and misalignments from the fitted matrix of three outputs, and the triad's own
+frame.
 
 The response of an output to inputs along the three axes of a frame is a row of coefficients. The scale factor is the length of the
-row, with the sign of the response along the output's own axis. The row divided by the scale factor is the input direction. Its
-components across the own axis are the misalignments, to first order the angles between the input axis and its nominal direction.
-Thus the matrix is S·M, where S is diagonal and the rows of M have the length one. A reversed output has a negative scale factor.
+row, with the sign of the response along the output's own axis. The row divided by the scale factor is the input direction. The
+components of this direction along the other axes are the misalignments. To first order, they are the angles between the input axis
+and its nominal direction. The fitted matrix is therefore S·M, where S is diagonal and the rows of M have length one. A reversed
+output has a negative scale factor.
 
 In the triad's own frame (x along the first input axis, y in the plane of the first two input axes), M is lower triangular. The
-fixture and the housing determine the rotation between this frame and the frame of the fitted matrix.
+fixture and the housing determine the rotation between the triad's own frame and the frame of the fitted matrix.
 """
 
 from __future__ import annotations
@@ -25,11 +27,12 @@ _FLAT = 1e-3  # volume of three unit vectors below which they count as lying in 
 
 
 def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, RowFormula]:
-    """Formulas for the scale factor and the misalignments of one output, computed from its row of responses. The result maps a
-    direction to a formula: the direction `own` of the output to the scale factor, other directions to misalignments.
+    """Formulas for the scale factor and the misalignments of one output, computed from its row of responses. The result maps
+    directions to formulas: the output's own direction `own` to the formula of the scale factor, and the other directions to the
+    formulas of the misalignments.
 
-    places: direction (0, 1, 2 for x, y, z) → index of its coefficient in the row. If the output was never excited along its own
-    direction, the formulas return the responses unchanged. A row of zeros gives zeros.
+    places: maps a direction (0, 1, 2 for x, y, z) to the index of its coefficient in the row. If the output was never excited along
+    its own direction, the formulas return the responses unchanged. For a row of zeros, the formulas give zeros.
     """
     listed = list(places.values())
 
@@ -49,11 +52,11 @@ def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Ro
 
 
 def own_frame(matrix: Array) -> Array:
-    """The rotations R (3, 3, n) from the frame of the matrices A (3, 3, n) to the own frames of the triads: A = L·R, where L is
-    lower triangular.
+    """The rotations R (3, 3, n) from the frame of matrices A (3, 3, n) to the triads' own frames: A = L·R, where L is lower
+    triangular.
 
-    x lies along the first row of a matrix, and y in the plane of the first two rows. Raises ValueError if the rows are not
-    independent.
+    The x axis of the own frame lies along the first row of the matrix, and the y axis in the plane of the first two rows. Raises
+    ValueError if the rows are not linearly independent.
     """
     first, second, third = (row / length(row) for row in matrix)
     across = second - np.sum(first * second, axis=0) * first
@@ -68,5 +71,5 @@ def own_frame(matrix: Array) -> Array:
 
 
 def small_angles(rotation: Array) -> Array:
-    """Rotations (3, 3, n), which must be small, as rotation vectors (3, n), rad, to first order."""
+    """Converts small rotations (3, 3, n) to rotation vectors (3, n), rad, to first order."""
     return np.stack([rotation[1, 2], -rotation[0, 2], rotation[0, 1]])

@@ -1,13 +1,14 @@
-"""Flicker for which the bench file gives no coefficient B: the largest size that the data do not exclude.
+"""Estimates the largest size that the data do not exclude for flicker whose coefficient B the bench file does not give.
 
 Flicker increases the scatter of the segments about the model only a little, but it changes constants, which are averages over a
-long span, much more. The scatter of a few segments therefore cannot reveal the flicker, and a significance test would not find it.
-The question is how large B may be. The posterior of B follows from the residuals of a fit by restricted likelihood (Harville, J.
-Am. Stat. Assoc. 72, 1977) with the noise within the segments; the variance of this noise is integrated out with its degrees of
-freedom. The prior of B is half-Cauchy (Gelman, Bayesian Analysis 1, 2006). Its scale is the B whose flicker scatters the segments
-as much as their noise does: a weak prior, whose upper tail only the data can remove.
+long time, much more. The scatter of a few segments therefore does not reveal the flicker, and a significance test would not find
+it. The question is therefore how large B may be. The posterior distribution of B follows from the residuals of a fit and the noise
+within the segments by restricted likelihood (Harville, J. Am. Stat. Assoc. 72, 1977); the variance of this noise, which is known
+with some degrees of freedom, is integrated out. The prior distribution of B is half-Cauchy (Gelman, Bayesian Analysis 1, 2006). Its
+scale is the value of B for which flicker scatters the segments as much as their noise does. This is a weak prior: only the data can
+exclude large values of B.
 
-An estimator states how its results depend on the flicker (`UnstatedFlicker`), and which observations give evidence of it
+An estimator states how its results depend on the flicker (`UnstatedFlicker`), and which observations contain evidence of it
 (`FlickerEvidence`). The analysis gives the warning (`open_flicker`).
 """
 
@@ -32,10 +33,11 @@ _LEAST = 0.01  # of a variance that flicker within the segments leaves for white
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlickerEvidence:
-    """n observations of a channel, which follow a linear model, in the unit of the channel. columns: (n, p), the columns of the
-    model; values: (n,), the observations. sigma: (n,), noise of the observations, with `freedom` degrees of freedom. flicker: (n,
-    r), change of the observations per independent input of flicker with B = 1; within: (n,), part of the variance `sigma`² that
-    flicker with B = 1 contributes. roots: (n, q), roots of the declared effects (`stacked_roots`)."""
+    """The n observations of a channel, in its unit, which follow a linear model and may contain flicker. columns: (n, p), columns
+    of the model; values: (n,), the observations. sigma: (n,), standard deviations of the noise of the observations; freedom:
+    degrees of freedom of this noise. flicker: (n, r), changes of the observations for each of r independent inputs that together
+    represent flicker with B = 1; within: (n,), the part of `sigma`² that is due to flicker with B = 1. roots: (n, q), a matrix R
+    for which R·Rᵀ is the covariance due to the declared effects (`stacked_roots`)."""
 
     columns: Array
     values: Array
@@ -46,8 +48,7 @@ class FlickerEvidence:
     roots: Array
 
     def bound(self) -> float:
-        """The largest credible B: with the probability `CREDIBLE`, the coefficient B is smaller than this bound, in the unit of the
-        channel."""
+        """An upper bound of the coefficient B, in the unit of the channel: B is smaller with the probability `CREDIBLE`."""
         few = self._averaged()
         whitening = least_squares.whitener(mixed(few.sigma, few.roots))
         columns, flicker = whitening @ few.columns, whitening @ few.flicker
@@ -69,16 +70,16 @@ class FlickerEvidence:
         return float(sizes[min(int(np.searchsorted(weights, CREDIBLE * weights[-1])), _ANGLES - 1)])
 
     def _scale(self, whitened: Array) -> float:
-        """The reciprocal of the scale of the prior of B. whitened: the whitened flicker, which is used if the observations are not
-        averaged."""
+        """The reciprocal of the scale of the prior distribution of B. whitened: the whitened flicker, which is used if the
+        observations are not averaged."""
         if len(self.values) <= _MOST:
             return _spread(whitened)
         return _spread(self.flicker / np.sqrt(self.sigma**2 + np.sum(self.roots**2, axis=1))[:, None])
 
     def _averaged(self) -> FlickerEvidence:
-        """At most `_MOST` averages of consecutive observations. The averages are linear functions of the observations and follow
-        the same model, so the bound that they give holds with the same probability. With this, the cost for many observations grows
-        with n², not with n³."""
+        """The evidence in at most `_MOST` averages of successive observations. The averages are linear functions of the
+        observations and follow the same model, so the bound from the averages is valid with the same probability. For n
+        observations, the cost then grows with n² instead of n³."""
         n = len(self.values)
         if n <= _MOST:
             return self
@@ -100,8 +101,8 @@ class FlickerEvidence:
 
 
 def _spread(flicker: Array) -> float:
-    """Standard deviation that flicker with B = 1 causes in the observations, from the changes (n, r): about the mean of the
-    observations or, for a single observation, about zero."""
+    """The standard deviation that flicker with B = 1 causes in the observations, computed from their changes (n, r). It is taken
+    about the mean of the observations, or about zero for a single observation."""
     n = len(flicker)
     about = flicker - flicker.mean(axis=0) if n > 1 else flicker
     return float(np.sqrt(np.sum(about**2) / max(n - 1, 1)))
@@ -109,14 +110,15 @@ def _spread(flicker: Array) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnstatedFlicker:
-    """Flicker of a channel for which the bench file states no bias instability. influence: influence of B = 1, in the unit of the
-    channel, on the coefficients of an estimate. evidence: what the observations show about B; None if the noise of the channel is
-    not known."""
+    """The flicker of a channel for which the bench file states no bias instability. influence: influence of flicker with B = 1, in
+    the unit of the channel, on the coefficients of an estimate. evidence: the observations from which B can be bounded; None if the
+    noise of the channel is not known."""
 
     channel: str
     influence: Influence
     evidence: FlickerEvidence | None
 
     def through(self, gradient: Array) -> UnstatedFlicker:
-        """The influence on q quantities that are computed from the coefficients. gradient: (q, m), ∂quantity/∂coefficient."""
+        """The flicker with its influence on q quantities that are computed from the coefficients. gradient: (q, m),
+        ∂quantity/∂coefficient."""
         return UnstatedFlicker(self.channel, self.influence.through(gradient), self.evidence)

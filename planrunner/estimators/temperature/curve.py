@@ -1,26 +1,27 @@
-"""Curves as functions of temperature, and the choice of their order by the error of held-out values.
+"""Fits curves as functions of temperature, and chooses their order by the error of held-out values.
 
     polynomial powers of T − T₀, with coefficients as used in compensation tables
     spline       natural cubic regression spline: straight beyond its ends, coefficients are its values at the knots (Hastie, Tibshirani
                  and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
 
-The order is chosen by leaving out whole temperatures, never single values, because values at one temperature have common errors.
-The one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest held-out
-error (Hastie et al., 7.10.1). The number of coefficients is at most half of the number of temperatures, rounded up: with few
-temperatures, one of many curves fits by chance.
+The order is chosen by holding out all values at a temperature together, never single values, because values at one temperature have
+common errors. The one-standard-error rule takes the simplest curve whose held-out error is larger than the smallest held-out error
+by at most the standard error of this smallest error (Hastie et al., 7.10.1). The number of coefficients is at most half of the
+number of temperatures, rounded up. With few temperatures, one of many possible curves would fit by chance.
 
-If the data select the order, the usual interval is too narrow, because terms of about one standard deviation that were not selected
-are missing. The uncertainty of a selected curve is therefore that of the curve of the highest order tried, which does not depend on
-the selection. The difference between the selected curve and this curve is added as an uncorrected systematic error (JCGM 100:2008,
-F.2.4.5).
+If the data select the order, the usual interval is too narrow, because it ignores the terms that were not selected although they
+may be as large as a standard deviation. The uncertainty of a selected curve is therefore computed from the curve of the highest
+order tried, which does not depend on the selection. The difference between the selected curve and the curve of the highest order is
+added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
 
-The noise of values may be correlated over time, by flicker that the bench declares. Values and columns are then whitened by the
-covariance of the noise, and held-out errors are those of the whitened values.
+The noise of values may be correlated over time by the flicker that the bench declares. Values and columns are then whitened with
+the covariance of the noise, and held-out errors are computed from the whitened values.
 
-Beside the curve, further columns may be fitted, such as those of the difference between rising and falling temperature
-(`branches`). Ramps differ from one another by more than noise: each ramp has an offset and a slope of random size. The variances of
-the offsets and slopes are part of all uncertainties. These variances are estimated from the decrease of the sum of squares when
-every ramp has its own offset and slope in the fit (Henderson's method 3: Searle, Casella and McCulloch, Variance Components, 5.5).
+Further columns may be fitted together with the curve, such as those of the difference between rising and falling temperature
+(`branches`). Ramps differ from one another by more than noise, because each ramp has an offset and a slope of random size. The
+variances of the offsets and slopes are part of all uncertainties. These variances are estimated from the decrease of the sum of
+squares when every ramp has its own offset and slope in the fit (Henderson's method 3: Searle, Casella and McCulloch, Variance
+Components, 5.5).
 """
 
 from __future__ import annotations
@@ -49,8 +50,9 @@ _EXACT, _TINY = (
 
 @dataclass(frozen=True)
 class Curve:
-    """The form of a curve. form: one of `FORMS`. order: the order of a polynomial, or the number of knots of a spline minus one, so
-    that order 1 is a straight line in either form. reference: T₀, degC; knots: knots of a spline, degC, ascending."""
+    """The form of a curve, without its coefficients. form: one of `FORMS`. order: the order of a polynomial, or the number of knots
+    of a spline minus one. Order 1 is a straight line in either form. reference: reference temperature T₀ of a polynomial, degC;
+    knots: knots of a spline, degC, ascending."""
 
     form: str
     order: int
@@ -58,22 +60,22 @@ class Curve:
     knots: Array
 
     def columns(self, temperature: Array) -> Array:
-        """The design matrix, shape (n, order + 1), at temperatures [degC] (n,)."""
+        """The design matrix (n, order + 1) at the temperatures (n,), degC."""
         if self.form == "polynomial":
             return np.asarray((temperature - self.reference)[:, None] ** np.arange(self.order + 1))
         return natural_spline(self.knots, temperature)
 
 
 def curve(form: str, order: int, reference: float, temperatures: Array) -> Curve:
-    """The form of a curve for data at `temperatures` [degC]; the knots of a spline are quantiles of the distinct temperatures,
-    including the lowest and the highest temperature."""
+    """The form of a curve for data at `temperatures` [degC]. The knots of a spline are quantiles of the distinct temperatures,
+    which include the lowest and the highest temperature."""
     knots = np.quantile(np.unique(temperatures), np.linspace(0, 1, order + 1)) if form == "spline" else np.zeros(0)
     return Curve(form, order, reference, knots)
 
 
 def natural_spline(knots: Array, at: Array) -> Array:
-    """The matrix (n, k) that converts the values of a natural cubic spline at `knots` (k,) to the values of this spline at `at`
-    (n,). Two knots make a straight line.
+    """The matrix (n, k) that computes a natural cubic spline at the points `at` (n,) from its values at the knots (k,). A spline
+    with two knots is a straight line.
 
     Let h_i be the distances between neighbouring knots, and M_i the second derivatives at the knots, which are zero at both ends.
     Then h_i·M_i + 2·(h_i + h_{i+1})·M_{i+1} + h_{i+1}·M_{i+2} = 6·(difference of adjacent slopes).
@@ -98,8 +100,8 @@ def natural_spline(knots: Array, at: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """How well a curve of one order predicts held-out values. error: mean square error over the held-out temperatures, in the
-    square of the value's unit; standard_error: standard error of this mean."""
+    """States how well a curve of one order predicts held-out values. error: mean square error over the held-out folds, in the
+    squared unit of the values; standard_error: standard error of this mean."""
 
     order: int
     error: float
@@ -117,9 +119,9 @@ def held_out(
     beside: Array | None = None,
     whitening: Array | None = None,
 ) -> tuple[HeldOut, ...]:
-    """Held-out errors for each order. sigma: (n,), standard uncertainties for the weights; fold: (n,), the fold in which each value
-    is held out; beside: (n, q), columns that are fitted together with each curve; whitening: (n, n), matrix that whitens correlated
-    values; by default values are divided by sigma."""
+    """The held-out errors of the curves of each order. sigma: (n,), standard uncertainties for the weights; fold: (n,), index of
+    the fold in which each value is held out; beside: (n, q), columns that are fitted together with each curve; whitening: (n, n),
+    matrix that whitens correlated values; without it, values are divided by sigma."""
     whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
     weight = 1 / sigma**2
@@ -139,7 +141,7 @@ def held_out(
 
 
 def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
-    """The held-out error of the order that a rule of `RULES` selects."""
+    """The entry of `errors` for the order that is selected by a rule of `RULES`."""
     best = min(errors, key=lambda one: one.error)
     if rule == "smallest_error":
         return best
@@ -147,18 +149,17 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 
 def fold_of(group: Integers, folds: int) -> Integers:
-    """The fold in which each group of temperatures is held out. For folds = 0, each group is a separate fold. Otherwise there are
-    `folds` adjoining ranges of temperature, so that neighbouring temperatures, which have a slow drift in common, do not predict
-    each other."""
+    """The index of the fold in which each group of temperatures is held out. If `folds` is 0, each group is a separate fold.
+    Otherwise the folds are `folds` adjoining ranges of temperature, so that neighbouring temperatures, which share a slow drift, do
+    not predict each other."""
     return group if folds == 0 else group * folds // (int(group.max()) + 1)
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
-    """Factor, at least one, by which the correlation between consecutive residuals increases the variance of the fitted
-    coefficients.
+    """The factor, at least one, by which the correlation of successive residuals increases the variance of fitted coefficients.
 
-    The factor is 1 + 2·Σ r_k over the lags k up to the first at which the autocorrelation r, pooled over the series, is not positive
-    (Geyer, Statistical Science 7, 1992, 473).
+    The factor is 1 + 2·Σ r_k, where r_k is the autocorrelation of all series together at the lag k. The sum ends before the first
+    lag at which it is not positive (Geyer, Statistical Science 7, 1992, 473).
     """
     total = sum(float(one @ one) for one in residuals)
     longest = max((len(one) for one in residuals), default=0)
@@ -172,8 +173,8 @@ def correlation_time(residuals: Sequence[Array]) -> float:
 
 
 def groups_of(temperature: Array, width: float) -> Integers:
-    """The number of the group to which each temperature belongs, ascending: a group contains the temperatures within `width` [K] of
-    its lowest temperature."""
+    """The index of the group to which each temperature belongs. Groups are numbered by ascending temperature; a group contains the
+    temperatures within `width` [K] of its lowest temperature."""
     order = np.argsort(temperature, kind="stable")
     group, number, first = np.zeros(len(temperature), dtype=np.int64), -1, -np.inf
     for index in order:
@@ -185,9 +186,10 @@ def groups_of(temperature: Array, width: float) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class RampScatter:
-    """A way in which ramps differ from one another at random: in their offset or in their slope. size: standard deviation of this
-    offset or slope, in the value's unit; zero if noise explains it; degrees_of_freedom: of `size`; ratio: F, the mean square of the
-    ramps divided by the mean square from noise; probability: chance of a ratio at least this large from noise alone."""
+    """One random difference between ramps, in their offset or in their slope. size: standard deviation of the offset or slope, in
+    the value's unit; zero if noise explains it; degrees_of_freedom: degrees of freedom of `size`; ratio: the statistic F, which is
+    the mean square due to the ramps divided by the mean square due to noise; probability: probability that noise alone gives a
+    ratio at least this large."""
 
     size: float
     degrees_of_freedom: int
@@ -197,8 +199,8 @@ class RampScatter:
 
 @dataclass(frozen=True, slots=True)
 class SummedCovariance:
-    """Covariance of m coefficients as a sum of independent mean squares, each with its degrees of freedom: noise, and the scatter
-    of ramps. parts: for each mean square, a matrix (m, m) and its degrees of freedom; the first matrix may have negative
+    """The covariance of m coefficients as a sum of independent mean squares for noise and for the scatter of ramps, each with its
+    degrees of freedom. parts: for each mean square, a matrix (m, m) and its degrees of freedom; the first matrix may have negative
     eigenvalues."""
 
     parts: tuple[tuple[Array, float], ...]
@@ -208,7 +210,8 @@ class SummedCovariance:
         return np.asarray(sum(own for own, _ in self.parts))
 
     def of(self, rows: Array) -> tuple[Array, Array]:
-        """Standard uncertainties and effective degrees of freedom (Welch and Satterthwaite), both (k,), of linear functions (k, m)."""
+        """The standard uncertainties (k,) of k linear functions of the coefficients, and their effective degrees of freedom (k,)
+        (Welch and Satterthwaite). rows: (k, m), the linear functions."""
         shares = np.array([np.einsum("ki,ij,kj->k", rows, own, rows) for own, _ in self.parts])
         freedom = np.array([own for _, own in self.parts])
         variance = np.maximum(shares.sum(axis=0), 0.0)
@@ -217,19 +220,20 @@ class SummedCovariance:
         return np.sqrt(variance), np.where(known, variance**2 / np.where(known, squares, 1.0), freedom[0])
 
     def through(self, rows: Array, away: Array | None = None) -> SummedCovariance:
-        """The covariance of linear functions (k, m) of the coefficients, again as a sum of mean squares. away: (k,), uncorrected
-        errors of these functions."""
+        """The covariance of k linear functions of the coefficients, again as a sum of mean squares. rows: (k, m), the linear
+        functions. away: (k,), uncorrected errors of these functions."""
         (noise, freedom), *others = [(rows @ own @ rows.T, own_freedom) for own, own_freedom in self.parts]
         return SummedCovariance(((noise if away is None else noise + np.outer(away, away), freedom), *others))
 
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fitted curve. spread: covariance of the coefficients (p,). correlation: factor by which the variance of noise was increased
-    because consecutive residuals are correlated. beside, beside_spread: coefficients (q,) of the columns that are fitted together
-    with the curve, and their covariance. ramps: how the offsets and slopes of ramps differ; empty if there are too few ramps to
-    determine this. fullest: if the order was chosen, the curve of the highest order tried; None if this is the curve itself. gains:
-    (p, n), derivatives of the coefficients with respect to the n values."""
+    """A fitted curve with its uncertainty. spread: covariance of the coefficients (p,) as a sum of mean squares. correlation:
+    factor by which the variance of noise was increased because successive residuals are correlated. beside: coefficients (q,) of
+    the columns that are fitted together with the curve; beside_spread: covariance of these coefficients. ramps: how the offsets and
+    slopes of ramps scatter; empty if there are too few ramps to determine this. fullest: the curve of the highest order tried, if
+    the curve was selected and has a lower order; otherwise None. gains: (p, n), derivatives of the coefficients with respect to the
+    n values."""
 
     curve: Curve
     coefficients: Array
@@ -244,15 +248,16 @@ class CurveFit:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the coefficients, (p, p)."""
+        """The covariance (p, p) of the coefficients."""
         return self.spread.covariance
 
     def uncertainties(self) -> tuple[Array, Array]:
-        """The standard uncertainties of the coefficients, and their degrees of freedom, both (p,)."""
+        """The standard uncertainties (p,) of the coefficients, and their degrees of freedom (p,)."""
         return self.spread.of(np.eye(len(self.coefficients)))
 
     def predict(self, temperature: Array) -> tuple[Array, Array, Array]:
-        """The values of the curve at `temperature` [degC], their standard uncertainties and their degrees of freedom, all (n,)."""
+        """The values (n,) of the curve at `temperature` [degC] (n,), their standard uncertainties (n,) and their degrees of freedom
+        (n,)."""
         columns = self.curve.columns(temperature)
         value = columns @ self.coefficients
         if self.fullest is None:
@@ -261,8 +266,8 @@ class CurveFit:
         return value, np.hypot(u, value - full), freedom
 
     def warmer(self, by: float) -> Array:
-        """The coefficients (p,) of the curve at T + by, where `by` is in K. They describe a run in which the true temperatures are
-        higher by this amount."""
+        """The coefficients (p,) of the curve shifted along the temperature axis: at T it has the value that this curve has at T +
+        `by`, where `by` is in K. They describe a run in which the true temperatures are higher by this amount."""
         if self.curve.form == "spline":
             return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
         moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef
@@ -271,11 +276,11 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class OverTemperature:
-    """n values at different temperatures. temperature: degC; sigma: standard uncertainty, for the weights; group: number of the
-    temperature, the same for values at the same temperature; series: index of the ramp along which a value follows other values, −1
-    for a single value; ramp: index of the ramp or sweep that has a common offset, −1 for none; direction: direction of this ramp;
-    all (n,). beside: (n, q), columns that are fitted together with the curve. covariance: (n, n), covariance of the values, if they
-    are correlated; sigma is then the uncorrelated part."""
+    """The n values at different temperatures to which a curve is fitted. temperature: (n,), degC; sigma: (n,), standard
+    uncertainties for the weights; group: (n,), number of the temperature, equal for values at the same temperature; series: (n,),
+    index of the ramp along which a value follows other values, −1 for a single value; ramp: (n,), index of the ramp or sweep that
+    has a common offset, −1 for none; direction: (n,), direction of this ramp. beside: (n, q), columns that are fitted together with
+    the curve. covariance: (n, n), covariance of the values, if they are correlated; `sigma` is then the uncorrelated part."""
 
     temperature: Array
     value: Array
@@ -293,14 +298,14 @@ class OverTemperature:
         return None if self.covariance is None else least_squares.whitener(self.covariance)
 
     def white(self, columns: Array, transposed: bool = False) -> Array:
-        """Columns (n, …) multiplied by `whitening`, or divided by sigma if the values are not correlated. transposed: True to
-        multiply by the transposed whitening matrix."""
+        """The columns (n, …) multiplied by `whitening`, or divided by `sigma` if the values are not correlated. transposed: True to
+        multiply by the transpose of `whitening`."""
         whitening = self.whitening
         return _white(columns, self.sigma, whitening.T if transposed and whitening is not None else whitening)
 
 
 def _white(columns: Array, sigma: Array, whitening: Array | None) -> Array:
-    """Columns (n, …) multiplied by `whitening` (n, n), or divided by sigma (n,) if there is no whitening."""
+    """The columns (n, …) multiplied by `whitening` (n, n), or divided by `sigma` (n,) if `whitening` is None."""
     if whitening is not None:
         return np.asarray(whitening @ columns)
     return np.asarray(columns / (sigma if columns.ndim == 1 else sigma[:, None]))
@@ -316,9 +321,10 @@ def fit_curve(
     rule: str,
     scatter: bool,
 ) -> CurveFit:
-    """Fits a curve of the given order or, if none is given, of the order up to `highest` that held-out errors select.
+    """Fits a curve of a given order. If `order` is None, it first selects, by the held-out errors, an order of at most `highest`.
 
-    scatter: True if the covariance comes from the scatter of the residuals, False if it comes from sigma. Raises `EstimationError`.
+    scatter: True if the covariance is computed from the scatter of the residuals, False if it is computed from sigma. Raises
+    `EstimationError` if there are too few temperatures or values.
     """
     temperature, group = values.temperature, values.group
     distinct = int(group.max()) + 1
@@ -348,7 +354,8 @@ def fit_curve(
 
 
 def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
-    """A curve of a given form, fitted to all values. Raises `EstimationError` if there are no residuals for its uncertainty."""
+    """Fits a curve of a given form to all values. Raises `EstimationError` if its uncertainty should come from residuals and there
+    are none."""
     columns = np.column_stack([made.columns(values.temperature), values.beside])
     fit = least_squares.fit(columns, values.value, values.sigma, covariance=values.covariance)
     gains = values.white((fit.cofactor @ values.white(columns).T).T, transposed=True).T
@@ -376,7 +383,7 @@ def _correlation(weighted: Array, series: Integers) -> float:
 
 
 def _parted(whole: CurveFit, p: int) -> CurveFit:
-    """Splits the coefficients into the p coefficients of the curve and those of the columns beside the curve."""
+    """Separates the p coefficients of the curve from the coefficients of the columns that were fitted together with it."""
     if len(whole.coefficients) == p:
         return whole
     pick = np.eye(len(whole.coefficients))
@@ -392,16 +399,17 @@ def _parted(whole: CurveFit, p: int) -> CurveFit:
 
 @dataclass(frozen=True)
 class _Way:
-    """One way in which ramps may differ: in their offset or in their slope. columns: (n, r), weighted, one column for each of r
-    ramps; by_direction: (n, d), for each direction, the sum of the columns of its ramps."""
+    """One possible difference between ramps: in their offset or in their slope. columns: (n, r), weighted columns, one for each of
+    r ramps; by_direction: (n, d), for each of d directions, the sum of the columns of its ramps."""
 
     columns: Array
     by_direction: Array
 
 
 def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
-    """The ways in which ramps of one direction may differ: in an offset and, if values follow each other along ramps, in a slope. A
-    way is used only if the values determine it in addition to the fitted columns, and if at least two residuals remain."""
+    """The possible differences between ramps of one direction: in their offset and, if values follow each other along ramps, in
+    their slope. A difference is used only if the values determine it in addition to the fitted columns, and if at least two
+    residuals remain."""
     numbers, first = np.unique(values.ramp[values.ramp >= 0], return_index=True)
     senses = values.direction[values.ramp >= 0][first]
     each = (values.ramp[:, None] == numbers).astype(float)
@@ -437,11 +445,12 @@ def _space(columns: Array) -> Array:
 
 
 def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequence[_Way]) -> CurveFit:
-    """The fit in which the ramps differ at random. ways: from `_ways`.
+    """Fits a curve together with random differences between ramps. ways: the differences, from `_ways`.
 
-    Let y be the weighted values, A the columns, Z a way, and M the projector that removes A, the mean of Z in each direction, and
-    the other ways. The reduction of the sum of squares by Z has the expectation k·φ + τ²·tr(ZᵀMZ), where φ is the variance of noise
-    and τ the standard deviation of the way. The weighted values then have the covariance V = φ·I + Σ τ²·Z·Zᵀ.
+    Let y be the weighted values, A the columns of the curve, Z the columns of one difference, and M the projector that removes A,
+    the mean of Z in each direction, and the columns of the other differences. The reduction of the sum of squares by Z has the
+    expectation k·φ + τ²·tr(ZᵀMZ), where k is the number of its degrees of freedom, φ the variance of noise and τ the standard
+    deviation of the difference. The weighted values then have the covariance V = φ·I + Σ τ²·Z·Zᵀ.
     """
     from scipy.special import fdtrc
 
@@ -481,8 +490,8 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
 
 
 def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:
-    """The selected simple curve. Its uncertainty combines the uncertainty of the curve of the highest order with the difference
-    between the two curves."""
+    """The selected curve, whose order is below the highest order tried, with its uncertainty. This uncertainty combines the
+    uncertainty of the curve of the highest order with the difference between the two curves."""
     if simple.curve.form == "polynomial":
         reads = np.eye(simple.curve.order + 1, full.curve.order + 1)
     else:

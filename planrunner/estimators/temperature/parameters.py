@@ -1,5 +1,5 @@
-"""Keys of a plan for coefficients as functions of temperature. Checks before a recording: whether the plan has enough temperatures
-for a curve, and whether the requested coefficients exist.
+"""The plan keys for coefficients as functions of temperature, and checks that are possible before a recording. The checks find out
+whether the plan has enough temperatures for a curve, and whether the requested coefficients exist.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 
 class TemperatureModelParameters(Record):
-    """Keys of the estimator temperature_model."""
+    """The keys of the estimator `temperature_model`."""
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
@@ -92,8 +92,8 @@ class TemperatureModelParameters(Record):
 
 
 def remarks(request: DesignRequest[TemperatureModelParameters]) -> tuple[Remark, ...]:
-    """Errors about requests that no recording can fulfil. Cases that cannot be judged before the recording are not reported: ramps,
-    and estimates without a prediction."""
+    """Errors in a plan about a curve that no recording can give. Ramps, and estimates without a prediction, cannot be judged before
+    the recording, so they are not reported."""
     if request.uses:
         return tuple(_of_estimates(request))
     if any(segment.ramp_to is not None or segment.temperature is None for segment in request.segments):

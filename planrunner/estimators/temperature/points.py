@@ -1,5 +1,5 @@
-"""Values at different temperatures: coefficients that other estimates give for each temperature, and means of channels over
-segments or along a ramp."""
+"""Collects values at different temperatures: coefficients that other estimates give for each temperature, and means of channels
+over segments or along a ramp."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _FEWEST_INTERVALS = 8  # of each segment
 
 @dataclass(frozen=True)
 class Points:
-    """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard uncertainty, NaN if it is not known.
-    direction: (n,), +1 if the temperature was rising or was reached from below, −1 if it was falling or was reached from above, 0
-    if this is not known. ramp: (n,), index of the ramp, or of the sweep of held temperatures; −1 without a direction. labels:
-    source of each value. along: True if the values follow each other along ramps. expected: True if the values come from a
-    schedule, without scatter. covariance: (n, n), covariance of the values, which includes the flicker that the bench declares;
-    None if no flicker is declared, or if the uncertainties are not known. time: (n,), s, the mean time of each value; empty if the
-    times are not known."""
+    """The values of one quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard uncertainties, NaN for
+    values whose uncertainty is not known. direction: (n,), +1 if the temperature was rising or was reached from below, −1 if it was
+    falling or was reached from above, 0 if the direction is not known. ramp: (n,), index of the ramp, or of the sweep of held
+    temperatures; −1 for a value without a direction. labels: source of each value. along: True if the values follow each other
+    along ramps. expected: True if the values are expected from a schedule, without scatter. covariance: (n, n), covariance of the
+    values, which includes the flicker that the bench declares; None if no flicker is declared, or if the uncertainties are not
+    known. time: (n,), s, the mean time of each value; empty if the times are not known."""
 
     name: str
     unit: str
@@ -58,13 +58,12 @@ class Points:
 
     @property
     def series(self) -> Integers:
-        """Index of the ramp that contains each value, (n,); −1 at a held temperature."""
+        """The index (n,) of the ramp that contains each value; −1 at a held temperature."""
         return self.ramp if self.along else np.full(len(self.value), -1, dtype=np.int64)
 
     @property
     def sigma(self) -> Array:
-        """Positive standard uncertainties for the weights: the known uncertainties or, if they are not known, the number one for
-        all values."""
+        """Positive standard uncertainties (n,) for the weights. If some uncertainties are not known, all are 1."""
         known = np.isfinite(self.uncertainty).all() and bool((self.uncertainty > 0).all())
         return self.uncertainty if known else np.ones(len(self.value))
 
@@ -74,11 +73,11 @@ class Points:
 
 
 def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> list[Points]:
-    """The coefficients that the used estimates give for each temperature; values of the same coefficient from several estimates are
-    joined.
+    """The coefficients that the used estimates give for each temperature. Values of one coefficient from several estimates are
+    combined to one quantity.
 
     Raises `EstimationError` for an estimate that gives no coefficients for a temperature, for a pattern that matches no name, and
-    for different units.
+    for a coefficient in different units.
     """
     gathered: dict[str, list[tuple[str, Mapping[str, object]]]] = {}
     for used, estimate in uses.items():
@@ -131,9 +130,10 @@ def from_channels(
     inputs: Inputs,
     span: float,
 ) -> list[Points]:
-    """Means of channels at different temperatures. Along a ramp, a value is the mean over a bin of the thermometer's temperature
-    that is `width` [K] wide. At a planned temperature, a value is the mean of the segment. inputs: give the declared flicker; span:
-    the time over which a constant is averaged, s. Raises `EstimationError`."""
+    """The means of channels at different temperatures. If there is a thermometer, a value is the mean over all samples of a ramp
+    whose temperature is in the same bin of `width` [K]. Without a thermometer, a value is the mean of a segment at its planned
+    temperature. inputs: contain the declared flicker; span: the time over which a constant error is defined as an average, s.
+    Raises `EstimationError` for channels that are missing or unsuitable."""
     for recorded in segments:
         for channel in (*channels, *([thermometer] if thermometer else [])):
             if channel not in recorded.units:
@@ -166,7 +166,7 @@ Intervals = tuple[Array, Array]
 def _channel(
     segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float
 ) -> tuple[Points, Intervals, Array]:
-    """The n values of a channel; q intervals of time; and, for each value, the fraction of its samples in each interval, (n, q)."""
+    """The n values of a channel, q intervals of time, and the fraction (n, q) of the samples of each value in each interval."""
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
         raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)})")
@@ -208,7 +208,8 @@ def _channel(
 
 
 def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width: float) -> Points:
-    """The means of segments at their planned temperatures. The order in time shows from which side each temperature was reached."""
+    """The means of segments at their planned temperatures. The order in time shows whether a temperature was reached from below or
+    from above."""
     found = np.array([_planned(recorded, channel) for recorded in segments])
     order = np.argsort([recorded.segment.start for recorded in segments], kind="stable")
     direction, sweep = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
@@ -239,10 +240,11 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
 
 @dataclass(frozen=True, slots=True)
 class _Ramp:
-    """A branch of a segment's temperature, divided into b bins of ascending temperature. direction: +1 or −1, 0 if the temperature
-    hardly changes. ends: first and last temperature, degC. count: number of samples in each bin; celsius, mean: mean temperature
-    and mean value in each bin; squares: sum of squares about a straight line within each bin; all (b,). shares: (b, q), fraction of
-    the samples of each bin in each of the q intervals of equal length into which the segment is divided."""
+    """One branch of a segment's temperature, divided into b bins of ascending temperature. direction: +1 or −1, 0 if the
+    temperature hardly changes. ends: first and last temperature, degC. count: (b,), number of samples in each bin; celsius: (b,),
+    mean temperature in each bin; mean: (b,), mean value in each bin; squares: (b,), sum of squares about a straight line within
+    each bin. shares: (b, q), for each bin, the fraction of its samples in each of the q intervals of equal length into which the
+    segment is divided."""
 
     direction: int
     ends: tuple[float, float]
@@ -255,7 +257,7 @@ class _Ramp:
 
 def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float, intervals: int) -> list[_Ramp]:
     """The branches of a segment, found in one pass over its samples. Sums are kept for each bin and each short piece of the
-    segment; the mean temperatures of the pieces determine the branches."""
+    segment. The mean temperatures of the pieces determine the branches."""
     try:
         scale = unit(recorded.units[thermometer])
     except UnknownUnitError as error:
@@ -317,8 +319,8 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
 
 
 def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
-    """The index of each ramp, in order of time; −1 if the temperature hardly changes. A ramp that continues the preceding ramp in
-    the same direction has the same index as that ramp."""
+    """The indices of the ramps in order of time; −1 for a ramp whose temperature hardly changes. A ramp that continues the
+    preceding ramp in the same direction has the same index as that ramp."""
     found: list[int] = []
     last: _Ramp | None = None
     for ramp in ramps:
@@ -332,7 +334,7 @@ def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
 
 
 def _distinct(pairs: Integers) -> tuple[Integers, Integers]:
-    """The distinct rows of pairs (n, 2), ascending, and the index of each row among them."""
+    """The distinct rows of pairs (n, 2), ascending, and the index of each given row among them."""
     low = pairs[:, 1].min()
     span = int(pairs[:, 1].max() - low) + 1
     code, inverse = np.unique(pairs[:, 0] * span + (pairs[:, 1] - low), return_inverse=True)

@@ -2,7 +2,7 @@
 held-out values.
 
 The module `points` collects values, and `curve` fits curves and chooses their order. If both rising and falling temperature are
-recorded, the curve is the part common to both directions, and the difference between them is fitted together with the curve
+recorded, the curve is the mean of both directions, and the difference between the directions is fitted together with the curve
 (`branches`).
 """
 
@@ -55,9 +55,9 @@ _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 @dataclass(frozen=True)
 class Loop:
-    """Differences between rising and falling temperature. celsius: (n,), degC. width: (n,), value at rising temperature minus value
-    at falling temperature, in the value's unit; uncertainty, freedom: (n,), standard uncertainty of `width` and its degrees of
-    freedom."""
+    """The differences between rising and falling temperature at n temperatures. celsius: (n,), temperatures, degC. width: (n,),
+    value at rising temperature minus value at falling temperature, in the value's unit; uncertainty: (n,), standard uncertainty of
+    `width`; freedom: (n,), degrees of freedom of this uncertainty."""
 
     celsius: Array
     width: Array
@@ -66,15 +66,15 @@ class Loop:
 
     @property
     def largest(self) -> int:
-        """Index of the largest difference."""
+        """The index of the largest difference."""
         return int(np.argmax(np.abs(self.width)))
 
 
 @dataclass(frozen=True, slots=True)
 class HiddenDrift:
-    """A linear drift in time that cannot be noticed because of the order of the temperatures. power: index of the coefficient that
-    the drift affects most; for a polynomial this is the power of the temperature; growth: factor by which the standard uncertainty
-    of this coefficient grows if the drift is fitted; infinite if drift and coefficient cannot be separated."""
+    """A linear drift in time that would remain unnoticed because of the order of the temperatures. power: index of the coefficient
+    that the drift affects most, which for a polynomial is the power of the temperature; growth: factor by which the standard
+    uncertainty of this coefficient grows if the drift is fitted, infinite if the drift cannot be separated from the coefficient."""
 
     power: int
     growth: float
@@ -82,8 +82,9 @@ class HiddenDrift:
 
 @dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its curve and, if both directions of temperature are recorded, with its hysteresis loop. drift: the courses
-    of a drift that are fitted together with curve and loop; hidden: a drift that is not fitted."""
+    """One quantity with its fitted curve and, if both directions of temperature are recorded, with its hysteresis loop. drift: the
+    drift functions (powers of the time) that are fitted together with curve and loop; hidden: a drift that is not fitted and would
+    remain unnoticed."""
 
     points: Points
     fit: CurveFit
@@ -92,7 +93,7 @@ class Modelled:
     hidden: HiddenDrift | None = None
 
     def loop(self, celsius: Array) -> Loop | None:
-        """The hysteresis at temperatures [degC] (n,)."""
+        """The hysteresis loop at temperatures (n,), degC; None if only one direction of temperature is recorded."""
         if self.difference is None or self.fit.beside_spread is None:
             return None
         rows = self.difference.width(celsius)
@@ -102,12 +103,12 @@ class Modelled:
     @property
     def beside(self) -> Array:
         """The columns (n, q) that are fitted together with the curve: first the columns of the difference between the directions,
-        then those of the drift."""
+        then the columns of the drift."""
         return _beside(self.points, self.difference, self.drift)
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Lowest and highest temperature [degC] that rising and falling branches have in common."""
+        """The lowest and the highest temperature [degC] of the range that rising and falling branches both cover."""
         assert self.difference is not None
         return self.difference.low, self.difference.high
 
@@ -124,13 +125,13 @@ class Modelled:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Curves(Quantities):
-    """The fitted curve of every quantity."""
+    """The fitted curves of all quantities."""
 
     models: tuple[Modelled, ...]
 
 
 class TemperatureModel(Method[TemperatureModelParameters, Curves]):
-    """The estimator `temperature_model`."""
+    """The estimator with the name `temperature_model`."""
 
     name = "temperature_model"
     summary = "Coefficients or outputs as functions of temperature: a polynomial or a spline, whose order is chosen by cross-validation"
@@ -144,9 +145,9 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         return Design((), remarks=remarks(request))
 
     def foresee(self, request: DesignRequest[TemperatureModelParameters]) -> Foresight:
-        """Predicts the curves from expected values if the plan states their order; otherwise gives the coefficients of all possible
-        orders without uncertainties. Coefficients from ramps also have no uncertainties, because only a recording shows the
-        temperatures of a ramp."""
+        """Predicts the curves from expected values if the plan states their order. Otherwise it gives the coefficients of all
+        possible orders without uncertainties. Coefficients from ramps also have no uncertainties, because only a recording shows
+        the temperatures of a ramp."""
         parameters = request.parameters
         ramps = parameters.temperature_channel is not None
         if parameters.order is not None and not ramps:
@@ -213,7 +214,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
 
 
 def _planned_units(request: DesignRequest[TemperatureModelParameters]) -> dict[str, str]:
-    """Maps the name of each quantity to be modelled to its unit; empty if the quantities are not known."""
+    """The quantities to be modelled and their units, by name; empty if the quantities are not known."""
     parameters = request.parameters
     if parameters.channels:
         outputs = [request.sensor.output(name) for name in parameters.channels]
@@ -299,7 +300,7 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
 
 
 def _beside(points: Points, difference: Difference | None, drift: Sequence[DriftCourse]) -> Array:
-    """The columns (n, q) that are fitted together with a curve."""
+    """The columns (n, q) that are fitted together with a curve, for the difference between the directions and for the drift."""
     parts = [np.zeros((len(points.value), 0)), *(one.columns for one in drift)]
     if difference is not None:
         parts.insert(0, difference.columns(points.temperature, points.direction))
@@ -307,7 +308,7 @@ def _beside(points: Points, difference: Difference | None, drift: Sequence[Drift
 
 
 def _drift(points: Points, asked: str | None) -> tuple[DriftCourse, ...]:
-    """The courses of the drift that the plan asks for. Raises `EstimationError` for values without known times."""
+    """The drift functions (powers of the time) for which the plan asks. Raises `EstimationError` for values without known times."""
     if asked is None or asked == NONE:
         return ()
     if not len(points.time):
@@ -319,8 +320,8 @@ def _drift(points: Points, asked: str | None) -> tuple[DriftCourse, ...]:
 
 
 def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
-    """Whether the courses of a drift, tested one after the other, are independent of the columns (n, q) of the curve and of the
-    difference."""
+    """Whether the drift functions, added one after the other, are independent of the columns (n, q) of the curve and of the
+    difference between the directions."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     base = columns / np.where(size > 0, size, 1.0)
     for course in courses:
@@ -333,7 +334,8 @@ def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
 
 
 def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDrift | None:
-    """A linear drift that would multiply the standard uncertainty of a coefficient of the curve by `COUPLED` or more."""
+    """A linear drift, if fitting it would multiply the standard uncertainty of a coefficient of the curve by `COUPLED` or more;
+    otherwise None."""
     if not len(points.time) or not np.ptp(points.time):
         return None
     [course, *_] = in_time(points.time, points.time, 1 / points.sigma**2)
@@ -350,8 +352,8 @@ def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDri
 
 
 def _difference(points: Points, parameters: TemperatureModelParameters, highest: int) -> Difference | None:
-    """The form of the hysteresis loop. The number of its coefficients is limited, so that two residuals remain beside a curve of
-    order `highest` and the ramps."""
+    """The form of the difference between the directions (the hysteresis loop). The number of its coefficients is limited, so that
+    two residuals remain if a curve of order `highest` and the ramps are fitted too."""
     ramps = len(np.unique(points.ramp[points.ramp >= 0]))
     left = len(points.value) - (highest + 1) - max(0, ramps - 2) - _RESIDUALS
     width = parameters.bin.value
@@ -359,7 +361,7 @@ def _difference(points: Points, parameters: TemperatureModelParameters, highest:
 
 
 def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
-    """The coefficients of all curves and, from ramps, the hysteresis, with their covariance; the curves are treated as independent
+    """The coefficients of all curves and the hysteresis along ramps, with their covariance. The curves are treated as independent
     of each other."""
     rows: list[Coefficient] = []
     blocks: list[Array] = []
@@ -397,8 +399,8 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
 def _influences(
     request: EstimateRequest[TemperatureModelParameters], models: Sequence[Modelled]
 ) -> tuple[Influence, ...]:
-    """Influences of the error of the chamber's temperature, which shifts every curve along the temperature axis and does not change
-    the difference between ramps. There is no influence if the sensor's own thermometer is used."""
+    """The influences of an error of the chamber's temperature. It shifts every curve along the temperature axis and does not change
+    the difference between ramps. If the sensor's own thermometer is used, there is no such influence."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()
@@ -412,8 +414,8 @@ def _influences(
 
 
 def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
-    """The flicker of the channels for which the bench file states no flicker. This flicker shifts the curves; it is not applied to
-    the hysteresis, which is a largest value."""
+    """The effect on the coefficients of flicker, for channels for which the bench file states no flicker. This flicker shifts the
+    curves. It is not applied to the hysteresis, which is a largest value."""
     counts = [len(one.fit.coefficients) + (one.widest is not None) for one in models]
     found, first = [], 0
     for one, count in zip(models, counts, strict=True):
@@ -437,7 +439,7 @@ def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
 
 
 def _label(form: str, name: str, text: str, k: int) -> tuple[str, str]:
-    """Name and unit of the k-th coefficient of a curve. text: the unit of the values of the curve."""
+    """The name and the unit of the k-th coefficient of a curve. text: unit of the values of the curve."""
     return (f"{name}_knot_{k + 1}", text) if form == "spline" else (f"{name}_T{k}", _per_kelvin(text, k))
 
 
@@ -483,7 +485,7 @@ def _tables(one: Modelled) -> list[Table]:
 
 
 def _loop_table(one: Modelled) -> list[Table]:
-    """A table of both branches of the loop at several temperatures, and of their difference."""
+    """A table of the values on both branches of the loop at several temperatures, and of their difference."""
     loop = None if one.difference is None else one.loop(np.linspace(*one.ends, _SHOWN))
     if loop is None:
         return []
@@ -502,13 +504,14 @@ def _loop_table(one: Modelled) -> list[Table]:
 
 
 def _fitted(one: Modelled) -> Array:
-    """The fitted values (n,) at the points, each on the branch of its point."""
+    """The fitted values (n,) at the n points. At each point, the value is on the branch (rising or falling) to which the point
+    belongs."""
     own = one.beside
     return np.asarray(one.fit.predict(one.points.temperature)[0] + own @ one.fit.beside[: own.shape[1]])
 
 
 def _expanded(u: Array, freedom: Array) -> Array:
-    """Expanded uncertainties at 95 % from standard uncertainties and degrees of freedom, both (n,)."""
+    """The expanded uncertainties (n,) at 95 %, from standard uncertainties (n,) and degrees of freedom (n,)."""
     return np.array([expanded_uncertainty(float(own), float(nu)) for own, nu in zip(u, freedom, strict=True)])
 
 

@@ -1,8 +1,8 @@
-"""Computes scale factors of tilted axes from means. For each repeat, F_j − F_r is divided by the input of each axis; the results
-are then averaged over repeats and compared between temperatures.
+"""Computes scale factors of tilted axes from means of segments. For each repeat, the output at each rate minus the output at rest,
+F_j − F_r, is divided by the input of each axis. The results are then averaged over repeats and compared between temperatures.
 
-The core of the module is one function of the recorded means and of the conditions of the recording. Uncertainties follow from this
-function.
+The core of the module is one function of the recorded means and of the conditions of the recording. Uncertainties are derived from
+this function.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 @dataclass(frozen=True, slots=True)
 class TiltedConditions:
-    """Conditions under which scale factors are computed. axes: the sensor axes with their directions. commanded: (N,), rad/s, the
-    table's rate in each segment. along: (N, 3), the rotation axis in the fixture's frame. felt: (N, 3), rad/s, mean rate that
-    includes the Earth's rotation; None if the Earth's rotation is not corrected for. rate_error: relative error of the table's
-    rate, one value for all segments or (N,)."""
+    """The conditions under which scale factors are computed. axes: the sensor axes with their directions. commanded: (N,), rad/s,
+    the table's rate in each segment. along: (N, 3), the rotation axis in the fixture's frame. felt: (N, 3), rad/s, mean rate
+    including the Earth's rotation; None if the Earth's rotation is not corrected for. rate_error: relative error of the table's
+    rate, either one value for all segments or (N,)."""
 
     axes: MountedAxes
     commanded: Array
@@ -37,7 +37,7 @@ class TiltedConditions:
     rate_error: Array | float = 0.0
 
     def inputs(self, group: Group) -> Array:
-        """Input of each axis minus its input at rest, shape (q, n, m), rad/s."""
+        """The input of each axis minus its input at rest, shape (q, n, m), rad/s."""
         turning = self.along * self.commanded[:, None] * (1.0 if self.felt is None else 0.0)
         felt = turning if self.felt is None else self.felt
         felt = felt + self.along * (self.rate_error * self.commanded)[:, None]
@@ -47,10 +47,11 @@ class TiltedConditions:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """q repeats of n rates at one temperature. kelvin: measured or planned temperature, NaN if neither of the two is known. spins:
-    (q, n), indices of the segments; rest: (q, N), weights of the segments in the rest value of a repeat: half for the zeros before
-    the rates, and half for the zeros after them; between: (q, N), weights of the segments in the difference between end zero and
-    start zero. outputs: F_j − F_r, (q, n, m). drift: end zero minus start zero, (q, m)."""
+    """The data of q repeats of n rates at one temperature. kelvin: measured or planned temperature, K; NaN if neither is known.
+    spins: (q, n), indices of the segments; rest: (q, N), weights of the segments in the rest value of a repeat, which consists in
+    equal parts of the zeros before the rates and of the zeros after them; between: (q, N), weights of the segments in the
+    difference between end zero and start zero. outputs: (q, n, m), the output at each rate minus the output at rest, F_j − F_r.
+    drift: (q, m), end zero minus start zero."""
 
     label: str
     kelvin: float
@@ -64,14 +65,14 @@ class Group:
 
     @property
     def full_scale(self) -> Array:
-        """The largest absolute output of each axis, (m,)."""
+        """The largest absolute output (m,) of each axis."""
         largest: Array = np.abs(self.outputs.mean(axis=0)).max(axis=0)
         return largest
 
     @property
     def averages(self) -> Array:
-        """Weights (n + 1, N) of the segments in averages over the repeats. There is one row for each rate and a last row for the
-        rest value."""
+        """The weights (n + 1, N) of the segments in averages over the repeats. There is one row for each rate, and a last row for
+        the rest value."""
         q, n = self.spins.shape
         weights = np.zeros((n + 1, self.rest.shape[1]))
         weights[np.arange(n), self.spins] = 1 / q
@@ -81,11 +82,11 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """Results of an evaluation, in a form that can be compared with the results under other conditions. For g temperatures and m
-    axes: means: (g, m, 5), means over the repeats of the five `QUANTITIES`; repeats: for each temperature (q, m, 5), the quantities
-    of each repeat; residuals: for each temperature (n, m), residuals averaged over the repeats. repeatability: (g, m), s(K)/K, NaN
-    for a single repeat. coefficient: (m,), slope of K as a function of temperature, divided by K at the reference temperature;
-    sensitivity: (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); both are NaN for a single temperature."""
+    """The results of an evaluation. They can be compared with the results for other conditions. For g temperatures and m axes:
+    means: (g, m, 5), means over the repeats of the five `QUANTITIES`; repeats: for each temperature (q, m, 5), the quantities of
+    each repeat; residuals: for each temperature (n, m), residuals averaged over the repeats. repeatability: (g, m), standard
+    deviation of K divided by K, NaN for a single repeat. coefficient: (m,), slope of K as a function of temperature, divided by K
+    at the reference temperature; sensitivity: (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); both are NaN for a single temperature."""
 
     means: Array
     repeats: tuple[Array, ...]
@@ -96,7 +97,7 @@ class TiltedResults:
 
     @property
     def vector(self) -> Array:
-        """The results as one vector: means, repeatability, coefficient, sensitivity, in this order."""
+        """The results as one vector, in the order means, repeatability, coefficient, sensitivity."""
         return np.concatenate(
             [self.means.ravel(), self.repeatability.ravel(), self.coefficient.ravel(), self.sensitivity.ravel()]
         )
@@ -104,8 +105,9 @@ class TiltedResults:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """For each axis: the rate with the largest residual at each temperature (g, m), the sign of this residual (g, m), and the
-    temperature that determines the sensitivity (m,)."""
+    """The rates and temperatures that determine the largest values of each axis. rate: (g, m), index of the rate with the largest
+    residual at each temperature; sign: (g, m), sign of this residual; temperature: (m,), index of the temperature that determines
+    the sensitivity."""
 
     rate: NDArray[np.int64]
     sign: Array
@@ -113,7 +115,7 @@ class Worst:
 
 
 def make_group(series: Sequence[RateSeries], label: str, kelvin: float, commanded: Array, mean: Array) -> Group:
-    """Combines the repeats at one temperature. commanded: (N,), rate of each segment; mean: (N, m), means of all segments."""
+    """Combines the repeats at one temperature. commanded: (N,), rad/s, rate of each segment; mean: (N, m), means of all segments."""
     spins = np.array([one.spins for one in series])
     before, after = (
         _weights(series, [one.start for one in series], mean),
@@ -137,8 +139,9 @@ def _weights(series: Sequence[RateSeries], rows: Sequence[tuple[int, ...]], mean
 def evaluate(
     groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
 ) -> TiltedResults:
-    """Computes all results. reference: index of the group whose K is the reference for the other groups. worst: the rates and
-    temperatures that determine the largest values; they stay fixed while conditions are changed."""
+    """Computes all results of an evaluation. reference: index of the group whose scale factor K is the reference for the other
+    groups. worst: the rates and temperatures that determine the largest values; they are given if only the conditions change, so
+    that the same rates and temperatures are used."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
     held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))
@@ -159,15 +162,15 @@ def evaluate(
 
 
 def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
-    """The five `QUANTITIES` of each repeat, (q, m, 5). rate, sign: (m,), index of the rate with the largest residual, and the sign
-    of this residual."""
+    """The five `QUANTITIES` (q, m, 5) of each repeat. rate: (m,), index of the rate with the largest residual; sign: (m,), sign of
+    this residual."""
     at = line.residuals[:, rate, np.arange(len(rate))]
     return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
 
 
 def columns_of_repeats(groups: Sequence[Group], conditions: TiltedConditions, axis: int) -> Array:
-    """The linear model of the means of one output, (N, 3·R) for R repeats. Each repeat has a separate zero, a separate offset at
-    the rates, and a separate scale factor, as in `fit_lines`."""
+    """The design matrix (N, 3·R) of the means of one output, for R repeats. The model of a repeat has its own zero, its own offset
+    at the rates, and its own scale factor, as in `fit_lines`."""
     columns = []
     for group in groups:
         inputs = conditions.inputs(group)[..., axis]
@@ -191,32 +194,32 @@ def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
 
 
 def slope_weights(kelvin: Array) -> Array:
-    """Weights (g,), 1/K, for values at g temperatures. The weighted sum of the values is the slope of the straight line through
-    them."""
+    """The weights (g,), 1/K, that compute a slope from values at g temperatures. The sum of the weighted values is the slope of the
+    straight line through the values."""
     off = kelvin - kelvin.mean()
     return np.asarray(off / np.sum(off * off))
 
 
 def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Worst) -> tuple[Array, ...]:
-    """Sensitivities of the quantities of each group to the outputs of the group, (n, m, 5): ∂(mean over the repeats)/∂(output at a
-    rate, in all repeats)."""
+    """For each group, the sensitivities (n, m, 5) of its quantities to its outputs: ∂(mean over the repeats)/∂(output at a rate,
+    changed in all repeats)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
 
 
 def answers_to_averages(answers: Array) -> Array:
-    """Sensitivities (n + 1, m, 5) of the quantities of a group to the averages of `Group.averages`. The last row is for the output
-    at rest, which is subtracted from the output at every rate."""
+    """The sensitivities (n + 1, m, 5) of the quantities of a group to the averages of `Group.averages`. The last row is for the
+    output at rest, which is subtracted from the output at every rate."""
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 
 def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64], sign: Array) -> Array:
-    """The sensitivities of one group. Each axis depends only on its own output, so the outputs of all axes are changed at the same
-    time."""
+    """The sensitivities (n, m, 5) of the quantities of one group to its outputs. Each axis depends only on its own output, so the
+    outputs of all axes can be changed simultaneously."""
     x, full_scale = conditions.inputs(group), group.full_scale
     q, n, m = x.shape
 
     def means(changes: Array) -> Array:
-        """Changes (m·5, k) of the quantities for changes (n, k) of the outputs at each rate."""
+        """The quantities (m·5, k), averaged over the repeats, after changes (n, k) of the outputs at each rate."""
         outputs = group.outputs + changes.T[:, None, :, None]
         lines = fit_lines(np.broadcast_to(x, outputs.shape).reshape(-1, n, m), outputs.reshape(-1, n, m))
         found = quantities(lines, full_scale, rate, sign)
@@ -226,8 +229,8 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
-    """Temperature coefficient and sensitivity, (2, m), of scale factors (g, m). decides: index of the temperature that determines
-    the sensitivity."""
+    """The temperature coefficients and the sensitivities, together (2, m), of scale factors (g, m). decides: index of the
+    temperature that determines the sensitivity."""
     base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
     change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))
     return np.stack([slope_weights(kelvin) @ values / base, np.where(change.real < 0, -1.0, 1.0) * change])

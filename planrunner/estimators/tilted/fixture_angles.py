@@ -1,10 +1,10 @@
-"""Angles of a fixture's axes from spins about one rotation axis in several orientations of the fixture.
+"""Determines the angles of a fixture's axes from spins about one rotation axis in several orientations of the fixture.
 
-Let an axis have the scale factor K and lie along the unit vector d. It responds to a rate ω about the unit vector n with K·(d·n)·ω.
-Both vectors are given in the fixture's frame. Each orientation of the fixture on the table gives one component of the gain vector
-K·d. Three orientations whose vectors n are not in one plane give the complete gain vector, and with it K, the angle from the
-fixture's z axis, and the azimuth. Two orientations give K and the angle if the azimuth is stated. Orientations with the same n, or
-with the opposite n, give no information on the angle. Errors that are common to all rates cancel in the angles.
+Let an axis have the scale factor K and the direction of the unit vector d. It responds to a rate ω about the unit vector n with the
+output K·(d·n)·ω. Both vectors are given in the fixture's frame. Each orientation of the fixture on the table gives one component of
+the gain vector K·d. Three orientations whose vectors n are not in one plane give the complete gain vector. From it follow K, the
+angle from the fixture's z axis, and the azimuth. Two orientations give K and the angle if the azimuth is stated. Orientations with
+the same n, or with the opposite n, give no information on the angle. Errors that all rates have in common cancel in the angles.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _WORDS = (
 
 
 class FixtureAnglesParameters(Record):
-    """Keys of the estimator fixture_angles."""
+    """The keys of the estimator `fixture_angles`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
@@ -95,21 +95,22 @@ class FixtureAnglesParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixtureQuantities(Quantities):
-    """Observations and fit of each axis, and the results."""
+    """The observations and the fit of each axis, and the results."""
 
     axes: MountedAxes
     fits: tuple[tuple[Observations, OutputsFit], ...]
 
 
 class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
-    """The estimator `fixture_angles`."""
+    """The estimator with the name `fixture_angles`."""
 
     name = "fixture_angles"
     summary = "Angles of the axes in a fixture, from spins about one axis in two or more orientations of the fixture"
     Parameters = FixtureAnglesParameters
 
     def design(self, request: DesignRequest[FixtureAnglesParameters]) -> Design:
-        """Checks which components of the gain vector the planned orientations determine, for each output. Raises `EstimationError`."""
+        """Checks, for each output, which components of the gain vector the planned orientations determine. Raises
+        `EstimationError`."""
         how = request.parameters.azimuth
         outputs = [output.name for output in request.sensor.outputs]
         axes = mounted_axes(request.setup.mounting, outputs, request.parameters.outputs)
@@ -163,7 +164,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         )
 
     def words(self, request: EstimateRequest[FixtureAnglesParameters], found: FixtureQuantities) -> Words:
-        """Makes the tables of the angles found and the angles stated, and of the residuals."""
+        """Makes the tables of the estimated and the stated angles, and of the residuals."""
         parameters = request.parameters
         notes: list[Said] = []
         warnings: list[Said] = []
@@ -194,7 +195,8 @@ def _derived(
     axes: MountedAxes,
     fits: Sequence[tuple[Observations, OutputsFit]],
 ) -> Derived:
-    """K, angle and, if fitted, azimuth of each axis, in the units of the results, computed from the offsets and gains of all axes."""
+    """The scale factor K, the angle and, if it is fitted, the azimuth of each axis, in the units of the results, computed from the
+    offsets and gains of all axes."""
     offsets, shapes = len(model.orientations), []
     reported: list[Reported] = []
     for k, (observations, fit) in enumerate(fits):
@@ -221,11 +223,11 @@ def _derived(
 def _acting(
     request: EstimateRequest[FixtureAnglesParameters], model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """Influences of the stated inputs on the offsets and gains of one axis."""
+    """The influences of stated inputs on the offsets and gains of one axis."""
 
     def answered(matrix: Array) -> Array:
-        """Change of the fitted coefficients. The outputs stay the same, so a change of a stated value changes the fit with the opposite
-        sign."""
+        """The change of the fitted coefficients for a changed design matrix. The outputs do not change, so a change of a stated
+        input changes the fit with the opposite sign."""
         return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
 
     stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)

@@ -1,5 +1,5 @@
-"""Angles of a fixture that come from an estimate of `fixture_angles` instead of from the plan: their values, and influences on
-them."""
+"""Takes the angles of a fixture from an estimate of `fixture_angles` instead of from the plan: the values of the angles, and the
+influences on them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _AZIMUTH = "azimuth_{}"
 
 
 def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[MountedAxes, tuple[Influence, ...]]:
-    """The axes with their calibrated angles, and the influences on these angles, (m, r) in rad; the axes are unchanged if there is
-    no calibration.
+    """The axes with their calibrated angles, and the influences (m, r) on these angles, rad. If there is no calibration, the axes
+    are unchanged.
 
     Raises `EstimationError` for an estimate that is not a calibration of the fixture, or that does not contain all axes.
     """
@@ -39,8 +39,8 @@ def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[Mo
 
 
 def require_calibration(axes: MountedAxes, uses: Mapping[str, Design]) -> None:
-    """Checks that a planned estimate will calibrate the fixture. Raises `EstimationError` for an estimate that will not be a
-    calibration of the fixture, or that will not contain all axes."""
+    """Checks that a planned estimate will calibrate the fixture. Raises `EstimationError` if this estimate will not be a
+    calibration of the fixture, or will not contain all axes."""
     if uses:
         name, used = _only(uses)
         if used.known:
@@ -72,8 +72,8 @@ def _carried(
     freedom: Sequence[float],
     name: str,
 ) -> tuple[Influence, ...]:
-    """Influences on the angles: for each axis one influence from the data of the calibration, and the influences on the calibration
-    itself."""
+    """The influences on the angles: for each axis, one influence from the data of the calibration; and the influences that act on
+    the calibration itself."""
     factors = np.array([unit(coefficients[row].unit).factor for row in rows])
     arcsec = unit("arcsec").factor
     found = []
@@ -107,8 +107,8 @@ def _at(axes: MountedAxes, coefficients: Sequence[Coefficient]) -> MountedAxes:
 
 
 def _data_freedom(used: Estimate, item: Coefficient) -> float:
-    """Degrees of freedom of an angle from the data alone. They are derived from the budget, because the analysis has combined them
-    with the degrees of freedom of the influences."""
+    """The degrees of freedom of an angle due to the data of the calibration alone. They are computed from the budget, because the
+    analysis has already combined them with the degrees of freedom of the influences."""
     for budget in used.budgets:
         if budget.coefficient == item.name:
             return next((line.degrees_of_freedom for line in budget.lines if line.kind == "A"), item.degrees_of_freedom)

@@ -1,7 +1,7 @@
-"""The gain vector K·d of an axis in a fixture: design matrix over orientations, polar form, and influences.
+"""Describes the gain vector K·d of an axis in a fixture: its design matrix over orientations, its polar form, and influences on it.
 
-Each orientation has a separate offset. It contains the bias, the dependence of the bias on gravity, and the Earth's rotation along
-the axis of the table.
+In each orientation, the output has a separate offset. The offset contains the bias, the dependence of the bias on gravity, and the
+Earth's rotation along the axis of the table.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ AXES = ("x", "y", "z")
 
 
 def tilt_part(orientation: str, axis: str) -> str:
-    """Name of a tilt of the fixture in one orientation. The same name is used wherever this tilt acts."""
+    """The name of a tilt of the fixture in one orientation. The tilt has the same name wherever it acts."""
     return f"{orientation}, about {axis}"
 
 
 @dataclass(frozen=True, slots=True)
 class GainModel:
-    """n segments in o orientations. felt: (n, 3), mean rate in the fixture's frame, rad/s; turning: (n, 3), the part of this rate
-    that comes from the table; place: (n,), index of the orientation."""
+    """The stimulus of n segments in several orientations. felt: (n, 3), mean rate in the fixture's frame, rad/s; turning: (n, 3),
+    the part of this rate that comes from the table; place: (n,), index of the orientation."""
 
     segments: tuple[Segment, ...]
     orientations: tuple[str, ...]
@@ -49,7 +49,7 @@ class GainModel:
 
     @property
     def directions(self) -> int:
-        """Number of linearly independent directions of the fixture about which the table turned."""
+        """The number of linearly independent directions, in the fixture's frame, about which the table turned."""
         size = np.linalg.norm(self.turning, axis=1)
         units = self.turning[size > 0] / size[size > 0, None]
         return int(np.linalg.matrix_rank(units, tol=1e-6)) if len(units) else 0
@@ -59,8 +59,8 @@ class GainModel:
         return (*(f"offset {text}" for text in self.orientations), *gains)
 
     def matrix(self, basis: Array) -> Array:
-        """The design matrix: a column for the offset of each orientation, then the columns of the gains. basis: (3, r), directions
-        in the fixture that span the gain vector."""
+        """The design matrix. It has one column for the offset of each orientation, and then the columns of the gains. basis: (3,
+        r), directions in the fixture's frame that span the gain vector."""
         return np.column_stack([np.eye(len(self.orientations))[self.place], self.felt @ basis])
 
     def magnitudes(self, basis: Array) -> Array:
@@ -69,7 +69,8 @@ class GainModel:
 
 
 def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], site: Site, setup: Setup) -> GainModel:
-    """Builds the model. Raises `EstimationError` for a segment that is neither a spin nor at rest, and for an unknown orientation."""
+    """Makes the gain model of segments. Raises `EstimationError` for a segment that is neither a spin nor at rest, and for an
+    unknown orientation."""
     for segment in segments:
         if not isinstance(segment.motion, Spin | Rest):
             kind = type(segment.motion).__name__.lower()
@@ -94,8 +95,8 @@ def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], sit
 
 
 def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
-    """The directions in which the gain vector of axis k is fitted: the fixture's x, y and z axes, or the direction of the stated
-    azimuth and z. Raises `EstimationError` if an azimuth is needed but not stated."""
+    """The directions (3, r) in which the gain vector of axis k is fitted: the fixture's x, y and z axes, or the direction of the
+    stated azimuth and the z axis. Raises `EstimationError` if an azimuth is needed but not stated."""
     if azimuth == FITTED:
         return np.eye(3)
     if math.isnan(axes.azimuths[k]):
@@ -105,10 +106,10 @@ def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
 
 
 def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
-    """A formula that converts n gain vectors (r, n) to their polar form (q, n): K in output unit/(rad/s), angle and, if fitted,
-    azimuth [rad]. The gains are components of the gain vector of axis k along the r columns of `basis` (3, r). gain: (r,), a value
-    near which the formula is used. K is negative if the output has the opposite sign of the stated direction. Raises
-    `EstimationError` for an axis along z, which has no azimuth."""
+    """A formula that converts n gain vectors (r, n) to their polar form (q, n): K in output unit/(rad/s), angle [rad] and, if it is
+    fitted, azimuth [rad]. The r gains are the components of the gain vector of axis k along the columns of `basis` (3, r). gain:
+    (r,), a gain vector near which the formula is used. K is negative if the gain vector points away from the stated direction.
+    Raises `EstimationError` for an axis along z, which has no azimuth."""
     sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
     if len(gain) == 3 and math.hypot(*gain[:2]) < 1e-9 * float(np.linalg.norm(gain)):
@@ -130,12 +131,12 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
 def stated_conditions(
     model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str
 ) -> Iterator[StatedCondition[Array]]:
-    """The design matrix of axis k under the errors of stated inputs. Each of these inputs changes all gains of an orientation
-    together and therefore causes almost no scatter."""
+    """The design matrix of axis k for small errors of the stated inputs. An error of one of these inputs changes all gains in an
+    orientation equally, and therefore causes almost no scatter."""
     basis = gain_basis(axes, k, azimuth)
 
     def seen(by: Array) -> Array:
-        """The design matrix if the rates in the fixture's frame change by `by` (n, 3)."""
+        """The design matrix after a change `by` (n, 3) of the rates in the fixture's frame."""
         return replace(model, felt=model.felt + by).matrix(basis)
 
     def turned(o: int, about: Array, by: float) -> Array:
@@ -173,16 +174,16 @@ def stated_conditions(
 
 
 def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[CorrelatedError, ...]:
-    """Influences of the stated error of each rate on the output of an axis with the gain vector (3,). These errors make the means
-    scatter about a line."""
+    """The errors of the output of an axis with the gain vector (3,), due to the stated error of each rate. These errors make the
+    means scatter about a line."""
     rates = np.array([segment.rate for segment in model.segments])
     rate = setup.inputs.get("table rate")
     return rate_errors(rate, (model.turning @ vector)[None], rates) if rate else ()
 
 
 def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:
-    """Whether every spin is made by the outermost axis. Only then is the direction of the table's rate independent of the other
-    axes."""
+    """Whether every spin is made by the outermost axis of the table. Only in this case, the direction of the table's rate does not
+    depend on the other axes."""
     for one in segments:
         if isinstance(one.motion, Spin) and one.attitude is not None:
             try:

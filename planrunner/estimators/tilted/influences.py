@@ -1,7 +1,8 @@
-"""Type B influences on scale factors of tilted axes: fixture, table, site, temperature, resolution, and drift of the zero.
+"""Computes the Type B influences on scale factors of tilted axes: fixture, table, site, temperature, resolution, and drift of the
+zero.
 
-Fixture, table and site are conditions of the function that computes the results. The other influences act on the means of segments,
-and the sensitivities of the results to these means then give the influences on the results.
+Fixture, table and site are conditions of the function that computes the results. The other influences act on the means of segments.
+The sensitivities of the results to these means convert them to influences on the results.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ _BESIDE = 1e-6  # rad, of differences
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What is needed to compute the influences. answers: for each group, sensitivities (n, m, 5) of its quantities to its outputs;
-    gradient: derivatives of `TiltedResults.vector` with respect to the means of all groups. segments: the segments with their
-    attitude at the beginning of the recording; seconds: recorded durations; home: the home orientation in words; units: units of
-    the outputs. fixture: influences on the angles of the axes, (m, r) in rad, if these angles come from a calibration instead of
+    """The data from which the influences are computed. answers: for each group, sensitivities (n, m, 5) of its quantities to its
+    outputs; gradient: derivatives of `TiltedResults.vector` with respect to the means of all groups. segments: the segments with
+    their attitude at the start of the recording; seconds: recorded durations, s; home: the home orientation in words; units: units
+    of the outputs. fixture: (m, r), rad, influences on the angles of the axes, if these angles come from a calibration instead of
     the plan."""
 
     groups: tuple[Group, ...]
@@ -62,14 +63,15 @@ class Situation:
     fixture: tuple[Influence, ...] = ()
 
     def again(self, conditions: TiltedConditions) -> Array:
-        """The vector of the results under other conditions, with zero for results that cannot be computed."""
+        """`TiltedResults.vector` for other conditions, with zero for results that cannot be computed."""
         return np.nan_to_num(evaluate(self.groups, conditions, self.reference, self.worst).vector)
 
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """Rounding error in the means of one output. share: rounding error of a mean divided by the rounding error of a single sample,
-    1 if the rounding does not average out; in_scatter: True if the samples vary, so that their scatter includes the rounding error."""
+    """The rounding error in the means of one output. share: rounding error of a mean divided by the rounding error of a single
+    sample, 1 if the rounding errors do not average out; in_scatter: True if the samples vary, so that their scatter includes the
+    rounding error."""
 
     share: float
     in_scatter: bool
@@ -84,9 +86,9 @@ def influences(
     flicker: Sequence[CorrelatedError] = (),
     drifts: Mapping[int, float] | None = None,
 ) -> list[Influence]:
-    """Influences on `TiltedResults.vector`. inputs: values that bench and plan state with an uncertainty; common: relative error
-    that is common to all rates; rounding: output → rounding error; flicker: declared flicker of the segments' means, if the basis
-    uses it; drifts: index of an axis → half of the change of its zero."""
+    """The influences on `TiltedResults.vector`. inputs: values that bench and plan state with an uncertainty; common: relative
+    error that all rates have in common; rounding: maps each output to the rounding error of its means; flicker: declared flicker of
+    the segments' means, if the basis of uncertainty uses it; drifts: maps the index of an axis to half of the change of its zero."""
     found = [
         *_calibrated_fixture(situation),
         *influences_on(situation.again, _conditions(situation, inputs, common)),
@@ -101,8 +103,8 @@ def influences(
 def _conditions(
     situation: Situation, inputs: Inputs, common: InputQuantity
 ) -> Iterator[StatedCondition[TiltedConditions]]:
-    """The conditions that change with inputs of stated uncertainty. The bench states the error of each rate, which is the same at
-    every repetition. The plan states the error that is common to all rates."""
+    """The conditions of the evaluation, as functions of those inputs that are stated with an uncertainty. The bench states the
+    error of each rate, which is the same whenever this rate is repeated. The plan states the error that all rates have in common."""
     conditions, site = situation.conditions, situation.site
     axes, commanded = conditions.axes, conditions.commanded
     if not situation.fixture:
@@ -139,7 +141,7 @@ def _conditions(
 
 
 def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:
-    """Influences of the calibrated angles of the axes on the results."""
+    """The influences of the calibrated angles of the axes on the results."""
     if situation.fixture:
         angles = range(len(situation.conditions.axes.names))
         moved = [partial(_with_angle, situation.conditions, k) for k in angles]
@@ -148,7 +150,7 @@ def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:
 
 
 def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
-    """Influence of an error of the thermometer, which shifts all temperatures equally: K then belongs to a different temperature,
+    """The influence of an error of the thermometer that shifts all temperatures equally. K then belongs to a different temperature,
     but the temperature coefficient of K does not change."""
     stated, found = inputs.get("temperature"), situation.found
     if stated is None or not np.isfinite(found.coefficient).all():
@@ -161,7 +163,7 @@ def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
 
 
 def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rounding]) -> Iterator[Influence]:
-    """Influence of the rounding of each mean; the rounding error is the same in every repeat."""
+    """The influence of the rounding of each mean. The rounding error is assumed to be the same in every repeat."""
     for axis, output in enumerate(situation.conditions.axes.outputs):
         stated, left = inputs.of_output(Aspect.RESOLUTION, output), rounding.get(output)
         if stated is not None and left is not None:
@@ -170,8 +172,8 @@ def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rou
 
 
 def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: str) -> Iterator[Influence]:
-    """Influences of flicker, which act through the means of all segments at the times of these segments. On the basis `residual`,
-    the covariance already includes these influences."""
+    """The influences of flicker, which changes the means of all segments according to the times of these segments. On the basis
+    `residual`, the covariance of the results already includes these influences."""
     if not flicker:
         return
     each = [
@@ -186,8 +188,8 @@ def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: st
 def unstated_influences(
     situation: Situation, silent: Sequence[CorrelatedError], basis: str
 ) -> Iterator[tuple[CorrelatedError, Influence]]:
-    """Influences of flicker of unknown size on `TiltedResults.vector`. On the basis `repeats`, only the part that is common to all
-    repeats is given, because the scatter of the repeats shows the remainder."""
+    """The influences of flicker of unknown size on `TiltedResults.vector`, each together with this flicker. On the basis `repeats`,
+    only the part that all repeats have in common is given, because the scatter of the repeats shows the other part."""
     for error in silent:
         if basis == "repeats":
             pairs = zip(situation.groups, situation.answers, strict=True)
@@ -198,11 +200,11 @@ def unstated_influences(
 
 
 def _zero_drift(situation: Situation, basis: str, drifts: Mapping[int, float]) -> Iterator[Influence]:
-    """Influence of a drift of the zero. During the rates, the zero may differ from the mean of start zero and end zero by half of
-    their difference, in either direction.
+    """The influence of a drift of the zero. During the rates, the zero is assumed to differ from the mean of start zero and end
+    zero by at most half of the difference between the two, in either direction.
 
-    Two shapes of the drift are included: an offset of all rates, and a steady change from one end of the series to the other. A
-    steady change causes residuals about the line, so on the basis `residual` the scatter includes it; an offset causes no
+    The drift may have two shapes: the same offset at all rates, or a steady change from one end of the series to the other. A
+    steady change causes residuals about the line, so on the basis `residual` the scatter already includes it; an offset causes no
     residuals.
     """
     courses = _offset if basis == "residual" else _drift_courses
@@ -228,8 +230,8 @@ def _drift_courses(n: int) -> dict[str, Array]:
 def _by_courses(
     situation: Situation, quantity: InputQuantity, axis: int, courses: Callable[[int], dict[str, Array]]
 ) -> Influence:
-    """Influence of an error of one output that has a given shape over the n rates of a series. The error is separate for each
-    temperature."""
+    """The influence of an error of one output, where `courses` gives the shape of the error over the n rates of a series. The
+    errors at different temperatures are independent of each other."""
     columns, parts = [], []
     width = situation.answers[0].shape[1] * len(QUANTITIES)
     for k, (group, answers) in enumerate(zip(situation.groups, situation.answers, strict=True)):

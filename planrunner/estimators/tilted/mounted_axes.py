@@ -1,7 +1,8 @@
-"""Input axes in a tilted fixture: which output belongs to which axis of `mounting`, and the directions of the axes in the fixture.
+"""Describes input axes in a tilted fixture: which output belongs to which axis of `mounting`, and the directions of the axes in the
+fixture.
 
-The fixture's frame is the sensor's frame of the plan's orientations: angles are measured from its z axis, which lies along the
-rotation axis of the table, and azimuths are measured from x, right-handed about z.
+The fixture's frame is the frame that the plan's orientations call the sensor's frame. Its z axis lies along the rotation axis of
+the table. Angles of the axes are measured from z; azimuths are measured from x, right-handed about z.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ ALONG = 1e-5  # rad by which the fixture's z axis may stand off the rotation axi
 
 @dataclass(frozen=True, slots=True)
 class MountedAxes:
-    """m input axes. names: names of the axes in `mounting`; outputs: the channels of the axes.
+    """The m input axes in a fixture. names: names of the axes in `mounting`; outputs: names of the channels of the axes.
 
-    angles, azimuths: (m,), rad, NaN for an azimuth that is not stated; tilt: (2,), rad, a small rotation of all axes about the
-    fixture's x and y, for the computation of sensitivities.
+    angles: (m,), rad; azimuths: (m,), rad, NaN for an azimuth that is not stated; tilt: (2,), rad, a small rotation of all axes
+    about the fixture's x and y axes, from which sensitivities are computed.
     """
 
     names: tuple[str, ...]
@@ -38,7 +39,7 @@ class MountedAxes:
 
     @property
     def directions(self) -> Array:
-        """Unit vectors in the fixture's frame, shape (m, 3); an azimuth that is not stated is treated as zero."""
+        """The unit vectors (m, 3) along the axes in the fixture's frame. An azimuth that is not stated is treated as zero."""
         azimuths = np.nan_to_num(self.azimuths)
         across = np.sin(self.angles)
         x, y, z = across * np.cos(azimuths), across * np.sin(azimuths), np.cos(self.angles)
@@ -46,18 +47,18 @@ class MountedAxes:
         return np.column_stack([x + about_y * z, y - about_x * z, z + about_x * y - about_y * x])
 
     def require_azimuths(self, why: str) -> None:
-        """Raises `EstimationError` if an azimuth is not stated. why: the end of the message, after "which"."""
+        """Raises `EstimationError` if an azimuth is not stated. why: the end of the error message, which follows the word "which"."""
         for name, azimuth in zip(self.names, self.azimuths, strict=True):
             if math.isnan(azimuth):
                 raise EstimationError(f"mounting.{name} states no azimuth, which {why}")
 
 
 def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:
-    """The axes whose outputs are `chosen`, or all axes of `mounting` if no output is chosen; an output belongs to the axis with
-    which its name ends.
+    """The axes of the outputs `chosen`. If no output is chosen, these are all axes of `mounting`. An output belongs to the axis
+    with whose name its own name ends.
 
-    mounting: name → `planrunner.plan.model.MountedAxis`; available: the existing channels. Raises `EstimationError` for an axis
-    without an output, and for an output without an axis.
+    mounting: maps the name of an axis to its `planrunner.plan.model.MountedAxis`; available: names of the existing channels. Raises
+    `EstimationError` for an axis without an output, and for an output without an axis.
     """
     if not mounting:
         raise EstimationError(
@@ -79,8 +80,8 @@ def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], 
 
 
 def seeing(axes: MountedAxes) -> MountedAxes:
-    """Returns the axes unchanged, after checking that each of them senses the rate. Raises `EstimationError` for an axis
-    perpendicular to the rotation axis."""
+    """Checks that each axis senses the rate, and returns the axes unchanged. Raises `EstimationError` for an axis perpendicular to
+    the rotation axis."""
     for name, angle in zip(axes.names, axes.angles, strict=True):
         if abs(math.cos(angle)) < BLIND:
             raise EstimationError(
@@ -91,10 +92,10 @@ def seeing(axes: MountedAxes) -> MountedAxes:
 
 
 def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
-    """Direction about which each segment spins, in the fixture's frame, (n, 3); zero for a segment that does not spin.
+    """The direction (n, 3), in the fixture's frame, about which each segment spins; zero for a segment that does not spin.
 
-    In an unknown orientation, z is assumed to lie along the rotation axis. along_z: True to raise `EstimationError` if z does not
-    lie along the rotation axis, because the angles of the mounting are measured from z.
+    If the orientation of a segment is unknown, z is assumed to lie along the rotation axis. along_z: True if an `EstimationError`
+    is raised when z does not lie along the rotation axis; the angles of the mounting are measured from z.
     """
     found = np.zeros((len(segments), 3))
     for row, segment in enumerate(segments):

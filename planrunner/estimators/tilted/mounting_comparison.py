@@ -1,9 +1,9 @@
-"""Comparison of one tilted mounting of all axes with a separate mounting of each axis: duration of the test, and uncertainty.
+"""Compares one tilted mounting of all axes with a separate mounting of each axis: duration of the test, and uncertainty.
 
 A tilted axis is at the angle θ from the rotation axis and senses the rate times cos θ. An axis along the rotation axis senses the
-whole rate, so the relative effect of noise is smaller by the factor cos θ. A small misalignment δ causes a relative error of 1 −
-cos δ for the axis along the rotation axis, and of δ·tan θ for the tilted axis. Each mounting takes the same schedule, including its
-temperature cycle, and additional time for mounting.
+whole rate, so the relative effect of noise on it is smaller by the factor cos θ. A small misalignment δ causes a relative error of
+1 − cos δ for an axis along the rotation axis, and of δ·tan θ for the tilted axis. Each separate mounting needs the same schedule,
+including its temperature cycle, and additional time for the mounting itself.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from planrunner.plan.schedule import Segment
 
 
 def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | None]) -> float:
-    """Planned time [s] from the first move to the end of the last segment. A dwell that the plan does not state counts with its
+    """The planned time [s] from the first move to the end of the last segment. A dwell that the plan does not state counts with its
     recorded length.
 
-    seconds: recorded durations. If the schedule has no times, because a recording is played back, the sum of the dwells is
-    returned.
+    seconds: recorded durations of the segments, s. If the schedule has no times, because a recording is played back, the sum of the
+    dwells is returned.
     """
     lasting = [segment.dwell or own or 0.0 for segment, own in zip(segments, seconds, strict=True)]
     waiting = [segment.transition + segment.waiting for segment in segments]
@@ -33,8 +33,8 @@ def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | Non
 
 
 def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
-    """The table of the comparison. noise: (m,), relative standard uncertainty of K from the noise within the segments; angle: (m,),
-    standard uncertainty of the axis's angle θ, rad.
+    """The table that compares the two kinds of mounting. noise: (m,), relative standard uncertainty of K due to the noise within
+    the segments; angle: (m,), standard uncertainty of the axis's angle θ, rad.
 
     In a separate mounting, the axis is tilted about each of two directions by a random angle with the standard deviation `angle`.
     If the total tilt is δ, then 1 − cos δ has the expectation angle² and the standard deviation angle².

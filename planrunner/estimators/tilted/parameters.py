@@ -1,4 +1,4 @@
-"""Keys of a plan for scale factors of several axes in one tilted mounting."""
+"""The plan keys for scale factors of several axes in one tilted mounting."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ THERMOMETER = "sensor_temperature"
 
 
 class ScaleFactorTiltedParameters(Record):
-    """Keys of the estimator scale_factor_tilted."""
+    """The keys of the estimator `scale_factor_tilted`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),

@@ -1,4 +1,5 @@
-"""Predictions for tilted axes from planned rates, before anything moves: expected uncertainties, and missing parts of the plan."""
+"""Predicts scale factors of tilted axes from planned rates, before anything moves: the expected uncertainties, and missing parts of
+the plan."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ FEEBLE = 0.1  # cosine (84.3 deg) below which an axis sees a tenth of the rate, 
 
 
 def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
-    """Makes the design from planned segments. Raises `EstimationError` if the plan is not suitable for the method."""
+    """The design of the estimator for planned segments. Raises `EstimationError` if the plan is not suitable for the method."""
     outputs = [output.name for output in request.sensor.outputs]
     axes = seeing(mounted_axes(request.setup.mounting, outputs, request.parameters.outputs))
     require_calibration(axes, request.uses)
@@ -49,8 +50,8 @@ def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
 
 
 def _blocks(request: DesignRequest[ScaleFactorTiltedParameters], axes: MountedAxes) -> tuple[DesignBlock, ...]:
-    """Design blocks: for each output, a line through all planned rates. The rate of the table is used instead of the rate along the
-    axis."""
+    """Makes the design blocks: for each output, a straight line through all planned rates. The blocks contain the rate of the table
+    instead of the rate along the axis."""
     spins = tuple(segment for segment in request.segments if segment.rate)
     rates = np.array([segment.rate for segment in spins])
     matrix, magnitudes = line_through(rates)

@@ -1,9 +1,9 @@
-"""Straight lines through many series of rates at once: F_j = K·x_j + F_0 + ν_j, fitted by ordinary least squares.
+"""Fits straight lines through many series of rates simultaneously: F_j = K·x_j + F_0 + ν_j, by ordinary least squares.
 
-The module also fits the two half-lines that meet at zero rate, for the asymmetry, and computes the change of the output between the
+For the asymmetry, the module also fits two half-lines that meet at zero rate. It also computes the change of the output between the
 lowest rates.
 
-It also gives the units of a scale factor, which is an output divided by a rate.
+Other functions give the unit of a scale factor, which is an output divided by a rate.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding
 
 @dataclass(frozen=True, slots=True)
 class RateLines:
-    """Fits of q series on m axes. slope, offset: (q, m); residuals: (q, n, m); asymmetry: (q, m), 2·(K₊ − K₋)/(K₊ + K₋), NaN if the
-    rates do not allow it; response: (q, m), change of the output between the two lowest rates, divided by the change that the line
-    gives."""
+    """The fits of q series of n rates on m axes. slope: (q, m); offset: (q, m); residuals: (q, n, m); asymmetry: (q, m), 2·(K₊ −
+    K₋)/(K₊ + K₋), NaN if the rates do not allow it; response: (q, m), change of the output between the two lowest rates, divided by
+    the change according to the line."""
 
     slope: Array
     offset: Array
@@ -33,13 +33,14 @@ class RateLines:
 
 
 def line_through(rates: Array) -> tuple[Array, Array]:
-    """The design of a line through rates (n,), rad/s: the columns for offset and rate, (n, 2), and the sizes of these columns,
-    (2,)."""
+    """The design of a line through rates (n,), rad/s: the matrix (n, 2) with the columns for offset and rate, and the magnitudes
+    (2,) of these columns."""
     return np.column_stack([np.ones(len(rates)), rates]), np.array([1.0, np.abs(rates).max(initial=1e-12)])
 
 
 def fit_lines(x: Array, f: Array) -> RateLines:
-    """Fits the lines. x: input of each axis, (q, n, m), rad/s; f: outputs minus the rest value, (q, n, m). The rates must differ."""
+    """Fits a line to each series of each axis. x: input of each axis, (q, n, m), rad/s; f: outputs minus the rest value, (q, n, m).
+    The rates of a series must not all be equal."""
     centre = x.mean(axis=1, keepdims=True)
     off = x - centre
     slope = np.sum(off * f, axis=1) / np.sum(off * off, axis=1)
@@ -49,8 +50,8 @@ def fit_lines(x: Array, f: Array) -> RateLines:
 
 
 def lowest_pair(x: Array) -> tuple[int, int]:
-    """Indices of the lowest positive and the lowest negative rate of a series (n,) by absolute value; if all rates have the same
-    sign, of the two lowest rates."""
+    """The indices of the lowest positive rate and of the negative rate with the smallest magnitude in a series (n,). If all rates
+    have the same sign, these are the indices of the two lowest rates."""
     order = np.argsort(np.abs(x), kind="stable")
     positive, negative = [k for k in order if x[k] > 0], [k for k in order if x[k] < 0]
     first, second = (positive[0], negative[0]) if positive and negative else (order[1], order[0])
@@ -63,9 +64,9 @@ def _response(x: Array, f: Array, slope: Array) -> Array:
 
 
 def _asymmetry(x: Array, f: Array) -> Array:
-    """The asymmetry of each series and axis, from normal equations of columns divided by the largest rate. NaN for axes whose
-    inputs all have the same sign (for example, because the Earth's rotation is larger than the rates), or are too few to separate
-    the half-lines."""
+    """The asymmetry of each series and axis. It is NaN for axes whose inputs all have the same sign (for example, because the
+    Earth's rotation is larger than the rates), or whose inputs are too few to separate the half-lines. It is computed from normal
+    equations of columns that are divided by the largest rate."""
     told = np.full((x.shape[0], x.shape[2]), np.nan, dtype=f.dtype)
     if np.unique(x[0, :, 0]).size < ENOUGH:
         return told
@@ -81,13 +82,13 @@ def _asymmetry(x: Array, f: Array) -> Array:
 
 
 def asymmetry(forward: Array, backward: Array) -> Array:
-    """The asymmetry 2·(K₊ − K₋)/(K₊ + K₋)."""
+    """The asymmetry 2·(K₊ − K₋)/(K₊ + K₋) of the scale factors K₊ (`forward`) and K₋ (`backward`)."""
     return 2 * (forward - backward) / (forward + backward)
 
 
 def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
-    """The units of the rate and of the output. Raises `EstimationError` for texts that are not units, and for a `rate_unit` that is not
-    a unit of angular rate."""
+    """The units of the rate and of the output. Raises `EstimationError` for a text that is not a unit, and for a `rate_unit` that
+    is not a unit of angular rate."""
     try:
         rate, own = unit(rate_unit), unit(output_unit)
     except UnknownUnitError as error:
@@ -100,8 +101,8 @@ def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
 
 
 def slope_unit(rate: Unit, own: Unit) -> tuple[str, float]:
-    """The unit of K, and the factor that converts (output unit)/(rad/s) to it. For an output that is itself a rate, K is a plain
-    ratio."""
+    """The unit of the scale factor K, and the factor that converts (output unit)/(rad/s) to this unit. If the output is itself a
+    rate, K is a ratio without a unit."""
     if own.dimension == rate.dimension:
         return "1", own.factor
     return f"({own.text})/({rate.text})", rate.factor

@@ -1,6 +1,7 @@
-"""Series of rates: a start zero, the rates one after the other, and an end zero. A series is repeated at each temperature.
+"""Finds series of rates. A series consists of a start zero, the rates one after the other, and an end zero. At each temperature, a
+series may be repeated.
 
-The segment after an end zero begins the next series, and so does a segment at a new temperature.
+The segment after an end zero begins the next series, and so does a segment at another temperature.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 @dataclass(frozen=True, slots=True)
 class RateSeries:
-    """Indices of the segments of one series. temperature: planned temperature, K; None if the plan does not state it."""
+    """The indices of the segments of one series. temperature: planned temperature, K; None if the plan does not state it."""
 
     name: str
     temperature: float | None
@@ -32,7 +33,7 @@ class RateSeries:
 
     @property
     def lacks(self) -> Said | None:
-        """Describes the missing parts; None if the series is complete."""
+        """A text that names the missing parts; None if the series is complete."""
         parts = {said("start zero"): self.start, said("end zero"): self.end, said("rates"): self.spins}
         missing = [what for what, held in parts.items() if not held]
         if not missing:
@@ -45,8 +46,8 @@ class RateSeries:
 
 
 def split_series(segments: Sequence[Segment], zero: Sequence[str]) -> tuple[RateSeries, ...]:
-    """The series in `segments`, which are in the order of the plan. zero: patterns for the labels of the segments at rest before
-    and after the rates; other segments at rest, such as pauses, belong to no series.
+    """Divides segments, which are in the order of the plan, into series. zero: patterns for the labels of the segments at rest
+    before and after the rates; other segments at rest, such as pauses, belong to no series.
 
     Raises `EstimationError` for a motion that is not a constant rate, and for rates about different directions.
     """
@@ -67,7 +68,7 @@ def split_series(segments: Sequence[Segment], zero: Sequence[str]) -> tuple[Rate
 
 
 def by_temperature(series: Sequence[RateSeries]) -> dict[float | None, tuple[RateSeries, ...]]:
-    """The repeats at each planned temperature [K]; the temperatures are in the order in which they first occur."""
+    """The repeats at each planned temperature [K], by temperature, in the order in which the temperatures first occur."""
     found: dict[float | None, list[RateSeries]] = {}
     for one in series:
         found.setdefault(one.temperature, []).append(one)
@@ -105,7 +106,7 @@ def _one_rotation_axis(segments: Sequence[Segment]) -> None:
 
 
 def _series(segments: Sequence[Segment], start: list[int], spins: list[int], end: list[int]) -> RateSeries:
-    """Name of a series: the common beginning of its labels, such as `20degC/r1`."""
+    """Makes a series. Its name is the part with which all its labels begin, such as `20degC/r1`."""
     every = [*start, *spins, *end]
     paths = [segments[index].label.split("/") for index in every]
     shared = [parts[0] for parts in takewhile(lambda parts: len(set(parts)) == 1, zip(*paths, strict=False))]

@@ -1,4 +1,4 @@
-"""Report on tilted scale factors: tables, plots, and notes on how reliable the results are."""
+"""Makes the report on tilted scale factors: tables, plots, and notes on how reliable the results are."""
 
 from __future__ import annotations
 
@@ -122,8 +122,8 @@ def _residuals(situation: Situation, units: Units) -> Table:
 
 
 def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Table:
-    """The response at the lowest rate by IEEE Std 528, and the smallest change of rate that can be distinguished from noise in a
-    recording at this rate: k·√2·u, where u is the standard uncertainty of the mean."""
+    """A table of the response at the lowest rate (IEEE Std 528), and of the smallest change of rate that can be distinguished from
+    noise in a recording at this rate: k·√2·u, where u is the standard uncertainty of the mean."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)
@@ -326,7 +326,7 @@ def _warnings(situation: Situation) -> list[Said]:
 
 
 def _spread(scatter: Scatter, situation: Situation) -> Array:
-    """Standard uncertainty of K from the data alone, (g, m)."""
+    """The standard uncertainty (g, m) of K from the data alone."""
     diagonal = np.diagonal(scatter.covariance, axis1=1, axis2=2)
     return np.sqrt(diagonal).reshape(situation.found.means.shape)[..., K]
 
@@ -338,8 +338,8 @@ def _relative(spread: Array, situation: Situation) -> Array:
 
 
 def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
-    """Standard uncertainty of each axis's angle [rad], derived from the contribution of the angle to the uncertainty of K; zero if
-    no uncertainty is stated."""
+    """The standard uncertainty [rad] of each axis's angle, from the plan or from the calibration of the fixture; zero if none is
+    stated."""
     axes = situation.conditions.axes
     stated = {f"fixture angle {name}": k for k, name in enumerate(axes.names)}
     found = np.zeros(len(axes.names))

@@ -1,4 +1,5 @@
-"""Names, units and descriptions of the results for tilted axes, and their conversion to an `Estimate` or to predictions.
+"""Gives the names, units and descriptions of the results for tilted axes, and converts the results to an `Estimate` or to
+predictions.
 
 The name of a coefficient is `K_x` at the reference temperature; at other temperatures it includes the temperature, such as
 `K_x_-40degC`.
@@ -44,7 +45,7 @@ HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeat
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One result: its index in `TiltedResults.vector`, and its form in reports: value × factor in `unit`."""
+    """One reported result: its index in `TiltedResults.vector`, and the factor that converts it to `unit`."""
 
     at: int
     quantity: str
@@ -58,8 +59,8 @@ class Item:
 def items(
     found: TiltedResults, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
 ) -> tuple[Item, ...]:
-    """The results that exist; the results at the reference temperature come first. units: the unit of the rate, and the unit of
-    each axis's output."""
+    """The results that can be computed; those at the reference temperature come first. units: for each axis, the unit of the rate
+    and the unit of the output."""
     listed = [item for k in _order(len(groups), reference) for item in _at(found, groups, axes, units, k, reference)]
     return tuple(item for item in listed if np.isfinite(found.vector[item.at]))
 
@@ -67,7 +68,8 @@ def items(
 def coefficients(
     found: TiltedResults, kept: Sequence[Item], covariance: Array, freedom: Array
 ) -> tuple[Coefficient, ...]:
-    """The coefficients of the estimate. covariance, freedom: covariance and degrees of freedom of `TiltedResults.vector`."""
+    """The coefficients of the estimate. covariance: covariance of `TiltedResults.vector`; freedom: degrees of freedom of
+    `TiltedResults.vector`."""
     spread = np.sqrt(np.diag(covariance))
     return tuple(
         Coefficient(
@@ -86,8 +88,8 @@ def coefficients(
 def over_temperature(
     kept: Sequence[Item], shown: Sequence[Coefficient], groups: Sequence[Group], axes: MountedAxes, reference: int
 ) -> dict[str, object]:
-    """The scale factors at each temperature, in the form of `extra` that `interface.Estimate` describes; empty if no temperature is
-    known."""
+    """The scale factors at each temperature, in the form that `interface.Estimate` describes for its field `extra`; empty if no
+    temperature is known."""
     known = [k for k in range(len(groups)) if np.isfinite(groups[k].kelvin)]
     of = {item.name: one for item, one in zip(kept, shown, strict=True)}
     held: dict[str, object] = {}

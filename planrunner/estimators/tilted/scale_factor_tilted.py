@@ -1,10 +1,11 @@
-"""Scale factors of several axes in one tilted mounting (提高标度因数测试效率的方法, Xi'an Aerospace Precision Electromechanical, 2022).
+"""Estimates scale factors of several axes in one tilted mounting (提高标度因数测试效率的方法, Xi'an Aerospace Precision Electromechanical,
+2022).
 
-For each temperature and repeat, F_r is the mean of the zero readings before and after the rates. F_j − F_r = K·cos θ·ω_j + F_0 +
-ν_j is fitted by ordinary least squares to the outputs F_j at the rates ω_j. The names of the metrics follow IEEE 952 and 1431. The
-source does not treat the Earth's rotation. The component along the rotation axis cancels with F_r. The other components turn with
-the table, so whole turns average them out of F_j. They remain in the zero readings at the home position, so F_0 contains these
-components unless they are corrected for.
+For each temperature and repeat, F_r is the mean of the zero readings before and after the rates. The line F_j − F_r = K·cos θ·ω_j +
+F_0 + ν_j is fitted by ordinary least squares to the outputs F_j at the rates ω_j. The names of the metrics follow IEEE 952 and
+1431. The source does not treat the Earth's rotation. Its component along the rotation axis is the same in F_j and F_r, and so
+cancels. Its other components turn with the table, so their average over whole turns in F_j is zero. They remain in the zero
+readings F_r at the home position, so F_0 contains these components unless they are corrected for.
 """
 
 from __future__ import annotations
@@ -76,9 +77,10 @@ from planrunner.uncertainty.influences import Influence
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TiltedQuantities(Quantities):
-    """Quantities of a scale-factor test in a tilted fixture. kept: labels of the segments in complete series; units: the unit of
-    the rate, and the unit of each output. within: scatter from the noise within the segments alone; acting: influences on
-    `TiltedResults.vector`; doubts: warnings about series that are omitted and about zeros that drift too much."""
+    """The results of a scale-factor test in a tilted fixture. kept: labels of the segments in complete series; units: for each
+    axis, the unit of the rate and the unit of the output. scatter: type A uncertainty on the chosen basis; within: type A
+    uncertainty from the noise within the segments alone; acting: influences on `TiltedResults.vector`; doubts: warnings about
+    series that are left out and about zeros that drift too much."""
 
     situation: Situation
     kept: tuple[str, ...]
@@ -93,14 +95,14 @@ class TiltedQuantities(Quantities):
 
 
 class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
-    """The estimator `scale_factor_tilted`."""
+    """The estimator with the name `scale_factor_tilted`."""
 
     name = "scale_factor_tilted"
     summary = "Scale factors of several axes in one tilted mounting, over rates, repeats and temperatures"
     Parameters = ScaleFactorTiltedParameters
 
     def design(self, request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
-        """Checks the lines through the planned rates, and reports missing parts of the plan. Raises `EstimationError`."""
+        """Checks the lines through the planned rates, and reports parts that the plan lacks. Raises `EstimationError`."""
         return tilted_planning.design(request)
 
     def quantities(self, request: EstimateRequest[ScaleFactorTiltedParameters]) -> TiltedQuantities:
@@ -172,7 +174,7 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
         )
 
     def words(self, request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> Words:
-        """Makes the tables and plots of the results for all rates, repeats and temperatures."""
+        """Makes the tables and plots of the results at all rates, repeats and temperatures."""
         parameters = request.parameters
         situation = found.situation
         told = report(situation, found.units, found.scatter, found.within, found.noise, found.acting, parameters)
@@ -200,8 +202,8 @@ def _unstated(
     freedom: Array,
     shown: Sequence[Item],
 ) -> tuple[UnstatedFlicker, ...]:
-    """The flicker of the outputs for which the bench file states no flicker. sigma: (N, m), freedom: (m,), both as returned by
-    `_sigma`."""
+    """The effect of flicker on the coefficients, for outputs for which the bench file states no flicker. sigma: (N, m), noise of
+    each segment's mean; freedom: (m,), degrees of freedom of this noise; both as `_sigma` returns them."""
     silent = unstated_flicker(observations, request.setup.inputs, SPAN.value)
     found = []
     for error, influence in unstated_influences(situation, silent, request.parameters.uncertainty):
@@ -223,8 +225,8 @@ def _unstated(
 
 
 def _against_declared(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[Said]:
-    """Warnings about outputs whose scale factor differs from the nominal value. If no nominal scale factor is declared for an
-    output of angular rate, the nominal value is one."""
+    """Warnings about outputs whose scale factor differs from the nominal value. For an output of angular rate without a declared
+    scale factor, the nominal value is one."""
     axes, slopes = found.situation.conditions.axes, found.situation.found.means[found.situation.reference, :, K]
     named: list[tuple[str, float, float]] = []
     plain: list[AxisResponse] = []
@@ -272,7 +274,7 @@ def _situation(
 def _complete(
     request: EstimateRequest[ScaleFactorTiltedParameters],
 ) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[Said]]:
-    """The recorded segments of complete series, the complete series, and warnings about the other series."""
+    """The recorded segments of complete series; the complete series; and warnings about the other series."""
     recorded = request.segments
     series = split_series([one.segment for one in recorded], request.parameters.zero)
     whole_ones: list[RateSeries] = []
@@ -358,7 +360,7 @@ def _groups(
 
 
 def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
-    """Raises `UnfitDataError` for an output that is the same at all rates, for example because the sensor has no power."""
+    """Raises `UnfitDataError` for an output that is equal at all rates, for example because the sensor has no power."""
     for group in groups:
         silent = np.flatnonzero(np.any(np.ptp(group.outputs, axis=1) == 0, axis=0))
         if silent.size:
@@ -373,7 +375,7 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
 def _measured(
     request: EstimateRequest[ScaleFactorTiltedParameters], recorded: Sequence[RecordedSegment], planned: float | None
 ) -> float:
-    """The mean temperature of the sensor [K]: as recorded, else as planned, else NaN."""
+    """The mean temperature of the sensor [K]: the recorded temperature, otherwise the planned temperature, otherwise NaN."""
     wanted = request.parameters.temperature
     channel = wanted or THERMOMETER
     if wanted is None and any(channel not in one.statistics.channels for one in recorded):
@@ -397,9 +399,9 @@ def _sigma(
     observations: Observations,
     flicker: Sequence[CorrelatedError],
 ) -> tuple[Array, Array]:
-    """Noise of each segment's mean (N, m), without the part that flicker adds to the scatter within the segments, and the degrees
-    of freedom of this noise (m,). An output without visible noise is treated as noiseless, unless the uncertainties are based on
-    this noise."""
+    """The noise (N, m) of each segment's mean, without the part that flicker adds to the scatter within the segments; and the
+    degrees of freedom (m,) of this noise. An output whose noise is not visible counts as noiseless. If the uncertainties are based
+    on this noise, an `EstimationError` is raised instead."""
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
         raise EstimationError(
@@ -425,8 +427,8 @@ def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[Said]:
 def _rounding(
     request: EstimateRequest[ScaleFactorTiltedParameters], kept: Sequence[RecordedSegment], axes: MountedAxes
 ) -> dict[str, Rounding]:
-    """For each output, how its rounding acts on the means: if noise dithers the samples, the rounding errors average out; otherwise
-    a mean has the rounding error of a single sample."""
+    """For each output, how much rounding error remains in the means. If noise dithers the samples, their rounding errors average
+    out; otherwise a mean has the rounding error of a single sample."""
     found = {}
     for output in axes.outputs:
         variances = [float(np.diag(one.statistics.covariance)[one.statistics.of(output)]) for one in kept]

@@ -1,13 +1,14 @@
-"""Type A uncertainty of tilted scale factors on the basis selected in the plan.
+"""Computes the type A uncertainty of tilted scale factors on the basis that the plan selects.
 
-repeats scatter of each quantity from repeat to repeat: includes all effects that differ between repeats residual scatter of the means
-over the repeats about the line, with the correlations of declared flicker within_segment noise within the segments alone
+    repeats         scatter of each quantity from repeat to repeat; it includes all effects that differ between repeats
+    residual        scatter of the means over the repeats about the line, with the correlations of declared flicker
+    within_segment  noise within the segments alone
 
 The module also judges the drift of the zero between the readings before and after the rates.
 
-The type A uncertainty includes the noise of the zeros. If flicker is declared, the type A uncertainty also includes the flicker;
-the drift of a series is one sample of this flicker. A drift is added separately only if noise and flicker together do not explain
-it. Otherwise every interval would include the same noise twice.
+The type A uncertainty includes the noise of the zeros. If flicker is declared, the type A uncertainty also includes the flicker, of
+which the drift of a series is one sample. A drift is therefore added separately only if noise and flicker together do not explain it.
+Otherwise every interval would include the same noise twice.
 """
 
 from __future__ import annotations
@@ -43,8 +44,9 @@ BASES = ("repeats", "residual", "within_segment")
 
 @dataclass(frozen=True, slots=True)
 class NoiseOfMeans:
-    """Uncertainty of the means over the repeats: standard uncertainties of the outputs at the rates (g, n, m) and of F_r (g, m), in
-    the outputs' units; correlation: (m, m), between outputs; degrees_of_freedom: (m,)."""
+    """The uncertainty of the means over the repeats. rates: (g, n, m), standard uncertainties of the outputs at the rates, in the
+    outputs' units; rest: (g, m), standard uncertainties of the rest values F_r; correlation: (m, m), correlation between outputs;
+    degrees_of_freedom: (m,)."""
 
     rates: tuple[Array, ...]
     rest: Array
@@ -54,8 +56,9 @@ class NoiseOfMeans:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Scatter of the mean quantities of the groups. covariance: (g, 5·m, 5·m), covariance of the means of each group; the groups
-    are independent of each other. degrees_of_freedom: (g, 5·m). pooled: (5·m,), True if one variance is used at all temperatures."""
+    """The type A uncertainty of the mean quantities of the groups. covariance: (g, 5·m, 5·m), covariance of the mean quantities of
+    each group; the groups are independent of each other. degrees_of_freedom: (g, 5·m), degrees of freedom of the variances. pooled:
+    (5·m,), True if one variance is used for all temperatures."""
 
     covariance: Array
     degrees_of_freedom: Array
@@ -65,9 +68,9 @@ class Scatter:
 def scatter_between_repeats(
     found: TiltedResults, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[CorrelatedError] = ()
 ) -> Scatter:
-    """Type A uncertainty from the scatter of the repeats. A quantity's variance is pooled over the temperatures unless Bartlett's
-    test finds that it differs between them; the correlations between quantities come from the repeats of all temperatures. A part
-    of the declared flicker is common to the repeats, so that the scatter of the repeats cannot show it. This part is added.
+    """The type A uncertainty from the scatter of the repeats. The variance of a quantity is pooled over the temperatures, unless
+    Bartlett's test finds that it differs between them. The correlations between quantities come from the repeats of all
+    temperatures. All repeats have a part of the declared flicker in common. Their scatter cannot show this part, so it is added.
     answers: sensitivities of each group, from `answers_of`."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
@@ -97,9 +100,9 @@ def scatter_between_repeats(
 
 
 def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
-    """Variances (5·m,) of the means over the repeats that come from the part of the flicker that is common to different repeats:
-    the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, where f is the sensitivity of a repeat's quantities to the segments, and C
-    the covariance of the flicker; zero if this mean is negative."""
+    """The variances (5·m,) of the means over the repeats due to that part of the flicker which different repeats have in common. A
+    variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, where fᵣ is the sensitivity of the quantities of repeat r to the
+    segments, and C the covariance of the flicker; it is zero if this mean is negative."""
     gains, q = answers_to_averages(answers), len(group.spins)
     found = np.zeros(gains.shape[1:])
     for effect in flicker:
@@ -114,8 +117,8 @@ def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) 
 
 
 def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> NoiseOfMeans:
-    """Uncertainty of the means over the repeats. sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m, m),
-    correlation between outputs; freedom: (m,), degrees of freedom of sigma."""
+    """The uncertainty of the means over the repeats. sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m,
+    m), correlation between outputs; freedom: (m,), degrees of freedom of `sigma`."""
     spread = [np.sqrt(group.averages**2 @ sigma**2) for group in groups]
     return NoiseOfMeans(tuple(one[:-1] for one in spread), np.array([one[-1] for one in spread]), correlation, freedom)
 
@@ -128,9 +131,9 @@ def scatter_of_means(
     basis: str,
     flicker: Sequence[CorrelatedError] = (),
 ) -> Scatter:
-    """Type A uncertainty from the residuals of the means, or from the noise within the segments. answers: sensitivities of each
-    group, from `answers_of`. flicker: the declared flicker, which contributes to the residuals. Raises `EstimationError` if there
-    are no residuals but the basis is `residual`."""
+    """The type A uncertainty from the residuals of the means, or from the noise within the segments. answers: sensitivities of each
+    group, from `answers_of`. flicker: the declared flicker, which contributes to the residuals. Raises `EstimationError` if the
+    basis is `residual` and there are no residuals."""
     covariances, freedoms = [], []
     for k, group in enumerate(groups):
         gains = answers_to_averages(answers[k])
@@ -157,12 +160,13 @@ def scatter_of_means(
 def _about_the_line(
     group: Group, residuals: Array, noise: Array, flicker: Sequence[CorrelatedError]
 ) -> tuple[Array, Array]:
-    """Scatter of the outputs at the rates, from the residuals (n, m): one standard uncertainty for all rates of an output, (n, m),
-    and the covariances that flicker causes between the averages of `Group.averages`, (m, n + 1, n + 1).
+    """Computes the scatter of the outputs at the rates from the residuals (n, m): for each output, one standard uncertainty at all
+    rates, (n, m); and the covariances (m, n + 1, n + 1) that flicker causes between the averages of `Group.averages`.
 
-    Without declared flicker, s² = Σν²/(n − 2). With flicker, the covariance of the rates is proportional to V = σ²·1 + C, where σ²
-    is the mean square of `noise` (n, m), and C the covariance of the flicker. The residuals give one factor for both parts: the
-    minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), where X contains 1 and the rates. For C = 0 both formulas agree.
+    Without declared flicker, the variance is s² = Σν²/(n − 2) for the residuals ν. With flicker, the covariance of the rates is
+    proportional to V = σ²·1 + C, where σ² is the mean square of `noise` (n, m), and C the covariance of the flicker. The residuals
+    give a common factor for both parts: the minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), where the columns of X are 1 and the
+    rates. For C = 0 both formulas agree.
     """
     n, m = residuals.shape
     weights = group.averages
@@ -182,8 +186,8 @@ def _about_the_line(
 
 
 def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other: Array) -> Array:
-    """Degrees of freedom by Welch–Satterthwaite (JCGM 100:2008, G.4.1) of the sum of two variances: the variance of the residuals,
-    and the variance of the noise of the zeros, which causes no residuals."""
+    """The degrees of freedom of a sum of two variances by Welch–Satterthwaite (JCGM 100:2008, G.4.1): the variance of the
+    residuals, and the variance due to the noise of the zeros, which causes no residuals."""
     known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
     squares = one**2 / freedom_of_one + other**2 / known
     return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
@@ -209,7 +213,8 @@ def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, w
 
 
 def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
-    """The covariance of `TiltedResults.vector`, and the degrees of freedom of its elements. gradient: from `gradient_of`."""
+    """The covariance of `TiltedResults.vector`, and the degrees of freedom of its elements. gradient: derivatives from
+    `gradient_of`."""
     g, m, p = found.means.shape
     count, each = len(found.vector), m * p
     blocks = np.array(
@@ -236,8 +241,7 @@ def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradi
 
 
 def with_expected_repeatability(found: TiltedResults, groups: Sequence[Group], scatter: Scatter) -> TiltedResults:
-    """The results with the expected repeatability, computed from the scatter of the means, for a schedule that has not been
-    recorded."""
+    """The results of a schedule that has not been recorded, with the repeatability that is expected from the scatter of the means."""
     g, m, p = found.means.shape
     spread = np.sqrt(np.diagonal(scatter.covariance, axis1=1, axis2=2)).reshape(g, m, p)[..., K]
     repeats = np.array([len(group.names) for group in groups])
@@ -254,9 +258,9 @@ def _correlation(products: Array) -> Array:
 
 
 def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -> float:
-    """Half of the drift of an axis's zero: the root mean square over temperatures and repeats, without the contribution of noise.
+    """Half of the drift of an axis's zero, as a root mean square over temperatures and repeats, without the contribution of noise.
 
-    sigma: (N,), standard uncertainty of each segment's mean. shared: True to return only the part that is common to all repeats;
+    sigma: (N,), standard uncertainty of each segment's mean. shared: True to return only the part that all repeats have in common;
     this part includes noise.
     """
     drifts = [group.drift[:, axis] for group in groups]
@@ -268,9 +272,9 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
 
 
 def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[CorrelatedError]) -> set[int]:
-    """Axes whose zeros drifted by more than noise and declared flicker explain, by a χ² test of all drifts at 1 %.
+    """The axes whose zeros drifted by more than noise and declared flicker explain, by a χ² test of all drifts at 1 %.
 
-    sigma: (N, m), standard uncertainty of each segment's mean from noise; without noise and flicker, any drift is too large.
+    sigma: (N, m), standard uncertainty of each segment's mean from noise. Without noise and flicker, any drift counts as too large.
     """
     from scipy.special import chdtrc
 
@@ -287,8 +291,8 @@ def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[Corre
 
 
 def moved_alike(groups: Sequence[Group]) -> set[int]:
-    """Axes whose zeros drifted in the same way in all repeats, by more than the scatter between repeats explains. An F test at 1 %
-    compares the mean drifts at the temperatures with this scatter. Every group has at least two repeats."""
+    """The axes whose zeros drifted equally in all repeats, by more than the scatter between repeats explains. For this purpose, an
+    F test at 1 % compares the mean drifts at the temperatures with the scatter. Every group must have at least two repeats."""
     from scipy.special import fdtrc
 
     freedom = sum(len(group.drift) - 1 for group in groups)
