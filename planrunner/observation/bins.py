@@ -152,8 +152,8 @@ def _look_at(values: Array, counts: Array, out: Averaged) -> None:
 
 
 def _upper(values: Array, out: Averaged) -> None:
-    """Adds up the energy in the upper three quarters of the orders of a piece, which is from one eighth of the sampling rate
-    upwards."""
+    """Adds up the energy of a piece in the upper three quarters of the orders of the cosine transform: at frequencies above one
+    eighth of the sampling rate."""
     from scipy.fft import dct
 
     quarter = values.shape[1] // 4

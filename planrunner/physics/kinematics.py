@@ -175,8 +175,8 @@ def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> A
 
 
 def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
-    """The moves with the smallest value. Included are moves whose value is larger by so little that rounding, or the end of a
-    previous motion, could decide between them."""
+    """The moves with the smallest value. Moves whose value is larger by so little that rounding, or the end of a previous motion,
+    could decide between them are included."""
     most = min(values) * (1 + AS_QUICK) + ALIKE
     return [way for way, value in zip(ways, values, strict=True) if value <= most]
 

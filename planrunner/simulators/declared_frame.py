@@ -129,7 +129,7 @@ class Alarms:
 
     def told(self, ails: Collection[str]) -> tuple[int, bytes]:
         """The position of the status word and its bytes. ails: faults of the sensor. A fault affects the bits whose meaning
-        contains its name, or all bits if there are none."""
+        contains its name, or all bits if there are no such bits."""
         wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
         high = set(self.bits) - wrong if self.set_is_good else wrong
         return self.at, sum(1 << self.bits[text] for text in high).to_bytes(self.width, self.order)

@@ -29,14 +29,14 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @runtime_checkable
 class DeclaresAxes(Protocol):
-    """The keys of a table's driver that a simulation needs."""
+    """Those keys of a table's driver that a simulation needs."""
 
     axes: Sequence[object]
 
 
 @runtime_checkable
 class DeclaresLine(Protocol):
-    """The keys of the driver of a sensor on a serial line that a simulation needs."""
+    """Those keys of the driver of a sensor on a serial line that a simulation needs."""
 
     sample_rate: Quantity
     baud: int

@@ -1,5 +1,5 @@
-"""The messages of an Xsens MTi on the Xbus: MTData2 packets, changes of state, and errors. Each ends with the byte that makes its
-sum zero."""
+"""The messages of an Xsens MTi on the Xbus: MTData2 packets, changes of state, and errors. Each message ends with the byte that
+makes its sum zero."""
 
 from __future__ import annotations
 

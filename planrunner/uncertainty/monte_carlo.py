@@ -146,7 +146,7 @@ def validate(value: float, expanded: float, found: Interval, tolerance: float) -
 
 def influence_draws(influences: Sequence[Influence], m: int) -> Draws:
     """Draws the first-order contributions of inputs to m coefficients from the distributions of the inputs. Inputs that the scatter
-    of the data already contains are left out. Inputs that the scatter already contains are omitted.
+    of the data already contains are left out.
 
     Normal inputs are drawn together from their joint covariance.
     """

@@ -113,7 +113,9 @@ class WiredChamber(Commanded[AirCommands]):
 
 
 class ChamberDriver(CommandedDriver[K, AirCommands]):
-    """The driver of a real chamber. K: the record of its keys. Derived drivers give `Parameters` and `commands_of`."""
+    """Base of the drivers of real chambers.
+
+    K is the record with the keys of the chamber. Derived drivers define `Parameters` and `commands_of`."""
 
     role = "chamber"
 

@@ -211,7 +211,8 @@ class Blanks(io.RawIOBase):
 
 
 def check_header(file: BinaryIO, name: str, layout: TextKeys) -> None:
-    """Checks that the first line is not too long; afterwards the file is positioned at its start. Raises `InstrumentError`."""
+    """Checks that the first line is not too long; afterwards the file is positioned at its start. Raises `InstrumentError` if it is
+    too long."""
     for _ in range(layout.skip):
         file.readline(MAX_HEADER)
     start = file.read(MAX_HEADER + 1).removeprefix(b"\xef\xbb\xbf").lstrip(b"\r\n")

@@ -360,7 +360,9 @@ def _refuse(excess: Sequence[Excess], where: str = "") -> None:
 
 
 class TableDriver(CommandedDriver[K, AxisCommands]):
-    """The driver of a real table. K: the record of its keys. Derived drivers give `Parameters` and `commands_of`."""
+    """Base of the drivers of real tables.
+
+    K is the record with the keys of the table. Derived drivers define `Parameters` and `commands_of`."""
 
     role = "table"
 

@@ -63,8 +63,8 @@ def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: 
 
 
 def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: float, low: float, high: float) -> None:
-    """Adds the contribution of the time between `low` and `high` to the interval that contains it. Both are counted in intervals
-    from `begin`."""
+    """Adds the contribution of the time between `low` and `high` to the interval that contains it. `low` and `high` are counted in
+    intervals from `begin`."""
     width = high - low
     if width <= 0.0:
         return

@@ -1,8 +1,8 @@
 """Courses of virtual tables. A course describes the joint angles and rates as functions of time; there is one small class for each
 kind of motion.
 
-For an array of times after its beginning, a course computes the angles and rates at these times. A course can be stored as JSON
-data, so that a resumed run starts with the table in the same state. The angles of joints at rest are plain floats, so no arrays are
+For an array of times after its start, a course computes the angles and rates at these times. A course can be stored as JSON data,
+so that a resumed run starts with the table in the same state. The angles of joints at rest are plain floats, so no arrays are
 computed if nothing moves.
 """
 
@@ -187,7 +187,7 @@ class Rocking:
         return self.steady - 1 / self.frequency
 
     def ended(self, now: float) -> Rocking:
-        """The same rocking, but fading out from the time `now` at the latest; it must have begun before."""
+        """The same rocking, but fading out from the time `now` at the latest. The rocking must have begun before `now`."""
         return replace(self, duration=min(self.duration, now - self.steady))
 
 

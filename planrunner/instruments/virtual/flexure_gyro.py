@@ -2,9 +2,9 @@
 
 The loops drive currents through the torquers. The currents turn (precess) the rotor at the input rate, so the currents, counted in
 pulses, measure the input. Torquer Y turns the rotor at the rate SF_Y·i_x along (cos ε, sin ε), and torquer X at the rate SF_X·i_y
-along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X). The sum of the two must balance (ω_Y + D(X), ω_X + D(Y)). The drifts
-D(X) and D(Y) each have a constant part and parts proportional to the specific force along X, Y and Z (patent CN100554884C). The
-simulation solves this balance; it shares no formula with the estimators.
+along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X). The sum of these two rates must balance (ω_Y + D(X), ω_X + D(Y)). The
+drifts D(X) and D(Y) each have a constant part and parts proportional to the specific force along X, Y and Z (patent CN100554884C).
+The simulation solves this balance; it shares no formula with the estimators.
 """
 
 from __future__ import annotations

@@ -326,8 +326,8 @@ def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
 
 
 def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
-    """Angle [rad] by which the table has turned since the orientation was reached, and its rate [rad/s], each (n,). Both refer to
-    the axis of the segment's motion, and are zero without a spin or rocking.
+    """Angle [rad] by which the table has turned since the orientation was reached, and its rate [rad/s], each (n,). The angle and
+    the rate refer to the axis of the segment's motion; they are zero if the table neither spins nor rocks.
 
     Raises `InstrumentError` if several rings rock.
     """

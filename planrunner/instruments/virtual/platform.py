@@ -244,7 +244,8 @@ class VirtualPlatform:
         return [readout.samples(draw, levels[:, k], times.size, 1) for k in range(3)]
 
     def _input_axes(self) -> Array:
-        """The accelerometers' input axes (3, 3) as rows in axes of the element; each is rotated about one axis, then about another."""
+        """The accelerometers' input axes (3, 3) as rows in axes of the element; each is rotated about the other two axes in
+        succession."""
         q = self.parameters.accelerometers.installation
         x, y, z = np.eye(3)
         turns = (

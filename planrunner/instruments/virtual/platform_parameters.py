@@ -59,8 +59,8 @@ class Caging(Record):
 
 
 class InstallationAngles(Record):
-    """Keys for the rotation of each accelerometer's input axis about the other two axes, right-handed; xz means the x accelerometer
-    about z."""
+    """Keys for the rotation of each accelerometer's input axis about the other two axes, right-handed; xz is the rotation of the x
+    accelerometer about z."""
 
     xz: Quantity = _each(QuantityOf("angle"), "x accelerometer about z.", "12 arcsec", "0 arcsec")
     xy: Quantity = _each(QuantityOf("angle"), "x accelerometer about y.", "-8 arcsec", "0 arcsec")

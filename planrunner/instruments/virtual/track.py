@@ -158,8 +158,8 @@ class Track:
         return CarrierPlace(latitude, longitude, *rates, self.heading if self.aligned else 0.0, 0.0)
 
     def _on_great_circle(self, times: Array) -> CarrierPlace:
-        """The place of the carrier on a great circle. With the normal n = n₀·cos σ + d₀·sin σ: sin φ = n_z, and cos²φ·λ̇ = (n ×
-        ṅ)_z is, for a given σ̇, the same at every place."""
+        """The place of the carrier on a great circle. If the normal is n = n₀·cos σ + d₀·sin σ, then sin φ = n_z, and for a given
+        σ̇, cos²φ·λ̇ = (n × ṅ)_z is the same at every place."""
         distance, speed, acceleration = (item / ellipsoid.MEAN_RADIUS for item in self.progress.follow(times))
         normal, forward = self._great_circle_axes()
         cosine, sine = np.cos(distance), np.sin(distance)
@@ -185,7 +185,7 @@ class Track:
         )
 
     def _great_circle_axes(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """The ellipsoid's normal n₀ at the start and the direction d₀ in which it moves; longitudes count from the start."""
+        """The ellipsoid's normal n₀ at the start and the direction d₀ in which it moves; longitudes are measured from the start."""
         sine, cosine = math.sin(self.latitude), math.cos(self.latitude)
         north, east = math.cos(self.heading), math.sin(self.heading)
         return (cosine, 0.0, sine), (-sine * north, east, cosine * north)

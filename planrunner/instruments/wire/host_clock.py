@@ -105,8 +105,8 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """Raises `InstrumentError` if the counter has jumped ahead, because it then counts frames as sent later than they were
-        read. delay: delays of reading, s, relative to a common constant."""
+        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would be dated later than they were read. delay:
+        delays of reading, s, relative to a common constant."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"

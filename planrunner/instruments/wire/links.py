@@ -455,7 +455,7 @@ K = TypeVar("K", bound=LinkKeys)
 
 
 class Commanded(Generic[C]):
-    """A real instrument that is operated through the commands `C` of its controller."""
+    """Base of real instruments that are operated through the commands `C` of a controller."""
 
     def __init__(self, commands: C):
         self.commands = commands
@@ -471,8 +471,9 @@ class Commanded(Generic[C]):
 
 
 class CommandedDriver(Generic[K, C]):
-    """The driver of an instrument that is operated through the commands `C` of its controller. K: the record of its keys. Derived
-    drivers give `Parameters` and `commands_of`."""
+    """Base of the drivers of instruments that are operated through the commands `C` of a controller.
+
+    K is the record with the keys of the instrument. Derived drivers define `Parameters` and `commands_of`."""
 
     @classmethod
     def commands_of(cls, parameters: K) -> C:
@@ -485,8 +486,9 @@ class CommandedDriver(Generic[K, C]):
 
     @classmethod
     def identified(cls, parameters: K) -> C:
-        """The commands, after the controller has identified itself. If it does not, the link is released. A fault of the instrument
-        is no obstacle, because an instrument with a fault can still be made safe."""
+        """Returns the commands of an instrument after its controller has identified itself. If the controller does not identify
+        itself, the link is released. A fault of the instrument is no obstacle, because an instrument with a fault can still be made
+        safe."""
         commands = cls.commands_of(parameters)
         try:
             commands.identify()
