@@ -14,7 +14,9 @@ from planrunner.plan.quantity import QuantityError, parse_quantity
 
 if TYPE_CHECKING:
     from planrunner.base.documents import JsonObject
+    from planrunner.instruments.formats.guessing import LikelyTime
     from planrunner.instruments.recording_look import Look
+    from planrunner.instruments.recording_motion import TurnComparison
 
 
 def new_from_recording(recording: Path, target: str | None, rate: str | None, *, as_json: bool) -> int:
@@ -58,11 +60,18 @@ def _rate(text: str) -> float:
     return rate
 
 
+def _time(time: LikelyTime) -> JsonObject:
+    own: JsonObject = {"column": time.column, "unit": time.unit}
+    if time.per_second is not None:
+        own = {"column": time.column, "per_second": time.per_second}
+    return own if time.wraps is None else {**own, "wraps": time.wraps}
+
+
 def _json(look: Look) -> JsonObject:
     return {
         "file": look.file,
         "format": None if look.format is None else look.format.type,
-        "time": None if look.time is None else {"column": look.time[0], "unit": look.time[1]},
+        "time": None if look.time is None else _time(look.time),
         "sample_rate_hz": look.rate,
         "rows": look.rows,
         "channels": [
@@ -82,18 +91,37 @@ def _print(look: Look) -> None:
     time = (
         "no time: rows are counted"
         if not look.backwards
-        else f"{look.backwards} times do not increase: rows are counted"
+        else f"the time does not increase in {count_of(look.backwards, 'row')}: rows are counted"
     )
-    time = time if look.time is None else f"time in '{look.time[0]}' [{look.time[1]}]"
-    seconds = look.rows / look.rate
+    if look.time is not None:
+        unit = look.time.unit if look.time.per_second is None else f"{look.time.per_second:.12g} counts per second"
+        doubt = "" if look.time.sure else "; this unit is guessed from the size of the steps"
+        time = f"time in '{look.time.column}' [{unit}]{doubt}"
+    seconds = look.rows / look.rate if look.time is None or not len(look.windows.end) else look.windows.end[-1]
     print(f"{look.file}: {look.rows} rows at {look.rate:.6g} Hz, {seconds:.4g} s; {time}")
     table = Table("channel", "column", "unit", "scatter at rest" if look.still else "scatter in motion", "guessed from")
     for one in look.channels:
         scale = f"{one.unit}, {one.per_unit:g} counts each" if one.counts else one.unit
-        origin = "name" if one.sure else "size" if not one.counts else "size: raw counts"
-        table.add_row(one.name, one.column, scale, f"{one.noise:.3g}", origin)
+        origin = one.source if not one.counts else f"{one.source}: raw counts"
+        table.add_row(one.name, one.column, scale, "never changes" if one.stands else f"{one.noise:.3g}", origin)
     terminal.console().print(table)
     if look.other:
         print(f"other columns of numbers: {', '.join(look.other[:20])}{' …' if len(look.other) > 20 else ''}")
+    if look.sparse:
+        print(f"columns with a number in few rows, not used: {', '.join(look.sparse)}")
+    if look.other_rate is not None:
+        print(f"the rate changes: about {look.other_rate[0]:.3g} Hz from {look.other_rate[1]:.4g} s")
+    if look.motion is not None:
+        _print_motion(look, look.motion)
     count = len(look.still)
     print(f"still: {100 * look.still_share:.0f} % of the time, in {count_of(count, 'span')} of at least 2 s")
+
+
+def _print_motion(look: Look, motion: TurnComparison) -> None:
+    from planrunner.tasks.begin_from_recording import axes_note
+
+    if look.reversed_axes:
+        print(*axes_note(motion.axes), sep="\n")
+    named = next((one.unit for one in look.channels if one.sensed == "gyro" and one.source == "name"), motion.unit)
+    if named != motion.unit and not any(one.counts for one in look.channels):
+        print(f"the names of the gyros say {named}, but the turns that the accelerometers show fit {motion.unit}")

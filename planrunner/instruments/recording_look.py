@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +17,18 @@ from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.formats.choice import Format
 from planrunner.instruments.formats.guessing import (
     Guess,
+    LikelyTime,
     columns_of_numbers,
     guessed_channel,
     guessed_format,
     guessed_time,
     opened,
+    stated_rate,
     usual_unit,
+    wrap_of,
 )
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.recording_keys import SECONDS
+from planrunner.instruments.recording_motion import TurnComparison, turns_compared
 from planrunner.plan.span import Span
 from planrunner.plan.units import STANDARD_GRAVITY
 
@@ -48,15 +52,19 @@ _PERIODS = 5.0
 """Intervals between samples that are no pause yet."""
 _SAME_RATE = 0.02
 _RANGE = 50.0  # scatter in motion over the largest at rest: noise may grow with the orientation
+_LARGE = 0.99  # quantile of a gyro's means that shows its unit: single wrong values do not count
+_SPARSE = 0.5  # share of the samples below which a channel comes from a slower instrument
+_OTHER_RATE = 0.2  # relative difference from the usual rate
+_OTHER_RATES = 0.05  # share of the windows from which another rate is reported
 _DIRECTIONS = 15.0  # deg between two poses that count as different
 _NAME = re.compile(r"[^A-Za-z0-9_]+")
 
 
 @dataclass(frozen=True, slots=True)
 class LikelyChannel:
-    """A column that is probably a channel. unit: the probable unit; counts: True if the numbers are raw counts, with `per_unit`
-    counts per unit; noise: standard deviation of a sample at rest, in this unit; sure: True if the name of the column contains the
-    unit."""
+    """A column as a probable channel. unit: guessed; counts: whether the numbers are raw counts, with `per_unit` counts per unit;
+    noise: standard deviation of a sample at rest, in the unit, 0 if it is constant and NaN if it is not known; source: what the unit was
+    guessed from, `name`, `size` or `motion`; stands: whether the channel never changes."""
 
     name: str
     column: str
@@ -65,42 +73,80 @@ class LikelyChannel:
     counts: bool
     per_unit: float
     noise: float
-    sure: bool
+    source: str
+    stands: bool = False
+
+    @property
+    def sure(self) -> bool:
+        """Whether the name of the column contains the unit."""
+        return self.source == "name"
 
 
 @dataclass(frozen=True, slots=True)
 class WindowLevels:
-    """Mean and standard deviation (scatter) of each column in successive windows. begin: (n,), start times of the windows, s;
-    length: length of a window, s; mean, scatter: for each column, the values (n,)."""
+    """Mean and scatter of each column in successive windows. begin, end: of the windows, (n,), s; size: rows in a window; mean, scatter:
+    column → (n,), NaN where a window holds no number."""
 
     begin: Array
-    length: float
+    end: Array
+    size: int
     mean: Mapping[str, Array]
     scatter: Mapping[str, Array]
+
+    @property
+    def length(self) -> float:
+        """Usual length of a window, s."""
+        return float(np.median(self.end - self.begin)) if len(self.begin) else 0.0
+
+    @property
+    def rates(self) -> Array:
+        """Rows per second in each window, (n,)."""
+        return self.size / (self.end - self.begin)
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Properties that were found in a recording. time: column and unit of the time, None if rows are counted; rate: sample rate,
-    Hz; other: columns that are not channels; still: spans without motion; backwards: number of rows whose time does not increase
-    (if there are any, rows are counted instead); pauses: number of pauses, and the length of the shortest one, s."""
+    """Properties of a recording. time: None if rows are counted; rate: Hz; other: columns that are not channels; sparse: columns of
+    channels that have a number in few of the rows; still: spans without motion; backwards: number of rows whose time does not increase
+    (if there are any, rows are counted instead); pauses: number of pauses, and the length of the shortest one, s; motion: how gyros and
+    accelerometers describe the same turns, None if the recording does not show it."""
 
     file: str
     format: Format | None
-    time: tuple[str, str] | None
+    time: LikelyTime | None
     rate: float
     rows: int
     channels: tuple[LikelyChannel, ...]
     other: tuple[str, ...]
+    sparse: tuple[str, ...]
     windows: WindowLevels
     still: tuple[Span, ...]
     backwards: int = 0
     pauses: tuple[int, float] = (0, 0.0)
+    motion: TurnComparison | None = None
+
+    @property
+    def other_rate(self) -> tuple[float, float] | None:
+        """Another sample rate [Hz] that the recording also has, and the time [s] at which it is first seen; None if there is none."""
+        if self.time is None:
+            return None
+        rates = self.windows.rates
+        other = np.abs(rates / np.median(rates) - 1) > _OTHER_RATE if len(rates) else np.zeros(0, bool)
+        own = float(np.median(rates[other])) if np.count_nonzero(other) > _OTHER_RATES * len(rates) else math.nan
+        steady = other & (np.abs(rates / own - 1) < _OTHER_RATE)  # pauses differ from each other
+        if np.count_nonzero(steady) <= _OTHER_RATES * len(rates):
+            return None
+        return own, float(self.windows.begin[int(np.argmax(steady))])
+
+    @property
+    def reversed_axes(self) -> bool:
+        """Whether gyros and accelerometers seem to have different axes."""
+        return self.motion is not None and not self.motion.same_axes
 
     @property
     def still_share(self) -> float:
-        """The fraction of the recorded time that is without motion."""
-        whole = len(self.windows.begin) * self.windows.length
+        """Fraction of the time without motion."""
+        whole = float(np.sum(self.windows.end - self.windows.begin))
         return sum(span.seconds for span in self.still) / whole if whole else 0.0
 
 
@@ -112,20 +158,22 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         columns = columns_of_numbers(path, path.name, given)
         file = opened(path, path.name, columns, given)
         first = next(values for _, values in file.rows())
-        time = guessed_time(first)
+        time = guessed_time(first, stated_rate(path, path.name, given))
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
-            hint = "state the sample rate, such as --sample-rate '100 Hz'"
+            hint = "state the sample rate, such as --sample-rate '100 Hz'; a date or a time of day as text is not read as a time"
             raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
-        found = rate if rate is not None else 0.0 if time is None else time[2]
-        stamp = None if rate is not None or time is None else (time[0], time[1])
-        guesses = [guessed_channel(column) for column in columns if stamp is None or column != stamp[0]]
+        found = rate if rate is not None else 0.0 if time is None else time.rate
+        stamp = time if rate is None else None
+        guesses = [guessed_channel(column) for column in columns if stamp is None or column != stamp.column]
         guesses = _named_or_alike(guesses, first)
         clock = _Clock(stamp, max(PAUSE, _PERIODS / found))
         wanted = [one.column for one in guesses]
-        windows, rows = _windows(clock.watched(file.all_rows()), wanted, found, file.about, notice)
-        if stamp is not None and clock.backwards:
-            stamp, found = None, clock.rate(rows, found)
+        windows, rows, counts = _windows(clock.watched(file.all_rows()), wanted, found, file.about, clock, notice)
+        stamp = clock.stamp
+        if time is not None and rate is None and stamp is None:
+            found = clock.rate(rows, found)
+            windows = _counted(windows, found)
     except InstrumentError as error:
         hint = "docs/recording-formats.md shows how a bench describes a recording"
         raise InputError.at(Mark(str(path)), "recording-unfit", str(error), hint) from None
@@ -133,35 +181,80 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         message = f"no column looks like a gyro or an accelerometer: {', '.join(columns[:12])}"
         hint = "describe the recording in a bench file, as docs/recording-formats.md shows"
         raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
-    still = _still(windows, [one.column for one in guesses if one.sensed in ("gyro", "accel")])
-    channels = _channels([one for one in guesses if one.sensed], windows, still)
+    samples = max(counts[one.column] for one in guesses if one.sensed in ("gyro", "accel"))
+    sparse = tuple(one.column for one in guesses if one.sensed and counts[one.column] < _SPARSE * samples)
+    sensed = [one for one in guesses if one.sensed and one.column not in sparse]
+    still = _still(windows, [one.column for one in sensed if one.sensed in ("gyro", "accel")])
+    motion = _motion(sensed, windows, still)
+    channels = _channels(sensed, windows, still, motion)
     other = tuple(one.column for one in guesses if not one.sensed)
     pauses = (len(clock.steps), min(clock.steps, default=0.0))
-    return Look(path.name, given, stamp, found, rows, channels, other, windows, still, clock.backwards, pauses)
+    return Look(
+        path.name, given, stamp, found, rows, channels, other, sparse, windows, still, clock.backwards, pauses, motion
+    )
 
 
 class _Clock:
-    """Observes the time column: rows in which time does not increase, steps longer than `pause` [s], and the total time."""
+    """Observes the time column: the rows in which time does not increase, the steps longer than `pause` [s], and the total time.
+    times: of the rows that were yielded last, s after the first row. After the last row, `stamp` is None if the column is not a time."""
 
-    def __init__(self, stamp: tuple[str, str] | None, pause: float):
-        self._column = None if stamp is None else stamp[0]
-        self._scale = 1.0 if stamp is None else SECONDS[stamp[1]]
+    def __init__(self, stamp: LikelyTime | None, pause: float):
+        self._stamp = stamp
         self._pause = pause
-        self._first = self._last = math.nan
-        self.backwards = 0
+        self._first = self._last = self._raw = math.nan
+        self._most, self._turns = 0.0, 0
+        self._falls: list[float] = []
         self.steps: list[float] = []
+        self.times: Array = np.zeros(0)
+
+    @property
+    def backwards(self) -> int:
+        """Number of rows whose time does not increase."""
+        return 0 if self._stamp is None or self._wraps is not None else len(self._falls)
+
+    @property
+    def _wraps(self) -> float | None:
+        stamp = self._stamp
+        if stamp is None or stamp.wraps is not None:
+            return None if stamp is None else stamp.wraps
+        return wrap_of(np.array(self._falls), 1 / (stamp.rate * stamp.scale), 0.0, self._most)
+
+    @property
+    def counts_rows(self) -> bool:
+        """Whether the time of a row is its number over the sample rate."""
+        return self._stamp is None
+
+    @property
+    def stamp(self) -> LikelyTime | None:
+        """The time, with the value at which its counter returns to zero; None if it runs backwards or stands."""
+        return None if self._stamp is None or self.backwards else replace(self._stamp, wraps=self._wraps)
+
+    def unwrapped(self, times: Array) -> Array:
+        """Times [s] after each return of the counter to zero that was recognised only at the end."""
+        if self._stamp is None or self._stamp.wraps is not None or self._wraps is None:
+            return times
+        return times + np.cumsum(np.diff(times, prepend=times[:1]) < 0) * (self._wraps * self._stamp.scale)
 
     def watched(self, rows: FileRows) -> FileRows:
         """Yields the rows unchanged, and observes their times."""
         for number, time, values in rows:
-            if self._column is not None and len(values[self._column]):
-                own = values[self._column] * self._scale
-                steps = np.diff(own, prepend=self._last)
-                self.backwards += int(np.count_nonzero(steps <= 0))
-                self.steps += steps[steps > self._pause].tolist()
-                self._first = own[0] if math.isnan(self._first) else self._first
-                self._last = float(own[-1])
+            if self._stamp is not None and len(values[self._stamp.column]):
+                self._take(values[self._stamp.column], self._stamp)
             yield number, time, values
+
+    def _take(self, raw: Array, stamp: LikelyTime) -> None:
+        steps = np.diff(raw, prepend=raw[0] if math.isnan(self._raw) else self._raw)
+        falls = steps < 0 if stamp.wraps is not None else steps <= 0
+        falls[0] &= not math.isnan(self._raw)  # the first row follows no other
+        self._falls += steps[falls & ~(steps + (stamp.wraps or 0.0) > 0)].tolist()
+        turns = self._turns + np.cumsum(falls if stamp.wraps is not None else np.zeros(len(raw), bool))
+        own = (raw + turns * (stamp.wraps or 0.0)) * stamp.scale
+        advance = np.diff(own, prepend=self._last)
+        self.steps += advance[advance > self._pause].tolist()
+        self._first = float(own[0]) if math.isnan(self._first) else self._first
+        self._raw, self._turns, self._last = float(raw[-1]), int(turns[-1]), float(own[-1])
+        self._most = max(self._most, float(np.nanmax(raw, initial=0.0)))
+        self.times = own - self._first
 
     def rate(self, rows: int, median: float) -> float:
         """Rows per second [Hz], averaged over the whole recording. If pauses make this differ from `median`, the rate of the median
@@ -171,22 +264,35 @@ class _Clock:
 
 
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
-    """Guesses for the columns, completed if the names do not help. If no name suggests a gyro or an accelerometer, three
-    neighbouring columns whose vector is as long as gravity are taken as accelerometers, and three columns next to them as gyros."""
+    """The guesses for columns. If no name contains a gyro or an accelerometer, three neighbouring columns are taken as
+    accelerometers if their vector is as long as gravity, and three columns next to them as gyros. Columns whose names end in x, y and z
+    are these axes; otherwise the first is x."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
         three = guesses[begin : begin + 3]
         norm = np.sqrt(sum(first[one.column] ** 2 for one in three))
-        level = float(np.median(norm))
+        level = _median(norm)
         if not (abs(math.log(max(level, 1e-9) / STANDARD_GRAVITY)) < 0.1 or abs(math.log(max(level, 1e-9))) < 0.1):
             continue
         others = guesses[begin + 3 : begin + 6] if len(guesses) >= begin + 6 else guesses[max(begin - 3, 0) : begin]
-        sensed = {one.column: ("accel", "xyz"[k]) for k, one in enumerate(three)}
+        sensed = _axes("accel", three)
         if len(others) == 3:
-            sensed |= {one.column: ("gyro", "xyz"[k]) for k, one in enumerate(others)}
+            sensed |= _axes("gyro", others)
         return [Guess(one.column, *sensed.get(one.column, ("", "")), one.unit) for one in guesses]
     return guesses
+
+
+def _axes(sensed: str, three: Sequence[Guess]) -> dict[str, tuple[str, str]]:
+    """What three columns sense, and along which axis."""
+    named = {one.axis for one in three} == set("xyz")
+    return {one.column: (sensed, one.axis if named else "xyz"[k]) for k, one in enumerate(three)}
+
+
+def _median(values: Array) -> float:
+    """The median of the numbers among the values, 0 if there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else 0.0
 
 
 def _windows(
@@ -194,30 +300,56 @@ def _windows(
     columns: Sequence[str],
     rate: float,
     about: int,
+    clock: _Clock,
     notice: Announce | None,
-) -> tuple[WindowLevels, int]:
-    """Computes the means and standard deviations of all windows; also returns the number of rows."""
+) -> tuple[WindowLevels, int, dict[str, int]]:
+    """Means and scatter of windows, the number of rows, and the count of numbers in each column."""
     size = max(2, round(WINDOW * rate), math.ceil(about / MOST_WINDOWS))
     pace = Pace("looking at the recording", about, notice)
-    kept: dict[str, list[Array]] = {column: [] for column in columns}
+    kept: dict[str, Array] = {column: np.zeros(0) for column in columns}
     means: dict[str, list[Array]] = {column: [] for column in columns}
     scatters: dict[str, list[Array]] = {column: [] for column in columns}
+    counts = dict.fromkeys(columns, 0)
+    times: list[Array] = []
     total = left = 0
     for _, time, values in rows:
+        at = np.arange(total, total + len(time)) / rate if clock.counts_rows else clock.times
+        times.append(at[-left % size :: size])
         total += len(time)
         whole = (left + len(time)) // size * size
         for column in columns:
-            joined = np.concatenate([*kept[column], values[column]])
-            table = joined[:whole].reshape(-1, size)
-            means[column].append(table.mean(axis=1))
-            scatters[column].append(table.std(axis=1, ddof=1))
-            kept[column] = [joined[whole:]]
+            counts[column] += int(np.count_nonzero(np.isfinite(values[column])))
+            joined = np.concatenate([kept[column], values[column]])
+            level, spread = _levels(joined[:whole].reshape(-1, size))
+            means[column].append(level)
+            scatters[column].append(spread)
+            kept[column] = joined[whole:]
         left = left + len(time) - whole
         pace.reached(total)
     mean = {column: np.concatenate(parts) for column, parts in means.items()}
     scatter = {column: np.concatenate(parts) for column, parts in scatters.items()}
-    count = len(next(iter(mean.values()))) if mean else 0
-    return WindowLevels(np.arange(count) * size / rate, size / rate, mean, scatter), total
+    edges = clock.unwrapped(np.concatenate([*times, np.zeros(0)]))
+    count = total // size
+    last = edges[count] if len(edges) > count else edges[count - 1] + size / rate if count else 0.0
+    return WindowLevels(edges[:count], np.append(edges[1:count], last)[:count], size, mean, scatter), total, counts
+
+
+def _levels(table: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation of each row, (n,), without missing numbers; NaN if a row holds fewer than two. table: (n, k)."""
+    if np.isfinite(table).all():
+        return table.mean(axis=1), table.std(axis=1, ddof=1)
+    known = np.isfinite(table)
+    count = np.count_nonzero(known, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(known, table, 0.0).sum(axis=1) / np.where(count < 2, np.nan, count)
+        squares = np.where(known, (table - mean[:, np.newaxis]) ** 2, 0.0).sum(axis=1)
+        return mean, np.sqrt(squares / (count - 1))
+
+
+def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
+    """The windows with the times of counted rows. rate: Hz."""
+    begin = np.arange(float(len(windows.begin))) * (windows.size / rate)
+    return replace(windows, begin=begin, end=begin + windows.size / rate)
 
 
 def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
@@ -228,12 +360,15 @@ def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
     quiet = np.ones(len(windows.begin), bool)
     for column in columns:
         scatter = windows.scatter[column]
-        usual, most = np.nanquantile(scatter, (0.1, 0.95)).tolist()
+        known = scatter[np.isfinite(scatter)]
+        if not len(known):
+            continue
+        usual, most = np.quantile(known, (0.1, 0.95)).tolist()
         least = max(most / _RANGE, np.finfo(float).tiny)
         quiet &= scatter <= max(MOVING * usual, least)
         quiet &= _course(windows.mean[column]) <= np.maximum(COURSE * scatter, least)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.view(np.int8), [0]]))).reshape(-1, 2)
-    spans = (Span(begin * windows.length, end * windows.length) for begin, end in edges.tolist())
+    spans = (Span(float(windows.begin[begin]), float(windows.end[end - 1])) for begin, end in edges.tolist())
     return tuple(span for span in spans if span.seconds >= AT_LEAST)
 
 
@@ -253,29 +388,48 @@ def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Arr
     return values[chosen] if chosen.any() else values
 
 
-def _channels(guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[Span]) -> tuple[LikelyChannel, ...]:
+def _motion(guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[Span]) -> TurnComparison | None:
+    """How the gyros and accelerometers describe the same turns; None without exactly one triad of each."""
+    triads: list[Array] = []
+    for sensed in ("gyro", "accel"):
+        triad = [[one.column for one in guesses if (one.sensed, one.axis) == (sensed, axis)] for axis in "xyz"]
+        if any(len(columns) != 1 for columns in triad):
+            return None
+        triads.append(np.column_stack([windows.mean[columns[0]] for columns in triad]))
+    gyro, accel = triads
+    return turns_compared(gyro, accel, windows.begin, windows.end, still)
+
+
+def _channels(
+    guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[Span], motion: TurnComparison | None
+) -> tuple[LikelyChannel, ...]:
     accels = [one.column for one in guesses if one.sensed == "accel"]
     norm = math.nan
     if len(accels) >= 3:
         squares = sum(_at_rest(windows, still, windows.mean[column]) ** 2 for column in accels[:3])
-        norm = float(np.nanmedian(np.sqrt(squares)))
+        norm = _median(np.sqrt(squares))
     accel_unit = next((one.unit for one in guesses if one.sensed == "accel" and one.unit), "") or usual_unit(
         "accel", norm
     )
+    in_counts = len(accels) >= 3 and not accel_unit
     simple = [f"{one.sensed}_{one.axis}".rstrip("_") for one in guesses]
     made = []
     for one, short in zip(guesses, simple, strict=True):
         name = short if simple.count(short) == 1 else _NAME.sub("_", one.column).strip("_")[:40]
-        level = float(np.nanmax(np.abs(windows.mean[one.column]), initial=0.0)) if one.sensed == "gyro" else norm
-        unit = one.unit or usual_unit(one.sensed, level, accel_unit)
-        usual = float(np.nanmedian(np.abs(windows.mean[one.column]))) if one.sensed == "temperature" else norm
-        counts = not one.unit and usual > (MOST_DEGREES if one.sensed == "temperature" else MOST_G)
+        mean = windows.mean[one.column]
+        known = np.abs(mean[np.isfinite(mean)])
+        level = norm if one.sensed != "gyro" else float(np.quantile(known, _LARGE)) if len(known) else 0.0
+        turned = "" if motion is None or one.sensed != "gyro" or in_counts else motion.unit
+        unit = one.unit or turned or usual_unit(one.sensed, level, accel_unit)
+        usual = _median(known) if one.sensed == "temperature" else norm
+        counts = not one.unit and (in_counts or usual > (MOST_DEGREES if one.sensed == "temperature" else MOST_G))
         per_unit = 1.0
         counts = counts or not unit
         if counts:
             unit = {"gyro": "deg/s", "accel": "g", "temperature": "degC"}[one.sensed]
-            per_unit = float(f"{norm:.4g}") if one.sensed == "accel" and math.isfinite(norm) else 1.0
-        scatter = float(np.nanmedian(_at_rest(windows, still, windows.scatter[one.column]))) / per_unit
+            per_unit = float(f"{norm:.4g}") if one.sensed == "accel" and norm > 0 else 1.0
+        scatter = _median(_at_rest(windows, still, windows.scatter[one.column])) / per_unit
+        rounding = 8 * np.finfo(float).eps * (float(known.max()) if len(known) else 0.0) / per_unit
         made.append(
             LikelyChannel(
                 name if name[:1].isalpha() else f"c_{name}"[:40],
@@ -284,8 +438,9 @@ def _channels(guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[S
                 unit,
                 counts,
                 per_unit,
-                scatter,
-                bool(one.unit),
+                scatter if scatter > rounding else 0.0,
+                "name" if one.unit else "motion" if turned and not counts else "size",
+                stands=bool(len(known) and np.ptp(mean[np.isfinite(mean)]) <= rounding and scatter <= rounding),
             )
         )
     return tuple(made)

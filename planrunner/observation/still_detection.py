@@ -94,16 +94,18 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
 def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
 ) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int]]:
-    """Yields the samples that are centres of windows, in stretches: their times, their values (n, k), whether each sample is still,
-    and the number of samples per window."""
+    """For each stretch of samples that are centres of windows: time, values (n, k), whether each sample is still, and samples per
+    window. Rows with a missing number are left out; a window that becomes longer by half of its length because of them is not still."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length = 0
     for block in recorded.blocks(detection.channels):
-        if len(block.time) == 0:
+        own = np.column_stack([block.channels[name] for name in detection.channels])
+        complete = np.isfinite(own).all(axis=1)
+        if not complete.any():
             continue
-        times = np.concatenate([times, block.time])
-        values = np.vstack([values, np.column_stack([block.channels[name] for name in detection.channels])])
+        times = np.concatenate([times, block.time[complete]])
+        values = np.vstack([values, own[complete]])
         if not length and len(times) > 1:
             length = max(2, round(window / float(np.median(np.diff(times)))))
         if not length or len(times) < length:
@@ -116,18 +118,14 @@ def _centred(
 
 
 def _sliding_variance(values: Array, length: int) -> Array:
-    """The sample variance in every window of `length` rows, shape (n − length + 1, k); infinite if a value in the window is
-    missing."""
-    known = np.isfinite(values)
-    centred = np.where(known, values, 0.0)
-    centred = np.where(known, centred - centred.mean(axis=0), 0.0)
+    """Sample variance of every window of `length` rows, shape (n − length + 1, k). values: without missing numbers."""
+    centred = values - values.mean(axis=0)
     zero = np.zeros((1, values.shape[1]))
     sums = np.vstack([zero, np.cumsum(centred, axis=0)])
     squares = np.vstack([zero, np.cumsum(centred**2, axis=0)])
-    missing = np.vstack([zero, np.cumsum(~known, axis=0)])
     total = sums[length:] - sums[:-length]
-    variance = (squares[length:] - squares[:-length] - total**2 / length) / (length - 1)
-    return np.where(missing[length:] > missing[:-length], np.inf, variance)
+    variance: Array = (squares[length:] - squares[:-length] - total**2 / length) / (length - 1)
+    return variance
 
 
 @dataclass

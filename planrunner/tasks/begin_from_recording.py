@@ -14,6 +14,23 @@ STILL = 0.9
 """Share of the time without motion from which a recording counts as one at rest."""
 
 
+_DOUBTS = {
+    "name": "",
+    "motion": " # the unit was determined from the turns that the accelerometers show",
+    "size": " # the unit is a guess",
+    "counts": " # raw counts: put in the sensitivity",
+}
+
+
+def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
+    """What it means that gyros x, y, z turn about these axes of the accelerometers."""
+    turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in zip("xyz", axes, strict=True))
+    return (
+        f"Gyros and accelerometers have different axes. In the axes of the accelerometers: {turns}.",
+        "Exchange columns or write `sign: -1`, until both describe the same turns.",
+    )
+
+
 def _quoted(text: str) -> str:
     """A text as a value in YAML, with quotes if it needs them."""
     return text if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./]*", text) else "'" + text.replace("'", "''") + "'"
@@ -49,19 +66,35 @@ def bench_of(look: Look, name: str) -> str:
     elif look.time is None:
         lines.append("    time: sample_count # the file has no time, or the sample rate was given")
     else:
-        lines.append(f"    time: {{column: {_quoted(look.time[0])}, unit: {look.time[1]}}}")
+        time = look.time
+        scale = f"unit: {time.unit}" if time.per_second is None else f"per_second: {time.per_second:.12g}"
+        wraps = "" if time.wraps is None else f", wraps: {time.wraps:.0f}"
+        doubt = "" if time.sure else " # the unit is a guess from the size of the steps"
+        lines.append(f"    time: {{column: {_quoted(time.column)}, {scale}{wraps}}}{doubt}")
     lines.append(f"    sample_rate: {look.rate:.6g} Hz")
+    if look.other_rate is not None:
+        rate, begin = look.other_rate
+        lines.append(
+            f"    # The rate changes: about {rate:.3g} Hz from {begin:.4g} s. An estimate that needs one rate,"
+        )
+        lines.append("    # such as allan_deviation, needs segments that do not contain this change.")
     count, shortest = look.pauses
     if count and not look.backwards:
         steps = f"The time steps by {shortest:.3g} s and more in {count_of(count, 'place')}"
         lines.append(f"    # {steps}. To make each piece a segment: pauses: {shortest / 2:.3g} s")
+    if look.motion is not None and look.reversed_axes:
+        lines += [f"    # {part}" for part in axes_note(look.motion.axes)]
     lines.append("    channels:")
     for one in look.channels:
         counts = f", per_unit: {one.per_unit:.6g}" if one.counts else ""
         known = one.noise > 0 and look.still  # the scatter of a motion is no noise
         noise = f", noise: {one.noise:.3g} {'K' if one.unit == 'degC' else one.unit}" if known else ""
-        doubt = "" if one.sure else " # raw counts: put in the sensitivity" if one.counts else " # the unit is a guess"
+        doubt = _DOUBTS["counts" if one.counts else one.source]
+        doubt += " # it never changes: the output is dead, or the column is wrong" if one.stands else ""
         lines.append(f"      {one.name}: {{column: {_quoted(one.column)}, unit: {one.unit}{counts}{noise}}}{doubt}")
+    if look.sparse:
+        lines.append(f"    # Columns with a number in few rows, from a slower instrument: {', '.join(look.sparse)}.")
+        lines.append("    # As a channel, such a column would remove all other rows.")
     if look.other:
         lines.append(f"    # Other columns of numbers: {', '.join(look.other[:40])}")
     return "\n".join(lines) + "\n"

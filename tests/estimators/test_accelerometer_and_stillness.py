@@ -126,7 +126,8 @@ def test_magnitude_refuses_what_it_cannot_determine() -> None:
 
 
 def made_by_hand(rows: int) -> tuple[RecordedSegment, list[tuple[float, float]]]:
-    """100 Hz; still 0–5 s, turning 5–7 s, still 7–7.8 s (too short), turning 7.8–9 s, still 9–15 s; a missing sample at 12 s."""
+    """100 Hz; still 0–5 s, turning 5–7 s, still 7–7.8 s (too short), turning 7.8–9 s, still 9–15 s; a missing sample at 12 s,
+    which does not end the interval at rest."""
     time = np.arange(1500) / 100
     rng = np.random.default_rng(0)
     values = np.tile([0.0, 0.0, 9.8], (1500, 1)) + rng.normal(0, 0.01, (1500, 3))
@@ -136,7 +137,7 @@ def made_by_hand(rows: int) -> tuple[RecordedSegment, list[tuple[float, float]]]
     values[1200, 1] = np.nan
     channels = {name: values[:, k] for k, name in enumerate(CHANNELS)}
     recorded = from_samples(segment("t"), time, channels, dict.fromkeys(CHANNELS, "m/s^2"), rows)
-    return recorded, [(0.25, 4.75), (9.25, 11.75), (12.25, 14.75)]
+    return recorded, [(0.25, 4.75), (9.25, 14.75)]
 
 
 def times(recorded: RecordedSegment) -> list[tuple[float, float]]:
@@ -150,6 +151,21 @@ def test_still_spans_do_not_depend_on_blocks(rows: int) -> None:
     assert len(spans) == len(expected)
     assert np.abs(np.array(spans) - np.array(expected)).max() <= 0.03
     assert spans == times(made_by_hand(997)[0])
+
+
+@pytest.mark.parametrize("as_rows", [True, False])
+@pytest.mark.parametrize(("lost", "spans"), [(20, 1), (40, 2)])
+def test_missing_numbers_count_like_missing_rows(as_rows: bool, lost: int, spans: int) -> None:
+    """100 Hz, windows of half a second: 0.2 s of missing samples do not end an interval at rest, 0.4 s do. Single numbers are also
+    missing in every tenth row, as in a log that another instrument shares."""
+    time = np.arange(1000) / 100
+    values = np.tile([0.0, 0.0, 9.8], (1000, 1)) + np.random.default_rng(0).normal(0, 0.01, (1000, 3))
+    values[500 : 500 + lost] = np.nan
+    values[3::10, 1] = np.nan
+    kept = np.isfinite(values).all(axis=1) if as_rows else np.ones(1000, bool)
+    channels = {name: values[kept, k] for k, name in enumerate(CHANNELS)}
+    recorded = from_samples(segment("t"), time[kept], channels, dict.fromkeys(CHANNELS, "m/s^2"), 300)
+    assert len(times(recorded)) == spans
 
 
 def test_span_statistics_equal_the_samples_own() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from collections.abc import Callable
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 from planrunner.cli import main
 
@@ -148,6 +150,199 @@ def test_a_unit_that_swings_all_the_time_is_not_at_rest(tmp_path: Path, capsys: 
     assert said["still_s"] == []
     assert "allan_deviation" not in (tmp_path / "begun.yaml").read_text()
     assert "noise:" not in (tmp_path / "begun.bench.yaml").read_text()
+
+
+def turned(rate: float = 100.0) -> tuple[Array, Array, Array]:
+    """Time, gyro [rad/s] and accelerometer [m/s^2] of a unit that rests 4 s in each of 12 attitudes and turns between them, from
+    the quaternions of its attitude: gravity follows its gyros. The biases are 0.3 deg/s and 0.1 m/s^2."""
+    draw = np.random.default_rng(3)
+    attitudes = Rotation.random(12, random_state=5)
+    rest, turn = round(4 * rate), round(1.4 * rate)
+    quaternion, omega = [], []
+    for here, there in itertools.pairwise(attitudes):
+        way = (here.inv() * there).as_rotvec()
+        s = (np.arange(turn) + 0.5) / turn
+        quaternion += [
+            np.tile(here.as_quat(), (rest, 1)),
+            (here * Rotation.from_rotvec(np.outer(s * s * (3 - 2 * s), way))).as_quat(),
+        ]
+        omega += [np.zeros((rest, 3)), np.outer(6 * s * (1 - s) * rate / turn, way)]
+    gyro = np.concatenate(omega)
+    accel = Rotation.from_quat(np.concatenate(quaternion)).inv().apply([0, 0, 9.81])
+    gyro += np.radians(0.3) + draw.normal(0, 0.002, gyro.shape)
+    return np.arange(len(gyro)) / rate, gyro, accel + 0.1 + draw.normal(0, 0.01, accel.shape)
+
+
+def csv(file: Path, header: str, *columns: Array, before: str = "", form: str = "%.6f") -> Path:
+    """A text file with one row for each sample; NaN becomes an empty field."""
+    rows = [",".join("" if np.isnan(x) else form % x for x in row) for row in np.column_stack(columns).tolist()]
+    file.write_text("\n".join([f"{before}{header}", *rows, ""]), encoding="utf-8")
+    return file
+
+
+def units(said: dict[str, object]) -> dict[str, str]:
+    return {one["channel"]: one["unit"] for one in said["channels"]}  # type: ignore[attr-defined]
+
+
+NAMES = "time,gx,gy,gz,ax,ay,az"
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("rad/s", 1.0), ("deg/s", 180 / np.pi), ("deg/h", 3600 * 180 / np.pi)])
+def test_the_turns_show_the_unit_of_the_gyros(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], unit: str, factor: float
+) -> None:
+    """A wrong value of -999 in one gyro does not change what the turns show."""
+    time, gyro, accel = turned()
+    gyro *= factor
+    gyro[700:703] = -999
+    said = begun(csv(tmp_path / "r.csv", NAMES, time, gyro, accel), capsys=capsys)
+    assert {units(said)[f"gyro_{axis}"] for axis in "xyz"} == {unit}
+    bench = (tmp_path / "begun.bench.yaml").read_text()
+    assert bench.count("the unit was determined from the turns") == 3 and "different axes" not in bench
+
+
+@pytest.mark.parametrize(
+    ("order", "signs", "note"),
+    [
+        ((0, 1, 2), (1, -1, 1), "gyro_x turns about -x, gyro_y turns about y, gyro_z turns about -z"),
+        ((1, 0, 2), (1, 1, 1), "gyro_x turns about -y, gyro_y turns about -x, gyro_z turns about -z"),
+    ],
+)
+def test_a_left_handed_triad_is_pointed_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], order: list[int], signs: list[int], note: str
+) -> None:
+    """The accelerometers are exchanged or reversed; a turn is a pseudovector, so that the other gyros appear reversed."""
+    time, gyro, accel = turned()
+    begun(csv(tmp_path / "r.csv", NAMES, time, gyro, accel[:, list(order)] * signs), capsys=capsys)
+    assert note in (tmp_path / "begun.bench.yaml").read_text()
+
+
+def test_nothing_is_said_of_axes_that_the_motion_does_not_show(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The gyros of `tumbled` have nothing to do with its accelerometers."""
+    time, gyro, accel = tumbled()
+    begun(csv(tmp_path / "r.csv", NAMES, time, gyro, accel), capsys=capsys)
+    assert "axes" not in (tmp_path / "begun.bench.yaml").read_text()
+
+
+def test_rows_of_slower_instruments_are_set_aside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A log of three messages: every tenth row is one of the thermometer, with the fields of the others empty."""
+    time, gyro, accel = turned()
+    full = np.column_stack([time, gyro, accel, np.full(len(time), np.nan)])
+    slow = np.full((len(time) // 10, 8), np.nan)
+    slow[:, 0], slow[:, 7] = time[3::10][: len(slow)] + 0.0003, 25.0 + 0.01 * np.arange(len(slow))
+    table = np.concatenate([full, slow])
+    said = begun(csv(tmp_path / "r.csv", f"{NAMES},baro_temp", *table[np.argsort(table[:, 0])].T), capsys=capsys)
+    assert said["sample_rate_hz"] == pytest.approx(100, rel=0.01)
+    assert "temperature" not in units(said) and units(said)["accel_x"] == "m/s^2"
+    assert len(said["still_s"]) >= 11  # type: ignore[arg-type]
+    assert "from a slower instrument: baro_temp" in (tmp_path / "begun.bench.yaml").read_text()
+
+
+def test_small_counts_are_not_milli_g(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """800 counts are 1 g, as in the 16-bit registers of an ADIS16470; the gyros of the same registers are counts as well."""
+    time, gyro, accel = turned()
+    said = begun(
+        csv(tmp_path / "r.csv", NAMES, time, gyro * 573, accel * 800 / 9.81, form="%.0f"),
+        "--sample-rate",
+        "100 Hz",
+        capsys=capsys,
+    )
+    assert all(one["counts"] for one in said["channels"])  # type: ignore[attr-defined]
+    assert said["channels"][3]["noise"] == pytest.approx(0.01 / 9.81, rel=0.2)  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("header", "before", "start", "per_row", "expected"),
+    [
+        ("tick_ms", "", 60_000, 10, {"column": "tick_ms", "unit": "ms", "wraps": 65536}),
+        ("SampleTimeFine", "", 7_000, 100, {"column": "SampleTimeFine", "per_second": 10_000}),
+        ("clock", "// Sample rate: 100.0Hz\n", 7_000, 168, {"column": "clock", "per_second": 16_800}),
+        ("clock", "# update frequency = 0.1 kHz\n", 7_000, 10, {"column": "clock", "unit": "ms"}),
+    ],
+)
+def test_counters_are_times(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    header: str,
+    before: str,
+    start: int,
+    per_row: int,
+    expected: dict[str, object],
+) -> None:
+    time, gyro, accel = turned()
+    count = start + per_row * np.arange(float(len(time)))
+    wraps = expected.get("wraps")
+    count = count if wraps is None else count % 65536
+    file = csv(tmp_path / "r.csv", NAMES.replace("time", header), count, gyro, accel, before=before)
+    said = begun(file, capsys=capsys)
+    assert said["time"] == expected
+    assert said["sample_rate_hz"] == pytest.approx(100)
+    assert said["still_s"][-1][0] == pytest.approx(54.0, abs=1)  # type: ignore[index]
+
+
+def test_the_unit_of_a_time_without_a_name_is_called_a_guess(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time, gyro, accel = turned()
+    begun(csv(tmp_path / "r.csv", NAMES, 1000 * time, gyro, accel), capsys=capsys)
+    assert "unit: ms} # the unit is a guess from the size of the steps" in (tmp_path / "begun.bench.yaml").read_text()
+
+
+def test_a_rate_that_changes_is_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time, gyro, accel = turned()
+    kept = np.concatenate([np.arange(3000), np.arange(3000, len(time), 2)])
+    said = begun(csv(tmp_path / "r.csv", NAMES, time[kept], gyro[kept], accel[kept]), capsys=capsys)
+    assert "The rate changes: about 50 Hz from 30 s" in (tmp_path / "begun.bench.yaml").read_text()
+    assert said["still_s"][-1][0] == pytest.approx(54.0, abs=1.1)  # type: ignore[index]
+
+
+def test_a_dead_channel_is_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time, gyro, accel = turned()
+    gyro[:, 1] = 0
+    begun(csv(tmp_path / "r.csv", NAMES, time, gyro, accel), capsys=capsys)
+    lines = (tmp_path / "begun.bench.yaml").read_text().splitlines()
+    assert [line.split(":")[0].strip() for line in lines if "never changes" in line] == ["gyro_y"]
+
+
+def test_columns_named_by_their_axis_keep_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time, _, accel = turned()
+    said = begun(csv(tmp_path / "r.csv", "seconds,z,y,x", time, accel[:, ::-1]), capsys=capsys)
+    assert {one["channel"]: one["column"] for one in said["channels"]} == {  # type: ignore[attr-defined]
+        f"accel_{axis}": axis for axis in "xyz"
+    }
+
+
+def test_quoted_numbers_and_a_comma_at_the_end_of_each_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time, gyro, accel = turned()
+    rows = [",".join(f'"{x:.6f}"' for x in row) for row in np.column_stack([time, gyro, accel]).tolist()]
+    text = "\r\n".join(["Time (s),Gyr X,Gyr Y,Gyr Z,Acc X,Acc Y,Acc Z,", *(f"{row}," for row in rows), ""])
+    (tmp_path / "r.csv").write_text(text, encoding="utf-8-sig", newline="")
+    said = begun(tmp_path / "r.csv", capsys=capsys)
+    assert len(units(said)) == 6 and said["time"] == {"column": "Time (s)", "unit": "s"}
+
+
+def test_comments_and_an_unfinished_line_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time, gyro, accel = turned()
+    file = csv(tmp_path / "r.csv", NAMES, time, gyro, accel)
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:900], "# sync lost", *lines[900:], "61.6,0.01,"]))
+    said = begun(file, capsys=capsys)
+    assert said["rows"] == len(time)
+    assert main(["check", str(tmp_path / "begun.yaml"), "--data", str(tmp_path)]) == 0
+    assert "2 lines with another number of columns than the header, such as '# sync lost'" in capsys.readouterr().err
+
+
+def test_vectors_in_a_table_of_numpy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time, gyro, accel = turned()
+    table = np.zeros(len(time), [("t", "f8"), ("gyro", "f4", 3), ("acc", "f4", 3)])
+    table["t"], table["gyro"], table["acc"] = time, gyro, accel
+    np.save(tmp_path / "r.npy", table)
+    said = begun(tmp_path / "r.npy", capsys=capsys)
+    assert said["rows"] == len(time)
+    columns = {one["column"] for one in said["channels"]}  # type: ignore[attr-defined]
+    assert columns == {f"{name}[{k}]" for name in ("gyro", "acc") for k in (1, 2, 3)}
 
 
 @pytest.mark.parametrize(

@@ -170,7 +170,7 @@ def _within(name: str, value: object, depth: int = 0) -> dict[str, NDArray[np.ge
         item = value.reshape(-1)[0]
         fields = {field: np.asarray(item[field]) for field in value.dtype.names}
     elif value.dtype.names is not None:  # a table with one record a row
-        fields = {field: value[field].reshape(-1) for field in value.dtype.names}
+        fields = {field: value[field].reshape(value.size, -1) for field in value.dtype.names}
         return {f"{name}.{field}": array for field, array in fields.items() if _is_table(array)}
     else:
         return {}
@@ -238,7 +238,7 @@ class NumpyFile(_HeldArrays):
         file.seek(0)
         array = _array(file, size)
         if isinstance(array, np.ndarray) and array.dtype.names is not None:
-            return {field: array[field].reshape(-1) for field in array.dtype.names}
+            return {field: array[field].reshape(array.size, -1) for field in array.dtype.names}
         return {"data": array}
 
 

@@ -25,7 +25,7 @@ MOST_COLUMNS = 200
 """Columns that are looked at."""
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|inf|", re.IGNORECASE)
 _TIME = re.compile(
-    r"(?:^|[^a-z])(t|time|timestamp|stamp|clock|epoch|seconds|zeit)(?:[^a-z]|$)|timestamp|time", re.IGNORECASE
+    r"(?:^|[^a-z])(t|time|timestamp|stamp|clock|epoch|seconds|ticks?|zeit)(?:[^a-z]|$)|timestamp|time", re.IGNORECASE
 )
 _COUNT = re.compile(r"(?:^|[^a-z])(n|count|counter|index|samples?|row)(?:[^a-z]|$)", re.IGNORECASE)
 _UNITS = (
@@ -43,6 +43,12 @@ _TIME_UNITS = (
     (re.compile(r"milli|[_( \[]ms", re.IGNORECASE), "ms"),
     (re.compile(r"second|[_( \[]s(?:[^a-z]|$)", re.IGNORECASE), "s"),
 )
+_COUNTERS = ((re.compile(r"SampleTimeFine"), 10_000.0),)  # Xsens MT Low-Level Communication Protocol: counts per second
+_WRAPS = (2.0**16, 2.0**24, 2.0**32)
+_LONGEST_STEP = 5.0  # median steps in one step across the return of a counter to zero
+_STATED_RATE = re.compile(r"(?:rate|frequency)\D{0,12}?(\d+(?:[.,]\d+)?)\s*(k?)Hz", re.IGNORECASE)
+_SAME_RATE = 0.05
+_GRAVITY = 0.12  # log of the length of gravity over its length in a unit: sensors without calibration are off by a few per cent
 _SENSED = (
     ("accel", re.compile(r"acc|specific_?force", re.IGNORECASE)),
     ("gyro", re.compile(r"gyr|omega|ang(?:ular)?_?(?:vel|rate)", re.IGNORECASE)),
@@ -52,6 +58,25 @@ _SENSED = (
 )
 _AXIS = re.compile(r"(?:^|[^a-z])(?:[agfw]|acc\w*?|gyr\w*?)?_?([xyz])(?:[^a-z]|$)", re.IGNORECASE)
 _MATRIX = re.compile(r"\[([123])\]$")
+
+
+@dataclass(frozen=True, slots=True)
+class LikelyTime:
+    """The probable time of a row. column: its column; unit: its unit; rate: samples per second, Hz; per_second: for a counter of unknown
+    unit, its counts per second, otherwise None; wraps: value at which the counter returns to zero, None if it does not; sure: whether
+    the name of the column or the file states the unit or the rate."""
+
+    column: str
+    unit: str
+    rate: float
+    per_second: float | None = None
+    wraps: float | None = None
+    sure: bool = True
+
+    @property
+    def scale(self) -> float:
+        """Seconds per unit of the column."""
+        return _SCALES[self.unit] if self.per_second is None else 1 / self.per_second
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +149,10 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
 def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
     """The index of the first line in which most cells are numbers."""
     for index, row in enumerate(cells):
-        if len(row) == width and sum(_NUMBER.fullmatch(cell.strip()) is not None for cell in row) > width / 2:
+        if (
+            len(row) == width
+            and sum(_NUMBER.fullmatch(cell.strip().strip('"')) is not None for cell in row) > width / 2
+        ):
             return index
     return None
 
@@ -158,34 +186,83 @@ def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) 
     return file
 
 
-def guessed_time(first: Mapping[str, Array]) -> tuple[str, str, float] | None:
-    """Guesses the column of the time, its unit and the sample rate [Hz] from the first rows of all columns; None if no column looks
-    like a time."""
+def stated_rate(path: Path, name: str, given: Format | None) -> float | None:
+    """The sample rate [Hz] that the lines before the header of a text file state, such as `// Sample rate: 100.0Hz`. None if they state
+    none. Raises `InstrumentError`."""
+    if given is None or not isinstance(given.parameters, TextKeys):
+        return None
+    with open_samples(path, name) as file:
+        lines = file.read(MAX_HEADER).decode(given.parameters.encoding, "replace").splitlines()[: given.parameters.skip]
+    found = next(filter(None, map(_STATED_RATE.search, lines)), None)
+    rate = 0.0 if found is None else float(found[1].replace(",", ".")) * (1000.0 if found[2] else 1.0)
+    return rate if rate > 0 else None
+
+
+def guessed_time(first: Mapping[str, Array], stated: float | None = None) -> LikelyTime | None:
+    """The column of the time, guessed from the first rows of all columns; None if no column is a time. stated: sample rate [Hz] that the
+    file states."""
     for pattern in (_TIME, re.compile("")):
         for column, values in first.items():
             if pattern.pattern and not pattern.search(column):
                 continue
             if not pattern.pattern and (_COUNT.search(column) or guessed_channel(column).sensed):
                 continue
-            steps = np.diff(values)
-            if len(steps) < 2 or not np.all(np.isfinite(values)) or not np.mean(steps > 0) > 0.99:
+            if len(values) < 3 or not np.all(np.isfinite(values)):
                 continue
-            step = float(np.median(steps))
+            steps = np.diff(values)
+            wraps = wrap_of(steps[steps <= 0], float(np.median(steps)), float(values.min()), float(values.max()))
+            if wraps is not None:
+                steps = np.where(steps <= 0, steps + wraps, steps)
+            if not np.mean(steps > 0) > 0.99:
+                continue
+            step = float(np.median(_between_samples(first, steps)))
             if step <= 0 or (not pattern.pattern and np.max(np.abs(steps / step - 1)) > 0.5):
                 continue
-            unit = _unit_of_time(column, step)
-            if unit is not None:
-                return column, unit, 1 / (step * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit])
+            time = _time_of(column, step, wraps, stated)
+            if time is not None and (time.sure or pattern.pattern or wraps is None):
+                return time
     return None
 
 
-def _unit_of_time(column: str, step: float) -> str | None:
+def wrap_of(backwards: Array, step: float, least: float, most: float) -> float | None:
+    """The value at which a counter returns to zero, None if its steps backwards have another cause. backwards: these steps; step: the
+    usual step; least, most: of the counter."""
+    if not len(backwards) or step <= 0 or least < 0:
+        return None
+    fits = (w for w in _WRAPS if most < w and np.all((backwards + w > 0) & (backwards + w <= _LONGEST_STEP * step)))
+    return next(fits, None)
+
+
+def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
+    """The steps of the time between rows that contain a sample of the inertial sensor, of which other rows of a mixed log have none.
+    steps: between all rows, (n - 1,)."""
+    held = [
+        np.isfinite(values) for column, values in first.items() if guessed_channel(column).sensed in ("gyro", "accel")
+    ]
+    if not held or not (chosen := np.any(held, axis=0)).any() or chosen.all():
+        return steps
+    return np.diff(np.concatenate([[0.0], np.cumsum(steps)])[chosen])
+
+
+_SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def _time_of(column: str, step: float, wraps: float | None, stated: float | None) -> LikelyTime | None:
+    """The time in a column whose usual step is `step`. None if the step is not that of a usual sample rate."""
+    for pattern, per_second in _COUNTERS:
+        if pattern.search(column):
+            return LikelyTime(column, "s", per_second / step, per_second, wraps)
     for pattern, unit in _TIME_UNITS:
         if pattern.search(column):
-            return unit
-    for unit, scale in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+            return LikelyTime(column, unit, 1 / (step * _SCALES[unit]), None, wraps)
+    if stated is not None:
+        for unit, scale in _SCALES.items():
+            if abs(1 / (step * scale) / stated - 1) < _SAME_RATE:
+                return LikelyTime(column, unit, 1 / (step * scale), None, wraps)
+        return LikelyTime(column, "s", stated, float(f"{stated * step:.6g}"), wraps)
+    for unit, scale in _SCALES.items():
         if 1.9 < 1 / (step * scale) < 50_000:
-            return unit
+            return LikelyTime(column, unit, 1 / (step * scale), None, wraps, sure=False)
     return None
 
 
@@ -210,12 +287,11 @@ def guessed_channel(column: str) -> Guess:
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
-    """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. level: for a gyro, the largest
-    absolute value of the column; for an accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of
-    the accelerometers."""
+    """The unit of a column whose name does not contain it. level: for a gyro, a large absolute value of the column; for an
+    accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of the accelerometers."""
     if sensed == "accel":
         for unit, one_g in (("m/s^2", STANDARD_GRAVITY), ("g", 1.0), ("mg", 1000.0)):
-            if abs(math.log(max(level, 1e-9) / one_g)) < 0.25:
+            if abs(math.log(max(level, 1e-9) / one_g)) < _GRAVITY:
                 return unit
         return ""
     if sensed == "gyro":

@@ -7,13 +7,21 @@ import contextlib
 import csv
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from planrunner.base.findings import closest
+from planrunner.base.findings import closest, count_of
 from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.formats.arrow import ArrowRows
-from planrunner.instruments.formats.file import MAX_COLUMNS, FormatFile, SampleRows, few_columns, open_samples
+from planrunner.instruments.formats.file import (
+    MAX_COLUMNS,
+    FormatFile,
+    SampleRows,
+    TimeStamps,
+    few_columns,
+    open_samples,
+)
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Choice, ListOf, Number, Record, Text, key
 from planrunner.plan.span import Span
@@ -28,6 +36,8 @@ BLOCK = 1 << 22
 SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "blanks": "\t"}
 """By their words in bench files; any number of blanks become one tab before the text is parsed."""
 DECIMALS = {"point": ".", "comma": ","}
+MOST_WRONG = 0.1
+"""Share of lines with a wrong number of columns from which the separator must be wrong."""
 _MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
 _BLANKS = re.compile(rb"[ \t]+")
 _EDGES = re.compile(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)")
@@ -73,6 +83,17 @@ class TextFile(FormatFile[TextKeys]):
 
     Parameters = TextKeys
 
+    def __init__(self, path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], parameters: TextKeys):
+        super().__init__(path, name, stamps, channels, parameters)
+        self._wrong: list[str] = []
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        if not self._wrong:
+            return ()
+        lines = count_of(len(self._wrong), "line")
+        return (f"{lines} with another number of columns than the header, such as '{self._wrong[0][:40]}'",)
+
     def faults(self) -> tuple[type[Exception], ...]:
         import pyarrow as pa
 
@@ -90,13 +111,27 @@ class TextFile(FormatFile[TextKeys]):
             return file.seek(0, 2) * start.count(b"\n") // max(len(start), 1)
 
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
+        self._wrong.clear()
+        first = 1
         with self._opened(self.wanted) as reader:
-            first = 1
             for batch in reader:
+                self._few_wrong(first - 1 + batch.num_rows)
                 for offset in range(0, batch.num_rows, format_file.BATCH):
                     part = batch.slice(offset, format_file.BATCH)
                     yield first, ArrowRows(part, first, self.name)
                     first += part.num_rows
+
+    def _few_wrong(self, rows: int) -> None:
+        """Checks that few lines have a wrong number of columns. rows: number of the other lines. Raises `InstrumentError`."""
+        wrong = len(self._wrong)
+        if wrong > MOST_WRONG * rows:
+            message = f"{wrong} of {rows + wrong} lines have another number of columns than the header, such as '{self._wrong[0][:40]}'"
+            raise InstrumentError(f"{self.name} cannot be read: {message}; check `separator` in the bench file")
+
+    def _left_out(self, row: arrow_csv.InvalidRow) -> str:
+        """Leaves out a line with a wrong number of columns: a comment, or a line that the logger did not finish."""
+        self._wrong.append(row.text)
+        return "skip"
 
     def hint(self, column: str, known: list[str]) -> str:
         if known and all(name and _is_number(name, self.parameters.point) for name in known):
@@ -134,7 +169,7 @@ class TextFile(FormatFile[TextKeys]):
         convert = arrow_csv.ConvertOptions(
             column_types=types, include_columns=wanted, strings_can_be_null=True, decimal_point=layout.point
         )
-        parse = arrow_csv.ParseOptions(delimiter=layout.delimiter)
+        parse = arrow_csv.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=self._left_out)
         try:
             with open_samples(self.path, self.name) as file:
                 text = self._text(file)
