@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -126,6 +127,42 @@ def test_amplitudes_that_the_planned_states_do_not_show_are_refused_before_the_r
         assert {one.code for one in errors} == {"physics-rank"}
         assert all(f"two {hidden}" in one.hint for one in errors)
     assert not [one for one in checked(text(STATES)).findings if one.severity == "error"]
+
+
+STATED = {
+    "supply_zero_uncertainty": (6, "20 mV", 0.02, 0.0),
+    "supply_reading_uncertainty": (6, "0.2 %", 0.0, 2e-3),
+    "pressure_zero_uncertainty": (7, "3 hPa", 3.0, 0.0),
+    "pressure_reading_uncertainty": (7, "0.5 %", 0.0, 5e-3),
+}
+"""Key → channel, what the plan states, and the same as zero error, in the channel's unit, and relative error."""
+
+
+@pytest.mark.parametrize("key", STATED)
+def test_an_error_of_a_meter_moves_coefficients_as_the_budget_states(key: str) -> None:
+    """The readings are changed by one standard uncertainty, and the estimate is made again."""
+    campaign, (channel, words, zero, share) = CAMPAIGNS["error_model, supply and pressure"], STATED[key]
+    told = replace(
+        campaign, plan=campaign.plan.replace("    outputs:\n", f"    {key}: {words}\n    drift: none\n    outputs:\n")
+    )
+    sound, (_, made) = (
+        known(told, WORLDS["white noise"]),
+        recorded(told, WORLDS["white noise"], np.random.default_rng(12)),
+    )
+    values = made.values.copy()
+    values[:, channel] += zero + share * values[:, channel]
+    found, other = estimated(told, sound, made), estimated(told, sound, replace(made, values=values))
+    assert not isinstance(found, str) and not isinstance(other, str)
+    name = key.removesuffix("_uncertainty").replace("_", " ")
+    seen = set()
+    for item in found.coefficients:
+        (budget,) = [one for one in found.budgets if one.coefficient == item.name]
+        for line in budget.lines:
+            if line.quantity == name:
+                assert line.contribution == pytest.approx(abs(other[item.name].value - item.value), rel=0.02, abs=1e-9)
+                assert line.added and line.source == f"plan estimates.model.{key}"
+                seen.add(item.name)
+    assert {"gyro_bias_x", "accel_bias_z"} <= seen
 
 
 def test_what_only_the_recording_shows_is_not_predicted() -> None:

@@ -36,6 +36,7 @@ from planrunner.estimators.declared_axes import AxisResponse, against_nominal, c
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.error_model.common_amplitudes import CommonAmplitudes, between_outputs, common_amplitudes
+from planrunner.estimators.error_model.meter_errors import meter_errors
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.error_model.sampled_outputs import SampledOutputs
@@ -76,7 +77,7 @@ WITHIN = "within segments"
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedOutput:
     """The fit of one output. observations: the observations of this output; site: the influences of the uncertain latitude and
-    gravity on these observations."""
+    gravity, and of the meters for supply and pressure, on these observations."""
 
     model: ModelledOutput
     observations: Observations
@@ -379,7 +380,10 @@ def _fitted(
         fits=len(parameters.outputs),
         shown=frozenset(shown),
     )
-    site = site_errors(group.model, group.segments, request.site, inputs, responses)
+    site = (
+        *site_errors(group.model, group.segments, request.site, inputs, responses),
+        *meter_errors(group.model, request.name, parameters, request.sensor.nominal_supply, responses),
+    )
     found = []
     for k, (one, (whole, left)) in enumerate(zip(group.outputs, seen, strict=True)):
         contrasts = None if one.within is None else one.within.contrasts

@@ -11,7 +11,7 @@ from planrunner.estimators.outputs_fit import BASES
 from planrunner.observation.drift import drift
 from planrunner.observation.flicker import drift_span
 from planrunner.plan import source
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Record, Schema, Text, key, optional
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, QuantityOf, Record, Schema, Text, key, optional
 from planrunner.plan.quantity import Quantity, anchored
 
 AXES = ("x", "y", "z")
@@ -70,6 +70,26 @@ class ErrorModelParameters(Record):
         CHANNEL,
         "Channel of the ambient pressure. Its mean over a segment is used; by default `ambient_pressure` of the segment.",
         "ambient_pressure",
+    )
+    supply_zero_uncertainty: Quantity | None = optional(
+        QuantityOf("voltage", "not negative"),
+        "Standard uncertainty of the zero error of the voltmeter for the supply, common to all segments.",
+        "5 mV",
+    )
+    supply_reading_uncertainty: Quantity | None = optional(
+        QuantityOf("ratio", "not negative"),
+        "Relative standard uncertainty of the readings of the voltmeter for the supply, common to all segments.",
+        "0.1 %",
+    )
+    pressure_zero_uncertainty: Quantity | None = optional(
+        QuantityOf("pressure", "not negative"),
+        "Standard uncertainty of the zero error of the barometer, common to all segments.",
+        "0.3 hPa",
+    )
+    pressure_reading_uncertainty: Quantity | None = optional(
+        QuantityOf("ratio", "not negative"),
+        "Relative standard uncertainty of the readings of the barometer, common to all segments.",
+        "500 ppm",
     )
     angle_channel: str | None = optional(
         CHANNEL,

@@ -1,0 +1,60 @@
+"""How errors of the meters for supply voltage and ambient pressure change the observations of a model.
+
+Each meter may have two errors that are the same in all segments: a zero error, and a relative error of the reading. They cause no scatter
+between segments, so their contributions are added to those of the data (JCGM 100:2008, F.1.2.3). They also act if the plan states the
+voltage or the pressure, because a meter showed these values, too. The sign of a change is the sign for a reading that is too large.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from planrunner.base.arrays import Array
+from planrunner.error_model.observed import STANDARD_PRESSURE
+from planrunner.error_model.segment_columns import ErrorsAtSegments, SegmentStates
+from planrunner.estimators.error_model.parameters import ErrorModelParameters
+from planrunner.observation.correlated_errors import CorrelatedError
+from planrunner.plan.quantity import Quantity
+from planrunner.uncertainty.influences import InputQuantity
+
+
+def meter_errors(
+    model: ErrorsAtSegments, estimate: str, parameters: ErrorModelParameters, nominal_supply: float, coefficients: Array
+) -> tuple[CorrelatedError, ...]:
+    """The errors of the meters for which the plan states an uncertainty.
+
+    estimate: name of the estimate in the plan; nominal_supply: V. coefficients: (m, p), for m outputs and p columns of the model, in the
+    outputs' units per SI unit of each column.
+    """
+    found = []
+    for quantity, low, high in _moved(model.states, estimate, parameters, nominal_supply):
+        sides = [replace(model, states=states).columns(model.stimulus) for states in (low, high)]
+        slopes = (sides[1] - sides[0]) / (2 * quantity.standard_uncertainty)
+        moved = -coefficients @ slopes.T
+        if moved.any():
+            found.append(CorrelatedError(quantity, dict(enumerate(moved[..., None]))))
+    return tuple(found)
+
+
+def _moved(
+    states: SegmentStates, estimate: str, parameters: ErrorModelParameters, nominal_supply: float
+) -> Iterator[tuple[InputQuantity, SegmentStates, SegmentStates]]:
+    """Each stated error, with the states for a reading that is too small and too large by the standard uncertainty."""
+    for field, unit, reference, errors in (
+        ("overvoltage", "V", nominal_supply, ("supply_zero_uncertainty", "supply_reading_uncertainty")),
+        ("overpressure", "Pa", STANDARD_PRESSURE, ("pressure_zero_uncertainty", "pressure_reading_uncertainty")),
+    ):
+        excess = getattr(states, field)
+        for key, text, each in zip(errors, (unit, "1"), (np.ones_like(excess), excess + reference), strict=True):
+            stated: Quantity | None = getattr(parameters, key)
+            if stated is None or not stated.value:
+                continue
+            name, source = key.removesuffix("_uncertainty").replace("_", " "), f"plan estimates.{estimate}.{key}"
+            quantity = InputQuantity(
+                name, 0.0, text, stated.value, source=source, shown=stated.unit.text, shown_factor=stated.unit.factor
+            )
+            low, high = (replace(states, **{field: excess + sign * stated.value * each}) for sign in (-1, 1))
+            yield quantity, low, high
