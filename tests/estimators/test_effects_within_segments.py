@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from effects_within import GYRO, World, rates, rocks, single, statics, timed
+from effects_within import GYRO, World, rates, rocks, single, statics, timed, truth
+from recorded import from_samples
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.error_model.estimator import ErrorModelEstimator
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimateRequest, EstimationError
 from planrunner.estimators.method import designed
+from planrunner.plan.schedule import Spin
+from tests.blind.plans import Segment
 
 SECONDS = 4.3  # of rocking
 ROCKED = timed([*statics(6.0), *rates(50, seconds=3.6), *rocks((8, 0.5), (2, 4), seconds=SECONDS)])
@@ -95,3 +99,44 @@ def test_vibration_rectification_needs_no_lever_arm_on_the_axis() -> None:
     assert found.standard_uncertainty < 0.01 * found.value and not one.warnings
     away = World(segments, shift | single("lever_arm", 0.03, -0.02, 0.04), outputs).estimate(2)
     assert [text for text in away.warnings if "the model is incomplete" in text]
+
+
+SLOWLY = [*statics(), *rates(50, seconds=20.2), *rocks((1, 0.5), seconds=8.3)]
+"""The table turns by a little less than three turns: the Earth's rate does not average out."""
+
+
+def begun_late(world: World, seed: int) -> list[RecordedSegment]:
+    """Turning segments begin at any angle: a part of each is cut off, up to a third."""
+    draw, found = np.random.default_rng([seed, 9]), []
+    for item in world.recording(seed):
+        if not isinstance(item.segment.motion, Spin):
+            found.append(item)
+            continue
+        blocks = list(item.blocks(tuple(item.units)))
+        cut = int(draw.integers(0, item.statistics.count // 3))
+        time = np.concatenate([block.time for block in blocks])[cut:]
+        channels = {name: np.concatenate([block.channels[name] for block in blocks])[cut:] for name in item.units}
+        found.append(from_samples(item.segment, time, channels, item.units))
+    return found
+
+
+@pytest.mark.slow
+def test_an_angle_that_nothing_shows_is_in_the_uncertainty() -> None:
+    """If the angle counted as zero, the errors of the misalignments would be about twice their standard uncertainties. 20 recordings: the
+    root mean square of one has a standard deviation of 0.16."""
+    outputs = {"gyro_x": (*GYRO, "gyro_bandwidth")}
+    world, errors = World(timed(SLOWLY), single("gyro_bandwidth", 20e-3), outputs, noisy=0.2), []
+    names = ("gyro_misalignment_towards_y_x", "gyro_misalignment_towards_z_x", "gyro_bandwidth_tau_x")
+    for seed in range(20):
+        request = EstimateRequest("model", tuple(begun_late(world, seed)), world.parameters, world.site, world.model)
+        found, true = ErrorModelEstimator().estimate(request), truth(world, seed)
+        errors.append([(found[name].value - true[name]) / found[name].standard_uncertainty for name in names])
+    size = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (size < 1.3).all() and size.max() > 0.5
+
+
+@pytest.mark.parametrize(("moved", "named"), [(rates(50, seconds=20.2), 1), ([], 0)])
+def test_a_budget_names_an_angle_that_nothing_shows(moved: list[Segment], named: int) -> None:
+    segments = timed([*statics(), *moved, *rocks((8, 0.5), seconds=8.3)])
+    found = World(segments, single("gyro_bandwidth", 20e-3), {"gyro_x": (*GYRO, "gyro_bandwidth")}).estimate(1)
+    assert [one.quantity.name for one in found.influences].count("angle of the table") == named

@@ -68,7 +68,7 @@ from planrunner.observation.observations import SIGNIFICANCE, Observations, obse
 from planrunner.plan.schedule import RecordedMotion, Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
 from planrunner.uncertainty.budget import merged
-from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.influences import Influence, InputQuantity
 
 WITHIN = "within segments"
 """Label of the contrasts within segments, which join the means of the segments in a fit."""
@@ -390,6 +390,7 @@ def _fitted(
         effects = (
             *(_extended(error, contrasts, own=True) for error in _of_output(flicker, k)),
             *(_extended(error, contrasts) for error in _of_output(acting, k)),
+            *_of_angle(one),
         )
         courses = [course for course in drift.courses if not _modelled(course, drift, one)]
         own = replace(drift, courses=tuple(replace(c, columns=_padded(c.columns, contrasts)) for c in courses))
@@ -400,6 +401,14 @@ def _fitted(
         require_basis(fit, basis, f"{request.name}, {one.name}")
         found.append(FittedOutput(one, whole, fit, tuple(_extended(e, contrasts) for e in _of_output(site, k))))
     return found
+
+
+def _of_angle(one: ModelledOutput) -> list[CorrelatedError]:
+    """The error of the means and of the contrasts within segments if nothing shows the angle of a turning table."""
+    if one.within is None or not one.within.phase.any():
+        return []
+    quantity = InputQuantity("angle of the table", 0.0, "1", 1.0, source="no channel shows the angle")
+    return [CorrelatedError(quantity, {0: np.vstack([one.within.phase, one.within.contrasts.phase])})]
 
 
 def _matrix(one: ModelledOutput) -> Array:

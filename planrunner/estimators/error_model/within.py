@@ -85,12 +85,14 @@ class Shape:
 class Contrasts:
     """The contribution of the samples within segments to a fit, as r contrasts (weighted sums of samples), in the output's unit.
     matrix: (r, p), linear model of the contrasts; values: (r,), the contrasts; sigma: (r,), their standard deviations; flicker: (r,
-    r), a matrix F with F·Fᵀ equal to the covariance of the contrasts due to flicker with the bias instability B = 1."""
+    r), a matrix F with F·Fᵀ equal to the covariance of the contrasts due to flicker with the bias instability B = 1. phase: (r, k), change
+    of the contrasts by each of the k errors that an unknown angle of the table causes."""
 
     matrix: Array
     values: Array
     sigma: Array
     flicker: Array
+    phase: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +107,8 @@ class WithinFit:
     variance of batch means to the variance that white noise explains; 1 if the noise is white. uneven: for the contributions of
     segments to a contrast, the ratio of their variance to the expected variance; the largest ratio over all contrasts; 1 if the
     contributions agree. moved_error: (n,), standard error of the mean of each segment whose motion comes from the recording,
-    computed from the residuals of the fit; NaN for other segments.
+    computed from the residuals of the fit; NaN for other segments. phase: (n, k), change of the means, in the output's unit, by each of
+    the k errors that an unknown angle of the table causes.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -117,6 +120,7 @@ class WithinFit:
     available: Mapping[str, tuple[str, ...]]
     shapes: Mapping[str, float]
     moved_error: Array
+    phase: Array
     at_bound: tuple[str, ...] = ()
     coloured: float = 1.0
     uneven: float = 1.0
@@ -446,6 +450,7 @@ class _Problem:
             columns.available,
             self._named(values),
             np.where(output.observed.moved, self.error, np.nan),
+            self.means(self._once_per_turn()).T,
             tuple(bounds),
             coloured,
             uneven,
@@ -488,8 +493,25 @@ class _Problem:
             functionals @ (self.centred(values) * weight) * unit,
             unit * np.sqrt(np.maximum(coloured, uneven)),
             root * unit,
+            functionals @ (self.centred(self._once_per_turn()) * weight).T * unit,
         )
         return contrasts, float(uneven.max(initial=1.0))
+
+    def _once_per_turn(self) -> Array:
+        """The k components (k, N) of the input once per turn whose phase is unknown, in the output's unit.
+
+        The fit assumes an input with the amplitude A and a phase that may be wrong by any angle. The difference of two such inputs with
+        independent phases has a cosine and a sine component, each with the mean square A²."""
+        observed = self.output.observed
+        k = [channel.name for channel in observed.channels].index(self.output.errors.output)
+        found = []
+        for part, size in zip(observed.segments(), observed.unknown_phase[:, k].tolist(), strict=True):
+            if size:
+                both = np.zeros((2, len(self.owner)))
+                angle = observed.angle[part]
+                both[:, part] = size * self.output.nominal * np.array([np.cos(angle), np.sin(angle)])
+                found.append(both)
+        return np.concatenate([np.zeros((0, len(self.owner))), *found])
 
     def _colour(self, left: Array) -> float:
         """The ratio of the variance of batch means to the variance that white noise explains; 1 if it is not significantly larger.
