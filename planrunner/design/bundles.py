@@ -18,7 +18,8 @@ from planrunner.base.workers import ALONE, Workers, results_in_order
 
 
 def loss(matrix: Array, criterion: str) -> float:
-    """The loss −ln|M| (D) or tr M⁻¹ (A) of an information matrix (p, p); infinite if it is singular."""
+    """The loss of an information matrix M (p, p), which is −ln|M| for criterion D and tr M⁻¹ for criterion A; infinite if M is
+    singular."""
     sign, logarithm = np.linalg.slogdet(matrix)
     size = float(np.trace(matrix)) / len(matrix)
     if sign <= 0 or size <= 0 or logarithm - len(matrix) * math.log(size) < 2 * math.log(1e-9):

@@ -2,11 +2,12 @@
 exceed.
 
 By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal exactly when the variance d(x) =
-xᵀM⁻¹x is nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) changes the shares w_i ←
-w_i·d_i/p, which raises |M| with every step. The excess of max d over p is the certificate: by the inequality of arithmetic and
-geometric means, |M(η)| ≤ |M(ξ)|·(max d/p)^p for the design ξ that was found and every other design η. A linear criterion is
-tr(W·M⁻¹); with W = 1 it is criterion A. In the formulas for a linear criterion, xᵀM⁻¹WM⁻¹x replaces d, tr(W·M⁻¹) replaces p, and
-the step is w_i ← w_i·√(d_i/p).
+xᵀM⁻¹x is nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) changes the fractions w_i ←
+w_i·d_i/p, which raises |M| with every step. Steps of Fedorov and Wynn towards the candidate with the largest d, and away from the
+candidate with the smallest d, complete the search (Todd & Yıldırım 2007). The excess of max d over p is the certificate: by the
+inequality of arithmetic and geometric means, |M(η)| ≤ |M(ξ)|·(max d/p)^p for the design ξ that was found and every other design η.
+A linear criterion is tr(W·M⁻¹); with W = 1 it is criterion A. In the formulas for a linear criterion, xᵀM⁻¹WM⁻¹x replaces d,
+tr(W·M⁻¹) replaces p, and the step is w_i ← w_i·√(d_i/p).
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ class Continuous:
     """An optimal continuous design: the fraction of the observations for each candidate, not rounded to whole numbers of
     observations. shares: (N,), the fractions, which add up to 1. matrix: (p, p), the information matrix M per observation. excess:
     the ratio of the largest derivative to `mean`, minus 1; 1e-6 means that no design is better by more than one part in a million.
-    value: |M| (criterion D) or tr(W·M⁻¹). mean: mean of the derivative over the candidates, weighted by `shares`. Without fixed
-    information, the mean is p (D) or `value` (linear criterion); information that does not depend on the shares makes it smaller."""
+    value: |M| (criterion D) or tr(W·M⁻¹). mean: mean of the derivative over the candidates, weighted by `shares`. It is p
+    (criterion D) or `value` (linear criterion) if there is no fixed information, and smaller if there is."""
 
     shares: Array
     matrix: Array
@@ -126,7 +127,7 @@ def judged(
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
     """A step of the fractions towards the candidate with the largest variance d, or away from the candidate with the smallest d
-    among those with a fraction above zero. It takes the direction of the candidate whose d differs more from p. The length of the
+    among those with a fraction above zero. Of these two directions, it takes the one whose d differs more from p. The length of the
     step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
@@ -163,8 +164,8 @@ def solve_with_climbing(
     most_rounds: int = 6,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The best shares of the observations for points of a continuous region. The search starts with the candidates `rows`, and adds
-    better points found by climbing until climbing finds none.
+    """The best fractions of the observations for points of a continuous region. The search starts with the candidates `rows`, and
+    adds better points found by climbing until climbing finds none.
 
     climb: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
     derivatives there. The excess of the result refers to the region, as far as climbing finds the maxima.

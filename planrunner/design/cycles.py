@@ -65,8 +65,8 @@ class Round:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycle:
-    """The best cycle of several searches. cycle: the best cycle with zero residual, or None if none was found; rounds: the searches
-    in the order in which they were made; the last of them found `cycle`."""
+    """The result of several searches. cycle: the best cycle with zero residual, or None if none was found; rounds: the searches in
+    the order in which they were made."""
 
     cycle: RotationCycle | None
     rounds: tuple[Round, ...]
@@ -83,8 +83,8 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers = ALONE) -> FoundCycle:
-    """Searches for cycles through the planned stops in the planned order. A turn may have either sense, and is at most as long as
-    the longest planned turn or, if that is shorter than half a turn, at most half a turn.
+    """Searches for cycles through the planned stops in the planned order. A turn may have either sense. It is limited to the
+    longest planned turn, or to half a turn if the longest planned turn is shorter.
 
     Raises `CycleError` if the stops themselves are not balanced, which no choice of turns can correct, or if there are too many
     choices.
@@ -137,8 +137,8 @@ def _best_of_part(
 
 
 def _ways(turn: float, most: float) -> list[float]:
-    """All turns of at most `most` rad that end at the same position as `turn`. The first of them is `turn` itself. Turns of zero
-    are left out."""
+    """All turns that end at the same position as `turn` and are not longer than `most` [rad]. The first of them is `turn` itself. A
+    turn of zero is left out."""
     others = [turn + TURN * whole for whole in range(-2, 3) if whole]
     return [turn, *(other for other in others if abs(other) <= most and abs(other) > _ANGLE)]
 
@@ -295,7 +295,8 @@ class _Search:
 
 
 def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list[tuple[int, float]]:
-    """The permitted steps from one position, as pairs of the index of the next position and the turn to it."""
+    """The permitted steps from one position, as pairs of the index of the next position and the turn to it. The shortest turn comes
+    first; of two equally long turns, the positive turn comes first."""
     count = len(angles)
     ends = [(start + 1) % count, (start - 1) % count] if near else [index for index in range(count) if index != start]
     found = set()

@@ -136,8 +136,8 @@ class RateSet:
 @dataclass(frozen=True, slots=True)
 class FoundRates:
     """The result of a design of rates. sets: the sets of rates named `planned` and `best`. course: rates [rad/s] at which
-    `RateSet.variance` is given. excess: remaining excess of the best rates over the certified bound. repeats: number of repeats of
-    each rate in the plan. text: the plan with the best rates."""
+    `RateSet.variance` is given. excess: the ratio of the largest derivative of the criterion to the mean derivative, minus 1; 0 at
+    the optimum. repeats: number of repeats of each rate in the plan. text: the plan with the best rates."""
 
     estimate: str
     output: str

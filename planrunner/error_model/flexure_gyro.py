@@ -86,7 +86,7 @@ def output_coefficients(physical: Array) -> Array:
 
 def physical_coefficients(outputs: Array) -> Array:
     """Inverts `output_coefficients` in closed form: [U; V] of shape (2, p) gives shape (4 + 2·(p − 2),), and n sets of shape (2, p,
-    n) give shape (4 + 2·(p − 2), n). The formula is analytic, so its derivatives can be computed (`uncertainty.derivatives`).
+    n) give shape (4 + 2·(p − 2), n). The formula is analytic, so its derivatives can be computed with `uncertainty.derivatives`.
 
     The formula uses tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity gives a
     negative scale factor. Raises ValueError if U1, V2 or the determinant of M is zero.

@@ -102,7 +102,8 @@ def joined(
     bins: Bins | None = None,
     encoder: bool = True,
 ) -> Observed:
-    """Makes an `Observed` by joining segments in the given order. rejected, along, bins, encoder: as in `Observed`."""
+    """Makes an `Observed` by joining segments in the given order. rejected, along, bins, encoder: values of the fields of
+    `Observed` with these names."""
 
     def stacked(parts: Iterable[Array]) -> Array:
         return np.concatenate([np.zeros(0), *parts])
@@ -421,8 +422,8 @@ class Observed:
 
     @cached_property
     def gyro_range(self) -> Array:
-        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2). The smallest value is at most 0 and the
-        largest value is at least 0; otherwise it is replaced by 0."""
+        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2). A smallest value above 0 and a largest
+        value below 0 are replaced by 0."""
         parts = [self.gyro_output[part] for part in self.segments()]
         return np.array([(part.min(initial=0.0), part.max(initial=0.0)) for part in parts]).reshape(-1, 2)
 

@@ -208,8 +208,9 @@ class ErrorsAtSegments:
         return effect.grid(self._planned)
 
     def course(self, output: int, effect: Effect, amplitudes: Array) -> tuple[Array, Array]:
-        """Course of an effect with a shape within each segment, in one output at the planned stimulus. Returns the positions along a
-        segment, (L,), from −0.5 to 0.5, and the values there, (n, L). amplitudes: one for each column of the effect in this output."""
+        """The values that an effect with a shape adds to one output within each segment, at the planned stimulus. Returns the
+        positions (L,) along a segment, from −0.5 to 0.5, and the values (n, L) at these positions. amplitudes: amplitudes of the
+        effect's columns in this output."""
         errors, observed = self.outputs[output], self._planned
         part = next(one for one in errors.chosen if one.effect is effect)
         _, rows, _ = amplitudes_of(part, errors, observed, _columns(part.effect, observed, part.shape))

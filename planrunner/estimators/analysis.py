@@ -237,8 +237,8 @@ NAMED = 3
 
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
-    """A sentence about the samples that the segments lack, and a sentence about gaps within the segments. sample_rate: sample rate
-    [Hz] for segments that state none."""
+    """Two sentences, as far as they apply: one about samples that the segments lack, and one about gaps within the segments.
+    sample_rate: sample rate [Hz] for segments that state none."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics

@@ -1,5 +1,5 @@
-"""Fits outputs to the means of positions, for all estimators that use positions. The weights of the fit come from the noise within
-positions, the declared flicker and the declared errors of the table."""
+"""Fits the mean readings of outputs in several positions, for all estimators that use positions. The weights of the fit come from
+the noise within positions, the declared flicker and the declared errors of the table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from planrunner.uncertainty.influences import Influence
 
 
 class FittedFromPositions(Protocol):
-    """The plan keys of an estimator that fits the means of positions."""
+    """The plan keys of an estimator that fits mean readings in several positions."""
 
     @property
     def uncertainty(self) -> str: ...

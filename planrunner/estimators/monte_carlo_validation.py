@@ -1,10 +1,11 @@
 """Compares an estimate's intervals with Monte Carlo draws, if the plan requests this (`validate: monte_carlo`).
 
-An estimator may define how draws of its data and of the declared inputs become coefficients, by a method
+By the following method, an estimator may define how draws of its data and of the declared inputs become coefficients, including all
+nonlinearity:
 
     def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
-that includes all nonlinearity. Without this method, the draws are computed from the covariance and the sensitivities of the
+ Without this method, the draws are computed from the covariance and the sensitivities of the
 estimate. Such draws test the distributions and the effective degrees of freedom, but not the linearity. Worker processes share the
 draws, so the function that makes the draws must support pickling.
 """

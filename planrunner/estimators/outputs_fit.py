@@ -53,7 +53,7 @@ class OutputsFit:
         beforehand; pooled_freedom: degrees of freedom of this factor.
     drift: the drift functions (powers of the time or recorded temperatures) that are fitted together with the terms.
     all_gains: (m, P, n), derivatives of the coefficients of all P columns with respect to the observations.
-    all_cofactors: for each basis, (m, P, m, P), covariance of these coefficients before the variance factors.
+    all_cofactors: for each basis, (m, P, m, P), covariance of these coefficients without the variance factors.
     within: number of observations at the end that are not means of segments (`Observations`).
     unstated: effects of unknown size, each given for the size of one unit; these effects are not in the fit.
     """
@@ -405,7 +405,7 @@ def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
 def _cofactors(
     found: _Fitted, noises: Sequence[WithinSegmentNoise], correlation: Array, effects: Array
 ) -> dict[str, Array]:
-    """The covariances of the coefficients before the variance factors, for each basis of uncertainty. The correlation of the noise
+    """The covariances of the coefficients for each basis of uncertainty, without the variance factors. The correlation of the noise
     between outputs always comes from the samples, because the residuals of a few segments do not determine it. effects: (m, n, r),
     matrices R for which R·Rᵀ is the covariance of the observations due to the effects."""
     m, p, _ = found.gains.shape

@@ -78,8 +78,8 @@ def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, fl
 
 
 def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """The names of the terms that occur in the null space, in their original order. The data determine none of these terms on its
-    own."""
+    """The names of the terms that occur in the null space, in their original order. The data do not determine any of these terms
+    separately."""
     return tuple(
         name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6
     )

@@ -126,7 +126,7 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
 
 def comparable(data: Json) -> Json:
     """The results as JSON data in a form in which results of formats 2 and 3 can be compared. The format, the versions that
-    computed the results, and data that only translations need are omitted."""
+    computed the results, and data that serve only for translations are omitted."""
     if isinstance(data, list):
         return [comparable(item) for item in data]
     if not isinstance(data, dict):

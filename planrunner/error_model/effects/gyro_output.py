@@ -161,7 +161,7 @@ class _Above(_OneSided):
 
 
 class _Below(_OneSided):
-    """Clips the output at a lower limit, whose magnitude is the shape."""
+    """Clips the output at a lower limit; the shape parameter is the magnitude of this limit."""
 
     shape_name, sign = "lower", -1
 

@@ -250,8 +250,8 @@ class CurvedAndShaped(HasShape, Protocol):
     """An effect that has a shape, and that is proportional to its amplitudes only while they are small."""
 
     def secant(self, amplitudes: Array) -> Shaped:
-        """The effect with columns that are valid at `amplitudes` (SI): each column times its amplitude, added up, gives the
-        complete effect there."""
+        """The effect for given `amplitudes` (SI), which need not be small: the sum of its columns, each multiplied by its
+        amplitude, is the complete effect."""
 
 
 @runtime_checkable
@@ -259,8 +259,8 @@ class Curved(Effect, Protocol):
     """An effect that is proportional to its amplitudes only while they are small."""
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """Variants with columns that are valid at `amplitudes` (SI): each column times its amplitude, added up, gives the complete
-        effect there."""
+        """The variants for given `amplitudes` (SI), which need not be small: the sum of the columns, each multiplied by its
+        amplitude, is the complete effect."""
 
 
 class Shaped:

@@ -1,4 +1,5 @@
-"""Effects that begin at one moment, such as a shock: a step of a bias, a shift of the sensor on its mounting, or lost samples."""
+"""Effects that begin at one moment, for example because of a shock: a step of a bias, a shift of the sensor on its mounting, or
+lost samples."""
 
 from __future__ import annotations
 
@@ -124,8 +125,9 @@ class MountShift(Shaped):
 
 class SamplesDropped(Shaped):
     """Samples of the sensor are lost at a moment, a time since power-on, and the times of later samples do not include the lost
-    samples. After the loss, the gyros show the motion at a later time than stated. lost: the lost time [s] for which the columns
-    are exact. For a short lost time, the change of the rate is the lost time multiplied by the angular acceleration."""
+    samples. After the loss, the gyros show the motion at a later time than their time stamps state. lost: the lost time [s] for
+    which the columns are exact. For a short lost time, the change of the rate is the lost time multiplied by the angular
+    acceleration."""
 
     id, stage, hypothesis, shape_name, shape_unit = "samples_dropped", "acquisition", False, "time", "s"
     about = About(

@@ -1,15 +1,16 @@
-"""Determines the confidence of deviations: the power-law noise at each averaging time, and the equivalent degrees of freedom (EDF)
+"""Determines how well deviations are known: the power-law noise at each averaging time, and the equivalent degrees of freedom (EDF)
 that follow from it.
 
 The type of noise is given by the exponent α of the frequency spectrum S_y ∝ f^α: 2 white phase (in this field: quantisation), 1
 flicker phase, 0 white frequency (random walk of the angle), −1 flicker frequency (bias instability), −2 random walk of the
 frequency (rate random walk).
 
-Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST SP
-1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003 (SP 1065,
-5.4.1). Phase computed from rate samples is an exact integral, not an average over a sample, so the filter factor is F = ∞ for α ≤ 0; for
-white noise this equals the empirical formula of SP 1065, even at the shortest averaging times. Sums whose length grows with the averaging
-factor are computed on a coarser grid with the same number of averaging times.
+Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST
+SP 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003
+(SP 1065, 5.4.1). Phase computed from rate samples is an exact integral, not an average over a sample. Therefore the filter factor
+is F = ∞ for α ≤ 0. For white noise, the resulting degrees of freedom equal those of the empirical formula of SP 1065, even at the
+shortest averaging times. Sums whose length grows with the averaging factor are computed on a coarser grid with the same number of
+averaging times.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None
     averages.
 
     before: the exponent found at the next shorter averaging time. The function returns `before`, unless the exponent of the
-    averages differs from it by more than half a step plus two standard deviations. Thirty averages alone would mistake white noise
-    for a neighbouring type one time in four.
+    averages differs from it by more than half a step plus two standard deviations. From thirty averages alone, white noise would be
+    mistaken for a neighbouring type one time in four.
     """
     averages, count = [], 0
     for run in runs:
@@ -77,8 +78,8 @@ def _delta(parts: Sequence[Array]) -> float:
 
 
 def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
-    """Equivalent degrees of freedom (EDF) of a variance with maximum overlap; 0 if the run is too short for one term. order: 2 for
-    Allan, 3 for Hadamard; factor: averaging factor; points: number of phase points of the run.
+    """Equivalent degrees of freedom (EDF) of a variance with maximum overlap; 0 if the run is too short for a single difference.
+    order: 2 for Allan, 3 for Hadamard; factor: averaging factor; points: number of phase points of the run.
 
     The variance converges only for α > 1 − 2·order, so a smaller alpha counts as 2 − 2·order.
     """

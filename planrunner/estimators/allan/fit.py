@@ -239,8 +239,8 @@ def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
     """The covariance (4, 4) of the squared coefficients, enlarged where a coefficient cannot be distinguished from zero. For such a
-    coefficient, it is computed from an upper bound, two standard uncertainties above the estimate. Without this, a coefficient that
-    is too small by chance would also have too small an uncertainty."""
+    coefficient, the covariance is computed from an upper bound, two standard uncertainties above the estimate. Otherwise a
+    coefficient that is too small by chance would also have too small an uncertainty."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])
@@ -264,8 +264,8 @@ def expected_covariance(factors: Integers, squares: Array, lengths: Integers, te
 
 
 def _sound(covariance: Array) -> Array:
-    """The covariance with small and negative eigenvalues raised to a small positive value, so that it has a square root. Numerical
-    integration can cause such eigenvalues."""
+    """The covariance with small and negative eigenvalues, which numerical integration can cause, raised to a small positive value,
+    so that it has a square root."""
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     lifted = (vectors * np.maximum(values, 1e-6)) @ vectors.T

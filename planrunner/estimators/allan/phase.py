@@ -104,7 +104,7 @@ class _Stretches:
         self.missing, self.gaps, self.bridged, self.samples = 0, 0, 0, 0
 
     def segment(self, recorded: RecordedSegment, output: str) -> None:
-        """Adds all samples of one segment. They are never joined to the samples of the preceding segment."""
+        """Adds all samples of one segment, without joining them to the samples of the preceding segment."""
         statistics = recorded.statistics
         offset = float(statistics.mean[statistics.of(output)]) if output in statistics.channels else 0.0
         offset = offset if math.isfinite(offset) else 0.0

@@ -162,7 +162,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Foresight(unpredicted=tuple(found))
 
     def known(self, request: DesignRequest[ErrorModelParameters]) -> Known:
-        """The input axes of the outputs in sensor axes."""
+        """The input axis of each output, in the sensor's frame."""
         named = [one for group in _planned(request) for one in group.outputs]
         return Known(directions={one.name: np.eye(3)[one.errors.axis] for one in named})
 
@@ -260,7 +260,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
 
 
 def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str]:
-    """The effects whose shape is fitted to samples although the plan states no expected value for it."""
+    """The effects whose shape is fitted to samples, although the plan states no expected value for the shape."""
     if one.within is None:
         return []
     shaped = [amplitude.effect.id for amplitude in one.columns.amplitudes if amplitude.shape]
@@ -617,7 +617,8 @@ def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
 
 def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: Derived) -> dict[str, dict[str, str]]:
     """The values in the form in which a bench file states them for `driver: added_effects`: maps each effect to its parameters, and
-    each parameter to its value with unit. Scale factors of outputs in other units are omitted, because they are not effects."""
+    each parameter to its value with unit. Scale factors of outputs whose unit is not a rate or an acceleration are omitted, because
+    they are not effects."""
     held = {
         place: value for places, value in zip(common.members, found.values.tolist(), strict=True) for place in places
     }

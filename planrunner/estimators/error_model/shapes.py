@@ -5,8 +5,8 @@ Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973). The fit searches for the s
 the shape that is found, the derivative with respect to the shape is a further column of the final fit, so that all uncertainties
 include the uncertainty of the shape.
 
-Such an effect also changes the output within a segment. This change is not noise. A first fit gives the course of the effect within
-each segment. The noise is then measured about this course, and a second fit uses this noise.
+Such an effect also changes the output within a segment, and this change is not noise. A first fit gives the change within each
+segment. The noise is then computed from the scatter about this change, and a second fit uses this noise.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ def shaped_part(output: ModelledOutput) -> EffectPart | None:
 def with_shapes(
     group: Together, together: Observations, recorded: Sequence[RecordedSegment]
 ) -> tuple[Together, Observations]:
-    """The group of outputs with the shapes of its effects at their best values, and the observations with the noise about the
-    courses of these effects. For each shape, the model gets a further column: the derivative with respect to this shape.
+    """The group of outputs with the shapes of its effects at their best values; and the observations, in whose noise the changes
+    due to these effects within segments are not included. For each shape, the model gets a further column: the derivative with
+    respect to this shape.
 
     together: observations of the group's outputs in the recorded segments. Raises `UnfitDataError` if the observations do not
     determine a shape.
@@ -58,8 +59,8 @@ def with_shapes(
 def _about(
     group: Together, amplitudes: Array, k: int, together: Observations, recorded: Sequence[RecordedSegment]
 ) -> Observations:
-    """The observations with standard errors of the k-th output from the scatter about the course of its effect. amplitudes: of the
-    effect, in the unit of the output."""
+    """The observations, in which the standard errors of the k-th output are computed from the scatter about the change due to its
+    effect within each segment. amplitudes: amplitudes of the effect, in the unit of the output."""
     from scipy.interpolate import PchipInterpolator
 
     part = shaped_part(group.outputs[k])

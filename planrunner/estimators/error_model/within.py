@@ -199,7 +199,8 @@ class _Problem:
         return tuple(n for n, one in enumerate(self.amplitudes) if of_stimulus(one.effect))
 
     def _stimulus(self, amplitudes: Array) -> dict[tuple[str, str], float]:
-        """The amplitudes that change the stimulus, in SI units."""
+        """The amplitudes that change the stimulus, in SI units. amplitudes: (p,), all fitted amplitudes, in the output's unit per
+        SI unit."""
         if not self.moving:
             return {}
         response = self._response(amplitudes)

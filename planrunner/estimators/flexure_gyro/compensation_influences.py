@@ -1,6 +1,6 @@
 """Computes the influences of declared inputs on residuals after compensation, and on the sums of squares of these residuals.
 
-Let c be a set of coefficients, X the design matrix of the verification positions, and i the outputs there. The residual is r =
+Let c be one set of coefficients, X the design matrix of the verification positions, and i the outputs there. The residual is r =
 M⁻¹·(i − X·c), where the matrix M is computed from c. A wrong input affects r in two ways: through X, and through c, because the
 calibration that gave c used the same latitude, gravity, azimuth and table. Both contributions belong to the same input, so they are
 added with their signs.
@@ -24,8 +24,9 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def residual_influences(
     request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, observed: Array, rate: float
 ) -> tuple[Influence, ...]:
-    """The influences on the residuals at v verification positions, in a sequence of length sets·2·v, set after set. Within a set,
-    the residuals of the first rate (ω_Y) at all positions come first, then the residuals of the second rate (ω_X).
+    """The influences on the residuals of several sets of coefficients at v verification positions, in a sequence of length
+    sets·2·v, set after set. Within a set, the residuals of the first rate (ω_Y) at all positions come first, then the residuals of
+    the second rate (ω_X).
 
     units: units of the outputs. matrix: (v, p), design matrix of the verification positions, SI. observed: (v, 2), the measured
     outputs. rate: SI value of the unit of the residuals, rad/s.
@@ -55,8 +56,8 @@ def recovery(coefficients: Array, positions: int, rate: float) -> Array:
 
 
 def sums_and_ratios(residuals: Array, sets: int) -> Array:
-    """The sums of squares and their ratios, (2·sets − 1, n), for n draws of the residuals of all sets (sets·2·v, n). First come the
-    residual sums of squares of all sets, then the sums of the other sets divided by the sum of the first set."""
+    """The sums of squares and their ratios, (2·sets − 1, n), for n draws of the residuals of all sets of coefficients (sets·2·v,
+    n). First come the residual sums of squares of all sets, then the sums of the other sets divided by the sum of the first set."""
     sums = np.sum(residuals.reshape(sets, -1, residuals.shape[1]) ** 2, axis=1)
     return np.concatenate([sums, sums[1:] / sums[0]])
 

@@ -1,9 +1,10 @@
 """Predicts the residuals after compensation from the positions, their noise, and the uncertainties declared in the bench file.
 
-To first order, the residual of a set at a verification position is M⁻¹·(e − x·δ), where e is the noise at this position, x is the
-row of the design matrix for this position, and δ is the error of the coefficients. All sets are verified with the same noise, so
-the ratio of two sums scatters less than a ratio of independent sums. Flicker correlates calibration and verification: a slow drift
-that is equal in both cancels. Errors of the table also cancel if a verification position is also a calibration position.
+To first order, the residual that a set of coefficients leaves at a verification position is M⁻¹·(e − x·δ), where e is the noise at
+this position, x is the row of the design matrix for this position, and δ is the error of the coefficients. All sets of coefficients
+are verified with the same noise, so the ratio of two sums of squares scatters less than a ratio of independent sums. Flicker
+correlates calibration and verification: a slow drift that is equal in both cancels. Errors of the table also cancel if a
+verification position is also a calibration position.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from planrunner.base.kept import kept
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Predicted residuals of several sets of coefficients; the keys are the names of the sets. expected: the residual sum of
-    squares. ratios: the quantiles (5 %, median, 95 %) of the ratio of the sum to the sum of the first set. `expected` and `ratios`
-    include noise and declared uncertainties. relative_spread: half of the central 68.27 % interval of the sum, divided by the
-    expected sum. ratio_spread: half of the central 68.27 % interval of the ratio of the sum to the sum of the first set.
+    """Predicted residuals of several sets of coefficients; the keys are the names of the sets. expected: the expected residual sum
+    of squares. ratios: the quantiles (5 %, median, 95 %) of the ratio of the sum to the sum of the first set. `expected` and
+    `ratios` include noise and declared uncertainties. relative_spread: half of the central 68.27 % interval of the sum, divided by
+    the expected sum. ratio_spread: half of the central 68.27 % interval of the ratio of the sum to the sum of the first set.
     `relative_spread` and `ratio_spread` come from noise alone."""
 
     expected: dict[str, float]
@@ -32,9 +33,9 @@ class Prediction:
 
 
 def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
-    """For each set, the matrix (2·v, z) of a linear map. The map converts z independent inputs with standard deviation 1 to the
-    outputs at the v verification positions, minus the outputs that the set's coefficients predict there. Rows are ordered output
-    after output.
+    """For each set of coefficients, the matrix (2·v, z) of a linear map. The map converts z independent inputs with standard
+    deviation 1 to the outputs at the v verification positions, minus the outputs that the set's coefficients predict there. Rows
+    are ordered output after output.
 
     verification: (v, p), design matrix of the verification positions. sets: maps the name of a set to matrices (2, p, n), which
     compute the coefficients of each output from the n observations of the calibration. roots: for each output, a matrix L (N, r)
@@ -58,9 +59,9 @@ def expected_sum(maps: Array) -> float:
 
 @kept(64)
 def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) -> tuple[float, ...]:
-    """The expected sum of squared residuals of each set, due to noise alone. verification: (v, p), design matrix of the
-    verification positions, where the noise has the standard deviation 1. sets: for each set, the design matrix of its calibration
-    positions (n, p), and the standard deviations (2, n) of the noise of both outputs there."""
+    """The expected sum of squared residuals of each set of coefficients, due to noise alone. verification: (v, p), design matrix of
+    the verification positions, where the noise has the standard deviation 1. sets: for each set, the design matrix of its
+    calibration positions (n, p), and the standard deviations (2, n) of the noise of both outputs there."""
     noise = np.concatenate([np.ones((2, len(verification))), *(sigma for _, sigma in sets)], axis=1)
     inverses = {str(k): weighted_inverse(matrix, sigma) for k, (matrix, sigma) in enumerate(sets)}
     maps = noise_maps(verification, inverses, [np.diag(sigma) for sigma in noise])
@@ -98,7 +99,8 @@ def _half(drawn: Array) -> float:
 
 
 def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[Array]]:
-    """For each set and output, the matrix (v, N) that computes the residuals at the verification positions from all observations."""
+    """For each set of coefficients and each output, the matrix (v, N) that computes the residuals at the verification positions
+    from all observations."""
     v, total = len(verification), len(verification) + sum(gains.shape[2] for gains in sets.values())
     found, start = {}, v
     for name, gains in sets.items():

@@ -274,12 +274,12 @@ def _assemble(
 
 
 def _sum(name: str) -> tuple[str, str, Said]:
-    """Name, unit and description of the residual sum of squares of a set."""
+    """Name, unit and description of the residual sum of squares of one set of coefficients."""
     return f"RSS_{name}", "(deg/h)^2", said("Residual sum of squares with the coefficients of '{name}'", name=name)
 
 
 def _ratio(name: str, first: str) -> tuple[str, str, Said]:
-    """Name, unit and description of the ratio of two residual sums of squares."""
+    """Name, unit and description of the ratio of the residual sums of squares of two sets of coefficients."""
     words = said(
         "Residual sum of squares with the coefficients of '{first}', divided by that with the coefficients of '{second}'",
         first=name,

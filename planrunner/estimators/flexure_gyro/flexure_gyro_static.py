@@ -146,7 +146,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         )
 
     def words(self, request: EstimateRequest[FlexureGyroStaticParameters], found: StaticQuantities) -> Words:
-        """Makes the tables of the residuals, of the uncertainties on each basis, and of the determinant of the positions."""
+        """Makes the tables of the residuals, of the uncertainties of each kind, and of the determinant of the positions."""
         fit, basis = found.fit, request.parameters.uncertainty
         judged = judge(fit, basis)
         notes, warnings = list(judged.texts), list(judged.warnings)
@@ -263,9 +263,9 @@ def _extra(
     fit: OutputsFit,
     parameters: FlexureGyroStaticParameters,
 ) -> dict[str, object]:
-    """Data in SI for another estimate that compensates with these coefficients: the coefficients, their covariance of each kind,
-    the design matrix, and the times and noise of the observations. The bias instability is given as 0.0 if the weights do not
-    include it."""
+    """Data in SI for another estimate that compensates with these coefficients: the coefficients, their covariance for each kind of
+    uncertainty, the design matrix, and the times and noise of the observations. The bias instability is given as 0.0 if the weights
+    do not include it."""
     flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
         "outputs": list(parameters.outputs),
@@ -302,7 +302,7 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
 
 
 def _drift(axis: str, rate: str, kind: str) -> Said:
-    """Description of a drift coefficient. kind: `F`, or the letters of the axes whose accelerations cause the drift."""
+    """The description of a drift coefficient. kind: `F`, or the letters of the axes whose accelerations cause the drift."""
     if kind == "F":
         return said(
             "Part of the drift D({drift}) that is independent of acceleration; D({drift}) adds to the rate ω_{rate}",

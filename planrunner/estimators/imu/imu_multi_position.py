@@ -171,7 +171,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         )
 
     def words(self, request: EstimateRequest[ImuMultiPositionParameters], made: ImuQuantities) -> Words:
-        """Makes the tables of the matrices and the residuals, and of the uncertainties on each basis."""
+        """Makes the tables of the matrices, of the residuals, and of the uncertainties of each kind."""
         parameters = request.parameters
         basis = parameters.uncertainty
         triads, frame, found = made.triads, made.frame, made.found

@@ -1,4 +1,4 @@
-"""Predicts the errors of a navigation on a turning table that declared constant sensor errors cause. One prediction uses the linear
+"""Predicts the navigation errors that declared constant sensor errors cause on a turning table. One prediction uses the linear
 error equations, the other uses harmonics.
 
 An alignment at rest adjusts tilt and azimuth so that they compensate those sensor errors which the alignment cannot observe

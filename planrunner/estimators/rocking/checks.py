@@ -82,7 +82,7 @@ def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence
 
 
 def _encoders(request: DesignRequest[RockingDriftParameters]) -> list[Remark]:
-    """Reports names of gimbal axes that cannot be right, and missing encoders. Encoders are not checked for a bench without a
+    """Reports names of gimbal axes that are certainly wrong, and missing encoders. Encoders are not checked for a bench without a
     table, because it may play back a recording with more channels than the bench file names."""
     parameters = request.parameters
     found = []

@@ -1,6 +1,6 @@
 """Fits curves as functions of temperature, and chooses their order by the error of held-out values.
 
-    polynomial powers of T − T₀, with coefficients as used in compensation tables
+    polynomial   powers of T − T₀, with coefficients as used in compensation tables
     spline       natural cubic regression spline: straight beyond its ends, coefficients are its values at the knots (Hastie, Tibshirani
                  and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
 
