@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -152,6 +152,17 @@ def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
     digests = formats.parse_json(data, path, "digests", "planrunner_digests", formats.DIGESTS_FORMAT)
     formats.require_own_digest(data, digests, path)
     return StoredAnalysis(run, number, digests, digest(data))
+
+
+def chosen_analysis(run: Path, analyses: Iterable[StoredAnalysis], number: int | None = None) -> StoredAnalysis:
+    """The analysis of a run with this number, by default the newest. Raises `InputError` if the run does not have it."""
+    known = {one.number: one for one in analyses}
+    number = max(known, default=0) if number is None else number
+    if number not in known:
+        message = f"this run has no analysis {number}" if known else "this run has no analysis yet"
+        hint = f"known here: {', '.join(map(str, known))}" if known else "make an analysis with `planrunner estimate`"
+        raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
+    return known[number]
 
 
 def add_analysis(

@@ -21,7 +21,6 @@ import hashlib
 import os
 import re
 import shutil
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -46,7 +45,7 @@ from planrunner.base.exclusive import COMMAND
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import MOST_ENTRIES, GuardedFolder
 from planrunner.base.progress import Announce, Pace
-from planrunner.base.trusted_folders import make_private, trusted, user_data
+from planrunner.base.trusted_folders import make_private, trusted, user_cache
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -103,7 +102,7 @@ def fetched(url: str, *, anew: bool = False, notice: Announce | None = None) -> 
     files, root = _opened(url)
     parent, _, name = url.rstrip("/").rpartition("/")
     _require_plain(name, url)
-    place = _cache() / hashlib.sha256(parent.encode()).hexdigest()[:16]
+    place = user_cache(CACHE, "archives") / hashlib.sha256(parent.encode()).hexdigest()[:16]
     with _told(url):
         make_private(place / name)
         _hold(place, url)
@@ -382,7 +381,7 @@ def push_back(run: Path, analysis: Path) -> None:
 
 def source_of_copy(run: Path) -> str | None:
     """URL of the remote folder from which this folder was copied; None if it is not a copy."""
-    inner, cache = run.resolve(), _cache().resolve()
+    inner, cache = run.resolve(), user_cache(CACHE, "archives").resolve()
     if not inner.is_relative_to(cache) or len(inner.relative_to(cache).parts) < 2:
         return None
     place, name, *rest = inner.relative_to(cache).parts
@@ -466,12 +465,3 @@ def _told(url: str) -> Iterator[None]:
         message = f"the archive cannot be used: {said.splitlines()[0][:200] if said else type(error).__name__}"
         hint = "check the address, the network and your access; S3 reads AWS_PROFILE and FSSPEC_S3_ENDPOINT_URL, for example"
         raise InputError.at(Mark(url), "remote-unreachable", message, hint) from None
-
-
-def _cache() -> Path:
-    stated = os.environ.get(CACHE)
-    if stated:
-        return Path(stated)
-    if sys.platform == "win32":
-        return user_data() / "planrunner" / "archives"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "planrunner" / "archives"

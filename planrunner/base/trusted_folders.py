@@ -94,6 +94,17 @@ def user_data() -> Path:
     return _known_folder(0x1C)
 
 
+def user_cache(variable: str, name: str) -> Path:
+    """The folder for cached data of this user: the folder that the environment variable names, otherwise the folder `name` below
+    planrunner's folder among the system's caches."""
+    stated = os.environ.get(variable)
+    if stated:
+        return Path(stated)
+    if sys.platform == "win32":
+        return user_data() / "planrunner" / name
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "planrunner" / name
+
+
 def _known_folder(number: int) -> Path:  # pragma: no cover (Windows)
     import ctypes
 

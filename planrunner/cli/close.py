@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from planrunner.base.documents import JsonObject
 from planrunner.cli import exit_codes
+from planrunner.cli.arguments import whole_number
 from planrunner.cli.diagnose import add_nominal, add_recording, context_of, options_of, recorded_of
 from planrunner.cli.printing import name_file, print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
@@ -26,19 +27,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="BENCH",
         help="the virtual bench that simulates the plan (default: that of the recording; for a file, the recorded motion is simulated)",
     )
-    parser.add_argument("--rounds", metavar="N", type=_rounds, help="the largest number of rounds (default: 6)")
+    parser.add_argument(
+        "--rounds",
+        metavar="N",
+        type=whole_number("the number", 1, 50),
+        help="the largest number of rounds (default: 6)",
+    )
     parser.add_argument("--write-bench", metavar="FILE", type=Path, help="write the bench with all effects found")
     parser.add_argument(
         "--html", metavar="FILE", type=Path, help="write a page with the first diagnosis and the last comparison"
     )
     parser.add_argument("--json", action="store_true", help="print the rounds as JSON")
-
-
-def _rounds(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 50:
-        raise argparse.ArgumentTypeError(f"must be from 1 to 50: {value}")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -51,6 +51,7 @@ def _told(words: list[Path]) -> tuple[list[Path], str]:
 
 
 def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) -> Done:
+    from planrunner.archive.analyses import chosen_analysis
     from planrunner.archive.run_reader import RunReader
     from planrunner.archive.segment_file import safe_name
     from planrunner.estimators.results import Results
@@ -59,14 +60,7 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
 
     reader = RunReader.open(run)
     print_findings(reader.findings)
-    analyses = {analysis.number: analysis for analysis in reader.analyses}
-    number = args.analysis if args.analysis is not None else max(analyses, default=0)
-    if number not in analyses:
-        message = "this run has no such analysis" if analyses else "this run has no analysis yet"
-        known = ", ".join(map(str, analyses))
-        hint = f"known here: {known}" if analyses else "make an analysis with `planrunner estimate`"
-        raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
-    analysis = analyses[number]
+    analysis = chosen_analysis(run, reader.analyses, args.analysis)
     results = stored_results(analysis)
     if not results.estimates:
         message, hint = "no estimate of this analysis has a result", "its reports give the reasons"
@@ -78,7 +72,7 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
     estimate = results.estimates[name]
     whole = Results({name: estimate}).to_json()["estimates"][0]
     found: JsonObject = {
-        "analysis": number,
+        "analysis": analysis.number,
         "plan": reader.run["plan"],
         "estimate": name,
         **{key: whole[key] for key in ("estimator", "coefficients", "covariance")},
@@ -87,7 +81,7 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
     if target is None and args.json:
         return Done(exit_codes.DONE, found)
     text = export(
-        estimate, args.format, {"run": reader.run["run"], "analysis": str(number), "plan": reader.run["plan"]}
+        estimate, args.format, {"run": reader.run["run"], "analysis": str(analysis.number), "plan": reader.run["plan"]}
     )
     if target is None:
         print(text, end="")

@@ -7,20 +7,10 @@ import re
 
 from planrunner.base.findings import InputError
 from planrunner.base.workers import Workers
+from planrunner.cli.arguments import whole_number
 
 HERE = "processes"
 """Value of `--scheduler` for the processes of this machine."""
-
-
-def number_of_jobs(text: str) -> int:
-    """Reads a number of processes or threads, at least 1. Raises `argparse.ArgumentTypeError`."""
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a whole number: {text}") from None
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1: {value}")
-    return value
 
 
 def scheduler(text: str) -> str:
@@ -32,7 +22,7 @@ def scheduler(text: str) -> str:
 
 def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
     """Adds the options --jobs, with the given help text, and --scheduler."""
-    parser.add_argument("--jobs", metavar="N", type=number_of_jobs, help=jobs)
+    parser.add_argument("--jobs", metavar="N", type=whole_number("the number", 1), help=jobs)
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
+from planrunner.cli.arguments import SEED
 from planrunner.cli.check import add_parameter, sound_plan
 from planrunner.cli.operator import add_live_page, operator_of
 from planrunner.cli.outcome import finish, tell
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter(parser)
     parser.add_argument("--info", metavar="FILE", type=Path, help="run information as a YAML file of `name: value`")
     parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
-    parser.add_argument("--seed", type=seed, help="seed of a simulated bench (default: the bench's own)")
+    parser.add_argument("--seed", type=SEED, help="seed of a simulated bench (default: the bench's own)")
     parser.add_argument(
         "--flushed",
         action="store_true",
@@ -86,16 +87,6 @@ def override_of(args: argparse.Namespace) -> Override | None:
     from planrunner.tasks.check_standard import Override
 
     return Override(by, why)
-
-
-def seed(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"the seed must be a whole number: {text!r}") from None
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"the seed must not be negative: {value}")
-    return value
 
 
 def identity(text: str) -> str:

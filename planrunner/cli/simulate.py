@@ -6,11 +6,12 @@ import argparse
 import sys
 from pathlib import Path
 
+from planrunner.cli.arguments import SEED
 from planrunner.cli.check import add_parameter
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import reading_progress, run_progress
-from planrunner.cli.run import add_new_runs, add_run_arguments, seed
+from planrunner.cli.run import add_new_runs, add_run_arguments
 from planrunner.plan.parameters import parameters_of
 from planrunner.plan.run_information import gather
 
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--set", metavar="NAME=VALUE", action="append", default=[], help="run information that the plan asks for"
     )
     add_parameter(parser)
-    parser.add_argument("--seed", type=seed, help="seed of the simulation (default: the bench's own)")
+    parser.add_argument("--seed", type=SEED, help="seed of the simulation (default: the bench's own)")
     parser.add_argument(
         "--write-bench", metavar="FILE", type=Path, help="write the bench with its effects, for later runs"
     )

@@ -16,6 +16,7 @@ from planrunner.base.regular_files import RefusedFileError, read_regular
 from planrunner.bench.model import Bench, read_bench
 from planrunner.bench.simulation import ask
 from planrunner.cli import exit_codes
+from planrunner.cli.arguments import SEED
 from planrunner.plan.kinds import Record
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="readiness file: written with addresses and token as JSON as soon as all instruments listen; --inject, "
         "--clear and --stop read the token from it",
     )
-    parser.add_argument("--seed", type=_seed, help="seed of the simulation (default: the virtual bench's own)")
+    parser.add_argument("--seed", type=SEED, help="seed of the simulation (default: the virtual bench's own)")
     parser.add_argument(
         "--inject",
         metavar="FAULT",
@@ -61,12 +62,6 @@ def _speed(text: str) -> float:
     if not 0.01 <= value <= 1000:
         raise argparse.ArgumentTypeError(f"the speed must be from 0.01 to 1000: {text}")
     return value
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"a seed must be a whole number and not negative: {text!r}")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -70,7 +70,7 @@ def choose(
     """The best set of `count` different candidates, by exhaustive search if feasible, otherwise by exchange."""
     if math.comb(len(rows), count) <= MOST_CHOICES:
         return exhaust(rows, count, weighting, progress, fixed)
-    return exchange(rows, count, weighting, restarts=restarts, seed=seed, fixed=fixed, progress=progress)
+    return exchange(rows, count, weighting, restarts=restarts, seed=seed, fixed=fixed, progress=progress)[0]
 
 
 def exhaust(
@@ -131,26 +131,9 @@ def exchange(
     repeats: bool = False,
     fixed: Array | None = None,
     progress: Progress | None = None,
-) -> Chosen:
-    """The best set found by exchange from `restarts` random sets. repeats: True if a set may contain a candidate more than once."""
-    found = exchange_all(
-        rows, count, weighting, restarts=restarts, seed=seed, repeats=repeats, fixed=fixed, progress=progress
-    )
-    return found[0]
-
-
-def exchange_all(
-    rows: Array,
-    count: int,
-    weighting: Array | None = None,
-    *,
-    restarts: int = 30,
-    seed: int = 0,
-    repeats: bool = False,
-    fixed: Array | None = None,
-    progress: Progress | None = None,
 ) -> list[Chosen]:
-    """The sets that all restarts of the exchange found, the best first. The same seed gives the same sets."""
+    """The sets found by exchange from `restarts` random sets, the best first. The same seed gives the same sets. repeats: True if a
+    set may contain a candidate more than once."""
     if not repeats and count > len(rows):
         raise ValueError(f"{count} different positions cannot be chosen from {len(rows)}")
     random = np.random.default_rng(seed)

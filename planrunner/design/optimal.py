@@ -80,7 +80,7 @@ def search(
     the choice. workers: number of processes that share the sets to improve. The same seed gives the same settings for any number of
     workers.
     """
-    sets = exchange.exchange_all(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True, fixed=fixed)
+    sets = exchange.exchange(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True, fixed=fixed)
     begun = [*starts, *(over.settings[chosen.indices] for chosen in sets)]
     best, losses = begun[0], []
     for settings, loss in results_in_order(partial(_refined, over, weighting, fixed), begun, workers, progress):

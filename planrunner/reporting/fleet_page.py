@@ -156,11 +156,11 @@ def limits(found: Data) -> list[str]:
     every = len(found["amplitudes"])
     texts = []
     for sources, labels in concerned.items():
-        which = "any amplitude" if len(labels) == every else ", ".join(labels[:MOST_PARTS])
-        more = f" and {len(labels) - MOST_PARTS} more" if which != "any amplitude" and len(labels) > MOST_PARTS else ""
+        more = f" and {len(labels) - MOST_PARTS} more" if len(labels) > MOST_PARTS else ""
+        which = "any amplitude" if len(labels) == every else ", ".join(labels[:MOST_PARTS]) + more
         remedies = [text for pair, text in _REMEDY.items() if pair <= set(sources)]
         why = _alone(found, sources)
-        texts.append(f"{why}: {_either(sources)} for {which}{more}. To distinguish them, {'; '.join(remedies)}.")
+        texts.append(f"{why}: {_either(sources)} for {which}. To distinguish them, {'; '.join(remedies)}.")
     texts += [f"{one['effect']} is not attributed: {one['reason']}." for one in found["not_attributed"]]
     return texts
 

@@ -10,7 +10,7 @@ Templates have access to nothing else: they can lay out a report but cannot read
     run, bench, site, provenance      lists of [name, value]
     instruments                       list of {role, facts: list of [name, value]}
     limits                            list of {quantity, requirement, rule, verdict, kind, value, expanded, unit,
-                                      factor, guard, probability, reason, rule_in_words, false, consumer, producer}
+                                      factor, guard, probability, reason, rule_in_words, false, prior: `stated` or "", consumer, producer}
     estimates                         list of {name, anchor, estimator, coefficients, others, settings, tables, plots,
                                       correlation, budgets, strong_correlations, notes, warnings, segments}
       coefficients, others            the headline ones and the rest, lists of {name, description, value, expanded,
@@ -171,6 +171,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "guard": guard_band(limit),
         "probability": words.probability(limit.probability),
         "false": words.probability(limit.false_decision),
+        "prior": "" if math.isnan(limit.consumer_risk) else "stated",
         "consumer": words.probability(limit.consumer_risk),
         "producer": words.probability(limit.producer_risk),
         "reason": "" if limit.verdict == "pass" else limit.reason,

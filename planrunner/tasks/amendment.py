@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.analyses import StoredAnalysis, chosen_analysis
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, MISLEADING, InputError, Mark
@@ -59,13 +59,7 @@ def checked_amendment(amendment: Amendment) -> Amendment:
 
 def amended_analysis(reader: RunReader, amendment: Amendment) -> StoredAnalysis:
     """The analysis that an amendment refers to. Raises `InputError` if the run does not have it."""
-    known = {one.number: one for one in reader.analyses}
-    number = max(known, default=0) if amendment.amends is None else amendment.amends
-    if number not in known:
-        message = f"this run has no analysis {number}" if known else "this run has no analysis to amend"
-        hint = f"known here: {', '.join(map(str, known))}" if known else "make one with `planrunner estimate`"
-        raise InputError.at(Mark(str(reader.path)), "analysis-missing", message, hint)
-    return known[number]
+    return chosen_analysis(reader.path, reader.analyses, amendment.amends)
 
 
 def require_same_measurement(run: Sound, evaluated: Sound) -> None:

@@ -103,8 +103,8 @@ def _conditions(
     held = [item.segment.temperature for item in recording if item.segment.temperature is not None]
     if held:
         yield CHAMBER_TEMPERATURE, _range([kelvin - ZERO_CELSIUS for kelvin in held], " °C")
-    table = next((f"{item.name}." for item in references(sound.bench) if item.role == "table"), "no table")
-    for name in {name: None for item in recording for name in item.readings if not name.startswith(table)}:
+    tables = tuple(f"{item.name}." for item in references(sound.bench) if item.role == "table")
+    for name in {name: None for item in recording for name in item.readings if not name.startswith(tables)}:
         read, _, unit = name.rpartition("_")
         values = [item.readings[name] for item in recording if math.isfinite(item.readings.get(name, math.nan))]
         if values:

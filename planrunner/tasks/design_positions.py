@@ -216,7 +216,7 @@ class _Designer:
         if self.count > len(rows):
             return exchange.exchange(
                 rows, self.count, weighting, seed=self.asked.seed, repeats=True, fixed=self.fixed, progress=tell
-            )
+            )[0]
         return exchange.choose(rows, self.count, weighting, seed=self.asked.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
@@ -268,7 +268,7 @@ class _Designer:
                 exchange.exchange(
                     cardinal_rows, self.count, self._weighting(name), seed=self.asked.seed,
                     repeats=self.count > len(cardinal_rows), fixed=self.fixed,
-                )
+                )[0]
                 for name in _WITH_BOUND
             ]  # fmt: skip
             flattened = worst_variance.exchange(

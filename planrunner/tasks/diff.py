@@ -14,10 +14,11 @@ from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
+from planrunner.archive.analyses import chosen_analysis
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import JsonObject
-from planrunner.base.findings import COMMAND_LINE, InputError, Mark
+from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.bench.model import NAME, Bench, parse_bench, read_bench, shipped_benches
 from planrunner.estimators.results import Results
 from planrunner.plan import source
@@ -176,10 +177,7 @@ def _runs(before: Path, after: Path, names: tuple[str, str]) -> Compared:
 
 
 def _results(reader: RunReader) -> Results:
-    if not reader.analyses:
-        hint = "make an analysis with `planrunner estimate`"
-        raise InputError.at(Mark(str(reader.path)), "analysis-missing", "this run has no analysis yet", hint)
-    return stored_results(reader.analyses[-1])
+    return stored_results(chosen_analysis(reader.path, reader.analyses))
 
 
 def _bench_in(reader: RunReader) -> Bench:

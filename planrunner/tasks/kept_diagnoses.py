@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import re
-import sys
 import time
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
-from pathlib import Path
 
 from planrunner.archive.formats import from_bytes, to_bytes
 from planrunner.archive.storage import Storage
@@ -24,7 +21,7 @@ from planrunner.base import plugins
 from planrunner.base.cluster import versions
 from planrunner.base.documents import Json
 from planrunner.base.guarded_folder import GuardedFolder
-from planrunner.base.trusted_folders import UntrustedFolderError, make_private, trusted, user_data
+from planrunner.base.trusted_folders import UntrustedFolderError, make_private, trusted, user_cache
 
 FOLDER = "PLANRUNNER_DIAGNOSES"
 """Environment variable for another folder."""
@@ -45,7 +42,7 @@ class KeptDiagnoses:
     @classmethod
     def of_user(cls) -> KeptDiagnoses:
         """Opens the user's folder of stored results. Removes results that are too old."""
-        place = _place()
+        place = user_cache(FOLDER, "diagnoses")
         try:
             make_private(place)
             folder = GuardedFolder.open(trusted(place))
@@ -87,12 +84,3 @@ def _program() -> Json:
             if entry.dist is not None and entry.dist.name != "planrunner":
                 found[entry.dist.name] = entry.dist.version
     return dict(sorted(found.items()))
-
-
-def _place() -> Path:
-    stated = os.environ.get(FOLDER)
-    if stated:
-        return Path(stated)
-    if sys.platform == "win32":
-        return user_data() / "planrunner" / "diagnoses"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "planrunner" / "diagnoses"

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from planrunner.archive.analyses import chosen_analysis
 from planrunner.archive.formats import to_bytes
 from planrunner.archive.provenance import computed_with
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import Json, JsonObject
-from planrunner.base.findings import InputError, Mark
 from planrunner.base.progress import Announce
 from planrunner.base.workers import ALONE, Workers
 from planrunner.estimators.results import Results, comparable
@@ -59,23 +59,17 @@ def prove(run: Path, number: int | None = None, notice: Announce | None = None, 
     Raises `InputError` if the run does not have this analysis, and `IntegrityError`.
     """
     reader = RunReader.open(run)
-    known = {one.number: one for one in reader.analyses}
-    number = max(known, default=0) if number is None else number
-    if number not in known:
-        message = f"this run has no analysis {number}" if known else "this run has no analysis yet"
-        hint = f"known here: {', '.join(map(str, known))}" if known else "make one with `planrunner estimate`"
-        raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
-    analysis = known[number]
+    analysis = chosen_analysis(run, reader.analyses, number)
     stored, text, then = stored_results(analysis), *computed_by(analysis)
     results = recompute(reader, analysis, notice, workers)
     now = computed_with()
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     if to_bytes(comparable(text)) == to_bytes(comparable(results.to_json())):
-        return Proof(number, "identical", 0.0, "", changed)
+        return Proof(analysis.number, "identical", 0.0, "", changed)
     largest, name = max(_changes(stored, results), default=(math.inf, ""))
     same_rest = _outline(stored) == _outline(results)
     tolerated = bool(changed) and same_rest and largest <= TOLERANCE
-    return Proof(number, "within tolerance" if tolerated else "different", largest, name, changed)
+    return Proof(analysis.number, "within tolerance" if tolerated else "different", largest, name, changed)
 
 
 def _changes(stored: Results, now: Results) -> Iterator[tuple[float, str]]:

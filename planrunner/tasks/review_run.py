@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping
 from datetime import date, datetime
 from pathlib import Path
 
-from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.analyses import StoredAnalysis, chosen_analysis
 from planrunner.archive.journal import JournalScan
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.verifying import examine, open_run
 from planrunner.base.documents import Json
-from planrunner.base.findings import InputError, Mark, count_of
+from planrunner.base.findings import count_of
 from planrunner.base.progress import Announce
 from planrunner.estimators.results import Results
 from planrunner.observation.screening import watch_of
@@ -44,18 +44,18 @@ def review_of(
     verify_signatures(found, ring)
     run_approvals(found, ring)
     evaluations = verify_evaluations(found, ring)
-    known = {one.number: one for one in reader.analyses}
-    number = max(known, default=0) if number is None else number
-    if number not in known:
-        message = f"this run has no analysis {number}" if known else "this run has no analysis yet"
-        hint = f"known here: {', '.join(map(str, known))}" if known else "make one with `planrunner estimate`"
-        raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
-    analysis = known[number]
+    analysis = chosen_analysis(run, reader.analyses, number)
     sound = evaluated_as(reader, analysis)
     recording = reader.recording(sound.schedule, watch_of(sound.sensor), notice)
     results = stored_results(analysis)
     report = report_context(
-        reader, sound, recording, results, analysis=str(number), analysed=str(analysis.digests["made"]), ring=ring
+        reader,
+        sound,
+        recording,
+        results,
+        analysis=str(analysis.number),
+        analysed=str(analysis.digests["made"]),
+        ring=ring,
     )
     changes = [RunDeviation(change, item.message, grave=True) for change, item in verification(found).changes]
     parts = {part.file: item.label for item in reader.rejected() for part in item.parts}
@@ -67,12 +67,13 @@ def review_of(
         DigestedFile(part.file, part.sha256, parts.get(part.file, ""), part.bytes) for part in found.files.values()
     ]
     files += [
-        DigestedFile(f"analyses/{number}/{name}", str(value)) for name, value in analysis.digests["files"].items()
+        DigestedFile(f"analyses/{analysis.number}/{name}", str(value))
+        for name, value in analysis.digests["files"].items()
     ]
     uncovered = [
         RunDeviation("not approved", f"the evaluation of analysis {one.analysis} is {one.words}", grave=True)
         for one in evaluations
-        if one.analysis == number and not one.covered and not one.fault
+        if one.analysis == analysis.number and not one.covered and not one.fault
     ]
     deviations = (*changes, *uncovered, *_deviations(reader, sound, recording, results, analysis))
     return ReviewContext(report, deviations, tuple(files), tuple(_events(reader)))

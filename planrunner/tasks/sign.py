@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from planrunner.archive.analyses import chosen_analysis
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.origin import foreign
 from planrunner.archive.run_reader import RunReader
@@ -41,10 +42,7 @@ def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: 
         if signing.key == signer.public:
             message = "this is the key of the bench: persons sign with keys of their own"
             raise InputError.at(Mark(str(run)), "sign-bench-key", message, "make one with `planrunner key new`")
-        if not found.analyses:
-            hint = "make an analysis with `planrunner estimate`"
-            raise InputError.at(Mark(str(run)), "analysis-missing", "this run has no analysis yet", hint)
-        result = statement_result(stored_results(found.analyses[-1]))
+        result = statement_result(stored_results(chosen_analysis(run, found.analyses)))
         try:
             file = sign_run(folder, found.run["run"], signer, result, meaning, name, comment)
         except OSError as error:

@@ -93,7 +93,7 @@ def test_narrow_terminals_and_no_home(width: str, tmp_path: Path) -> None:
 def test_a_seed_is_not_negative(tmp_path: Path) -> None:
     done = in_process.planrunner("run", FLAGSHIP, *GIVEN, "--seed", "-5", cwd=tmp_path)
     assert done.returncode == 2
-    assert "the seed must not be negative: -5" in done.stderr
+    assert "the seed must be at least 0: -5" in done.stderr
     assert not (tmp_path / "runs").exists()
 
 

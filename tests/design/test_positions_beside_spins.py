@@ -48,7 +48,7 @@ def test_exchange_and_bound_beside_fixed_information() -> None:
     fixed = others.T @ others
     for weighting in (None, np.eye(4)):
         all_of_them = exchange.exhaust(rows, 5, weighting, fixed=fixed)
-        found = exchange.exchange(rows, 5, weighting, fixed=fixed)
+        found = exchange.exchange(rows, 5, weighting, fixed=fixed)[0]
         chosen = rows[all_of_them.indices]
         matrix = chosen.T @ chosen + fixed
         by_hand = -math.log(np.linalg.det(matrix)) if weighting is None else float(np.trace(np.linalg.inv(matrix)))

@@ -15,8 +15,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import Clock, InstrumentError
-from planrunner.instruments.models import SensorModel
-from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
+from planrunner.instruments.sensors.keys import SerialSensorParameters
 from planrunner.instruments.sensors.samples import Decoder, FrameLayout, Samples, Status, byte
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import CRC32_MPEG2, SUM8
@@ -68,10 +67,6 @@ class Kvh1775(SerialSensor[Kvh1775Parameters]):
     Parameters = Kvh1775Parameters
     manufacturer = "KVH Industries"
     product = "1775"
-
-    @classmethod
-    def model(cls, parameters: Kvh1775Parameters) -> SensorModel:
-        return sensor_model(parameters, cls.decoder_of(parameters).channels(), {})
 
     @classmethod
     def decoder_of(cls, parameters: Kvh1775Parameters) -> Decoder:

@@ -21,8 +21,8 @@ from planrunner.instruments.interfaces import (
     InstrumentError,
     Surroundings,
 )
-from planrunner.instruments.models import rate_refused
-from planrunner.instruments.sensors.keys import SerialSensorParameters
+from planrunner.instruments.models import SensorModel, rate_refused
+from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
 from planrunner.instruments.sensors.samples import Decoder
 from planrunner.instruments.sensors.segment_stream import SegmentStream
 from planrunner.instruments.wire.framing import Framer, Piece
@@ -148,6 +148,10 @@ class SerialSensor(Generic[P]):
     def lasting_doubts(cls, identity: Mapping[str, str]) -> tuple[str, ...]:
         """Doubts about all samples that result from `configure`, such as a failed self-test."""
         return ()
+
+    @classmethod
+    def model(cls, parameters: P) -> SensorModel:
+        return sensor_model(parameters, cls.decoder_of(parameters).channels(), {})
 
     @classmethod
     def address(cls, parameters: P) -> str:

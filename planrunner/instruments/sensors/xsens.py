@@ -15,8 +15,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.instruments.interfaces import Clock, InstrumentError
-from planrunner.instruments.models import SensorModel
-from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
+from planrunner.instruments.sensors.keys import SerialSensorParameters
 from planrunner.instruments.sensors.samples import FrameLayout, Samples, Status, Whole
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import ZERO_SUM8
@@ -79,10 +78,6 @@ class XsensMti(SerialSensor[XsensParameters]):
     Parameters = XsensParameters
     manufacturer = "Xsens"
     product = "MTi"
-
-    @classmethod
-    def model(cls, parameters: XsensParameters) -> SensorModel:
-        return sensor_model(parameters, cls.decoder_of(parameters).channels(), {})
 
     @classmethod
     def decoder_of(cls, parameters: XsensParameters) -> MtData2:
