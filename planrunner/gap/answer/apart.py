@@ -1,5 +1,5 @@
-"""Effects that do not appear in the coefficients of a recording, on which all other effects act. An example is a line of one
-frequency.
+"""Effects that do not appear in the coefficients to which a recording is reduced (`evidence.spectrum`); all other effects change
+these coefficients. An example is a line of one frequency.
 
 Such effects are found first and removed from the samples, so that the other effects are evaluated without them. Each of them is
 present or absent independently of the other effects, so its log evidence is added to the log evidence of the others.
@@ -48,7 +48,7 @@ class RepeatedStretch:
 @dataclass(frozen=True)
 class Repeated:
     """The stuck stretches of a recording. log_bayes: log BF of stuck stretches against none. stretches: the likely stretches, the
-    longest first. held: (N, K), true for the samples of the stretches."""
+    longest first. held: (N, K), True for the samples of the stretches."""
 
     log_bayes: float
     stretches: tuple[RepeatedStretch, ...]

@@ -101,10 +101,10 @@ def not_measured(reason: NotMeasured) -> Closure:
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """A form of an effect, or of a set of effects, that can be chosen in a fold. effect: name of the effect or set. raw: for each
-    channel, the columns (M, p) of the form in magnitudes, not whitened; widths: number of columns of each effect. probability:
-    probability that this form is the whole cause. prior: log prior probability of this form among the forms of the same effect, up
-    to a constant. whole: True if the amplitude is fixed at 1 and not fitted."""
+    """A form of an effect, or of a set of effects, that can be chosen in a fold, which is a group of held-out segments. effect:
+    name of the effect or set. raw: for each channel, the columns (M, p) of the form in magnitudes, not whitened; widths: number of
+    columns of each effect. probability: probability that this form is the whole cause. prior: log prior probability of this form
+    among the forms of the same effect, up to a constant. whole: True if the amplitude is fixed at 1 and not fitted."""
 
     effect: str
     raw: tuple[Array, ...] = field(repr=False)
@@ -170,10 +170,10 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """The held-out rows of one fold. channel, group: (m,), channel and noise group (as in `MeasuredNoise`) of each row. residual:
-    (m,), whitened residuals of the nominal simulation; difference: (m,), whitened change of the prediction by the chosen effect;
-    signatures: one array (m, p) for each choice; told: one matrix (p, p) for each choice, the information that the other segments
-    contain about its amplitudes."""
+    """The held-out coefficients (rows) of one fold, which is a group of segments. channel, group: (m,), channel and noise group (as
+    in `MeasuredNoise`) of each row. residual: (m,), whitened residuals of the nominal simulation; difference: (m,), whitened change
+    of the prediction by the chosen effect; signatures: one array (m, p) for each choice; told: one matrix (p, p) for each choice,
+    the information that the other segments contain about its amplitudes."""
 
     channel: NDArray[np.int64]
     group: NDArray[np.int64]
@@ -392,7 +392,7 @@ def predictions(
 
 
 def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
-    """For each fold, a mask (M,) of the rows that are held out."""
+    """For each fold (group of held-out segments), a mask (M,) of the coefficients that are held out."""
     dealt = dealt_by_motion([type(motion).__name__ for motion in weighing.observed.motions])
     return [(dealt == fold)[weighing.spectrum.segment] for fold in range(FOLDS)]
 
@@ -409,7 +409,7 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
-    """The fraction of an effect's energy in the held-out segments that the other segments determine, if the amplitudes have the
+    """Of an effect's energy in the held-out segments, the fraction that the other segments determine if the amplitudes have the
     estimated size. The fraction is 0 if only one segment shows the effect."""
     size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0

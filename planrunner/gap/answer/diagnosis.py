@@ -310,7 +310,8 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """The forms of an effect that its shape determines completely; empty unless the search finds the shape exactly."""
+    """The forms of an effect that its shape determines completely, by the name of the effect; empty for other effects, and if no
+    form explains more than no effect does."""
     effect = shape_alone(candidate)
     found = whole_forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}

@@ -62,7 +62,7 @@ def foresee(
     of the white noise of a sample.
 
     columns: function that computes groups of columns for a recording; widths: number of columns in each group. A column is
-    identified by its place in this order. A column is zero in a channel that it does not affect.
+    identified by its place among the columns of all groups. A column is zero in a channel that it does not affect.
     """
     noise = white / math.sqrt(observed.sample_rate)
     flicker = np.array([channel.flicker for channel in observed.channels])

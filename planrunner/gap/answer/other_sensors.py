@@ -81,8 +81,8 @@ def _with(
 
 
 def _further(observed: Observed, own: int, layout: Layout) -> list[Column]:
-    """Nominal parameters of the additional channels: those with indices of `own` and above, which the sensor under test does not
-    have."""
+    """The columns of the additional channels' nominal parameters. Additional channels have the indices `own` and above; the sensor
+    under test does not have them."""
     return [column for column in nominal_columns(observed, layout.nominal) if min(column.parts) >= own]
 
 

@@ -69,9 +69,9 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 class Verdict:
     """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the effects of the most
     probable hypothesis. members: the hypotheses that this plan cannot distinguish, including `effects`; a set of effects is written
-    'a+b'. residue: an effect, or "unknown", that may be only form residue of the strongest named effect; this effect can be one of
-    the named effects. something_else: True if something that the catalogue does not contain acts in addition to the named effects.
-    noise: effects on the level of the noise that probably act in addition."""
+    'a+b'. residue: an effect, or "unknown", that may be only form residue: energy that is left because the strongest named effect
+    deviates from its idealised form. It can be one of the named effects. something_else: True if something that the catalogue does
+    not contain acts in addition to the named effects. noise: effects on the level of the noise that probably act in addition."""
 
     kind: str
     effects: tuple[str, ...] = ()
@@ -203,11 +203,11 @@ def _rival_sets(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
-    """Returns the effects of a set that are named, and the weakest effect of the set if it may be form residue of the strongest.
-    The weakest effect may be form residue if the other effects explain more than 50 σ and it adds less than the fraction `RESIDUE`
-    of what all effects explain together. If it adds less than the fraction `FORM`, it is not named. An effect is not form residue
-    if most of its energy is in channels on which the other effects do not act, or if it raises the noise level. Terms of a nominal
-    model are exact and have no form residue."""
+    """Returns the effects of a set that are named, and the weakest effect of the set if it may be form residue of the strongest:
+    energy that is left because the strongest effect deviates from its idealised form. The weakest effect may be form residue if the
+    other effects explain more than 50 σ and it adds less than the fraction `RESIDUE` of what all effects explain together. If it
+    adds less than the fraction `FORM`, it is not named. An effect is not form residue if most of its energy is in channels on which
+    the other effects do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

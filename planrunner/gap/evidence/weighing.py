@@ -256,7 +256,7 @@ class ChannelWeights:
         return out
 
     def gap_and_noise(self) -> tuple[float, float]:
-        """Sum of squares of the residual before whitening, and the value that noise alone would lead one to expect, SI²·samples."""
+        """Sum of squares of the residual before whitening, and its expectation for noise alone, SI²·samples."""
         basis = self.unwhiten(self.basis)
         every = np.ones(len(self.scale), dtype=bool)
         whole = float((1 / self.scale**2).sum()) if self._inverse is None else float(np.trace(self.covariance(every)))

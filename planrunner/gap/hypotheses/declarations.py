@@ -226,7 +226,8 @@ def _of_channels(
 
 
 def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -> list[WrongDeclaration]:
-    """If both triads show the same wrong axes: a mounting in another orientation, or a left-handed system."""
+    """If both triads show the same wrong axes, the wrong declaration that explains both: a mounting in another orientation, or a
+    left-handed system. Otherwise the result is empty."""
     matrices = []
     for own in shown.values():
         if len(own) < 3:

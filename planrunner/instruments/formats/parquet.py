@@ -26,7 +26,7 @@ _END = struct.Struct("<I4s")
 
 def check_directory(file: BinaryIO, name: str) -> None:
     """Checks that the directory of the file is not too large; afterwards the file is positioned at its start. Raises
-    `InstrumentError` if it is."""
+    `InstrumentError` if it is too large."""
     size = file.seek(0, 2)
     if size >= _END.size:
         file.seek(size - _END.size)
