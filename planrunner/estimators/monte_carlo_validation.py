@@ -5,9 +5,9 @@ nonlinearity:
 
     def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
- Without this method, the draws are computed from the covariance and the sensitivities of the
-estimate. Such draws test the distributions and the effective degrees of freedom, but not the linearity. Worker processes share the
-draws, so the function that makes the draws must support pickling.
+Without this method, the draws are computed from the covariance and the sensitivities of the estimate. Such draws test the
+distributions and the effective degrees of freedom, but not the linearity. Worker processes share the draws, so the function that
+makes the draws must support pickling.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Computes the drift of one run from its two windows, from the direction of gravity that the accelerometers show, and from gimbal
-and ring angles.
+"""Computes the drift of one run between its two windows: once from the direction of gravity that the accelerometers show, and once
+from gimbal and ring angles.
 
 The drift is the rotation of the element relative to inertial space. An element that is fixed in inertial space seems to tilt by
 C(t0)·R(Ω_ie·t); this tilt is subtracted.

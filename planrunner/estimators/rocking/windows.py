@@ -30,8 +30,8 @@ LONGEST_GAP = 0.5  # s, filled on a straight line
 @dataclass(frozen=True, slots=True)
 class Windows:
     """The positions of the windows in a record. All times are in s from the start of the record. before: the start of a third
-    window between the first and the second, which ends when the base begins to rock; None if there is no such window. end: the end
-    of the record."""
+    window, which lies between the first and the second window and ends when the base begins to rock; None if there is no such
+    window. end: the end of the record."""
 
     first: float
     second: float

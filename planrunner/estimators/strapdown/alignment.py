@@ -45,7 +45,7 @@ _MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change it
 class Aligned:
     """The result of an alignment. alignment: the fine alignment, with the covariance that is used. last: (6,), the last increments
     of angle and velocity. density: (6, 6), density of the white noise in navigation axes, from the scatter at rest. This is the
-    covariance that the noise adds to the integrated outputs per second. white: (6,), square roots of the noise densities in body
+    covariance that the noise adds per second to the integrated outputs. white: (6,), square roots of the noise densities in body
     axes. seconds: duration of the alignment, s. turned: True if the sensor was turned from stop to stop during the alignment, so
     that its constant errors were estimated too. rest: the readings at the first stop; stops: the readings at all stops."""
 
@@ -80,10 +80,10 @@ def align(
     follow: float | None = None,
     lasting: float = 0.0,
 ) -> Aligned:
-    """Aligns the sensor, which gives its attitude at the end of a segment. site: the place, with its latitude, height and gravity.
-    constant: (6,), standard uncertainty of the constant errors of gyros and accelerometers, rad/s and m/s²; used only if the sensor
-    is turned during the alignment. follow: passed on to `FineAlignment`. lasting: total time of alignment and navigation, s. Raises
-    `EstimationError` if the segment is unsuitable for an alignment."""
+    """Aligns the sensor, and so determines its attitude at the end of a segment. site: the place, with its latitude, height and
+    gravity. constant: (6,), standard uncertainty of the constant errors of gyros and accelerometers, rad/s and m/s²; used only if
+    the sensor is turned during the alignment. follow: passed on to `FineAlignment`. lasting: total time of alignment and
+    navigation, s. Raises `EstimationError` if the segment is unsuitable for an alignment."""
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
@@ -225,8 +225,8 @@ def to_navigation(rotation: Array, variances: Array) -> Array:
 
 
 def levelled_out(density: Array) -> Array:
-    """The density (6, 6) of the noise for a sensor that rotates about the vertical, which gives the east and north axes equal
-    noise."""
+    """The density (6, 6) of the noise for a sensor that rotates about the vertical: the noise is averaged over the east and north
+    axes."""
     found = np.zeros_like(density)
     for k in (0, 3):
         horizontal = (density[k, k] + density[k + 1, k + 1]) / 2
@@ -314,7 +314,7 @@ def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site)
 
 
 def _would_agree(channels: Sequence[str], mean: Array, site: Site) -> list[str]:
-    """The channels of which one with the opposite sign would make the rates at rest agree with the Earth's rate."""
+    """The channels that explain the rates at rest: if the sign of one of them is reversed, the rates agree with the Earth's rate."""
     signs = 1.0 - 2.0 * np.eye(len(mean))
     errors = [_rate_error(sign * mean, site) for sign in signs]
     limit = _EARTH_TOLERANCE * site.earth_rate

@@ -35,9 +35,9 @@ class StopDrift:
     each sensor, the largest minus the smallest bias during alignment and navigation according to the fitted drift, rad/s and m/s²;
     uncertainties: (6,), uncertainties of these changes. effect: (7, n, r), errors that the drift causes at n times of the
     navigation, in the states that `error_equations` defines. The first of the r columns is the effect of the fitted drift of all
-    sensors; the others are effects of independent changes of the drift, of the size of its uncertainty. time: (n,), s since the
-    navigation began. scatter: (6,), for each sensor, the square root of the variance of the readings about the fitted drift,
-    divided by the expected variance; unexplained: (6,), True if noise and stated flicker do not explain this ratio."""
+    sensors. Each other column is the effect of an independent change of the drift that is as large as its uncertainty. time: (n,),
+    s since the navigation began. scatter: (6,), for each sensor, the standard deviation of the readings about the fitted drift,
+    divided by the expected standard deviation; unexplained: (6,), True if noise and stated flicker do not explain this ratio."""
 
     fitted: FittedDrift
     changes: Array
@@ -72,8 +72,8 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
 
     def judged(scale: Array) -> tuple[FittedDrift, Sequence[LinearFit], Sequence[LinearFit], bool]:
         """Returns the fitted drift; the fits with this drift; the fits with all drift functions; and True if noise explains the
-        residuals of the latter. scale: (6,), assumed standard deviations of the readings, divided by the expected standard
-        deviations."""
+        residuals of the fits with all drift functions. scale: (6,), assumed standard deviations of the readings, divided by the
+        expected standard deviations."""
         spread, whitening = scale[:, None] * sigma, None
         if flicker:
             noise = np.array([np.diag(one**2) for one in spread])

@@ -64,7 +64,7 @@ class IncrementReader:
         self._before: Array | None = None
 
     def part(self) -> None:
-        """States that there is a gap between the preceding and the next segment."""
+        """Records that there is a gap before the next segment."""
         self._last = self._before = None
 
     def blocks(self, recorded: RecordedSegment) -> Iterator[Increments]:
@@ -88,7 +88,7 @@ class IncrementReader:
             yield Increments(rows[0], interval, values, found, kelvin)
 
     def _clock(self, label: str, rows: Array) -> tuple[Array, Array]:
-        """After short gaps have been filled: the interval that each sample covers, and the samples."""
+        """Fills short gaps, and returns the interval that each sample covers, and the samples."""
         time = rows[0]
         begin = time[0] - self.interval if self._last is None else self._last
         steps = np.diff(time, prepend=begin)

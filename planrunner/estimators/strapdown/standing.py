@@ -72,7 +72,7 @@ class StopReader:
         self._last: tuple[int, Array] | None = None  # position and means of the last interval used
 
     def part(self) -> None:
-        """States that there is a gap without samples."""
+        """Records that there is a gap without samples."""
         self._carried = np.zeros(8)
         self._before, self._last, self._was_still = None, None, False
 

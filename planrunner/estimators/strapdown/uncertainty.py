@@ -3,8 +3,8 @@
 An uncertainty states how well one run determines the navigation errors that the constant errors of the sensors cause. The
 uncertainties have three sources: the white noise of the sensors; the uncertainty of the alignment that this noise causes,
 propagated by the linear error equations; and the stated bias instabilities (see `wandering`). Constant sensor errors are part of
-the measured navigation errors, so they do not add to the uncertainties of these. They add to the uncertainties of the alignment
-angles only, because these angles do not show them.
+the measured navigation errors, so they do not make the navigation errors more uncertain. They make only the alignment angles more
+uncertain, because the angles do not show the sensor errors.
 """
 
 from __future__ import annotations
@@ -176,10 +176,11 @@ def joined(found: Navigated, both: Array, over_time: Array) -> Array:
 
 def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Array, density: Array) -> Array:
     """The standard uncertainties (5,) of the figures that summarise the errors over time (largest and root-mean-square errors,
-    error rate). For this purpose, errors that noise may cause are drawn at random and subtracted from the errors of the navigation,
-    and the figures are computed again. On average, noise increases the largest and the root-mean-square errors. The figures are not
-    corrected for this; instead, the mean change is added to the expanded uncertainty (JCGM 100:2008, F.2.4.5). start: (7, 7),
-    covariance of the state at the start of the navigation; density: (6, 6), density of the white noise in navigation axes."""
+    error rate). They are computed as follows: errors that noise may cause are drawn at random and subtracted from the errors of the
+    navigation, and the figures are computed again for each draw. On average, noise increases the largest and the root-mean-square
+    errors. The figures are not corrected for this; instead, the mean change is added to the expanded uncertainty (JCGM 100:2008,
+    F.2.4.5). start: (7, 7), covariance of the state at the start of the navigation; density: (6, 6), density of the white noise in
+    navigation axes."""
     last = points.shape[1] - 1
     every = max(1, -(-last // _MOMENTS))
     course = np.column_stack([points[:, every::every], [found.seconds, *found.final]])
@@ -273,8 +274,8 @@ def drift_influence(found: Navigated, points: Array) -> Influence | None:
     """The influence of the drift that the stops show; None if they show no drift. points: (5, n), navigation errors as
     `ErrorRecord.points` returns them.
 
-    The change of each coefficient is its value with the drift minus its value without the drift. Changes of the drift of the size
-    of its uncertainty are small and independent of each other."""
+    The change of each coefficient is its value with the drift minus its value without the drift. Changes of the drift that are as
+    large as its uncertainty count as small and independent of each other."""
     drift = found.drift
     if drift is None or not drift.fitted.courses:
         return None
