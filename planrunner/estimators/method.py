@@ -90,7 +90,7 @@ class Method(ABC, Generic[P, Q]):
 
     @abstractmethod
     def quantities(self, request: EstimateRequest[P]) -> Q:
-        """Computes the coefficients from the observations. Raises `EstimationError`."""
+        """Computes the coefficients from the observations. Raises `EstimationError` if the plan or the data are not suitable."""
 
     @abstractmethod
     def words(self, request: EstimateRequest[P], found: Q) -> Words:
@@ -102,7 +102,7 @@ class Method(ABC, Generic[P, Q]):
         return Known()
 
     def estimate(self, request: EstimateRequest[P]) -> Estimate:
-        """Computes the estimate from a recording. Raises `EstimationError`."""
+        """Computes the estimate from a recording. Raises `EstimationError` if the plan or the data are not suitable."""
         found = self.quantities(request)
         words = self.words(request, found)
         return Estimate(

@@ -206,7 +206,7 @@ class OutputsFit:
 
 def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
     """The coefficients (m, p) of every observed channel from a fit that is weighted only by the noise within the segments. Raises
-    `EstimationError`."""
+    `EstimationError` if the plan or the data are not suitable."""
     sigma = np.array([within_segment_noise(observations, k).sigma for k in range(len(observations.channels))])
     return _coefficients(
         matrix, observations.mean.T, sigma / sigma.max(axis=1, keepdims=True), magnitudes, tuple(names)

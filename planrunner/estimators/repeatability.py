@@ -158,7 +158,7 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
         return Design(())
 
     def quantities(self, request: EstimateRequest[RepeatabilityParameters]) -> ScatterQuantities:
-        """Computes the scatter of every quantity. Raises `EstimationError`."""
+        """Computes the scatter of every quantity. Raises `EstimationError` if the plan or the data are not suitable."""
         parameters = request.parameters
         names = _items(parameters, [recorded.label for recorded in request.segments], list(request.uses))
         group = _grouped(names, parameters.groups, bool(parameters.channels))
@@ -185,7 +185,8 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
 
 
 def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Sequence[str]) -> list[str]:
-    """The repeated items: segments if the plan names channels, otherwise estimates. Raises `EstimationError`."""
+    """The repeated items: segments if the plan names channels, otherwise estimates. Raises `EstimationError` if the plan names both
+    channels and estimates or neither, or if there are fewer than two items."""
     if parameters.channels and uses:
         raise EstimationError("both `channels` and `uses` are given: compare either segment means or other estimates")
     if not parameters.channels and not uses:

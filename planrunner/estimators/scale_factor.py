@@ -106,7 +106,8 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
     Parameters = ScaleFactorParameters
 
     def design(self, request: DesignRequest[ScaleFactorParameters]) -> Design:
-        """Checks, for each output, whether the planned rates determine a line. Raises `EstimationError`."""
+        """Checks, for each output, whether the planned rates determine a line. Raises `EstimationError` if the plan is not
+        suitable."""
         rates = _rates(request.segments)
         matrix, magnitudes = line_through(rates)
         names = request.parameters.outputs or tuple(output.name for output in request.sensor.outputs)
@@ -122,7 +123,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         return Design(blocks, remarks=remarks)
 
     def quantities(self, request: EstimateRequest[ScaleFactorParameters]) -> LineQuantities:
-        """Fits a line through the means of each output. Raises `EstimationError`."""
+        """Fits a line through the means of each output. Raises `EstimationError` if the plan or the data are not suitable."""
         parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")

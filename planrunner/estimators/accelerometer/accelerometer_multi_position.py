@@ -60,7 +60,8 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
     def quantities(
         self, request: EstimateRequest[AccelerometerMultiPositionParameters]
     ) -> AxesQuantities | MagnitudeQuantities:
-        """Computes the coefficients from the means of the positions or of the still spans. Raises `EstimationError`."""
+        """Computes the coefficients from the means of the positions or of the still spans. Raises `EstimationError` if the plan or
+        the data are not suitable."""
         parameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":

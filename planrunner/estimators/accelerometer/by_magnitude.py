@@ -109,7 +109,7 @@ class MagnitudeQuantities(Quantities):
 
 
 def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> MagnitudeQuantities:
-    """Computes the nine parameters with full covariance. Raises `EstimationError`."""
+    """Computes the nine parameters with full covariance. Raises `EstimationError` if the plan or the data are not suitable."""
     basis = request.parameters.uncertainty
     expected = all(recorded.expected for recorded in request.segments)
     found_spans = request.detection is not None and not expected
@@ -182,7 +182,7 @@ def _weighted(
     found: GravityFit,
 ) -> OutputsFit:
     """The last step of the calibration: a weighted fit of |f| − g [m/s²] as a single output. recorded: the recorded segments that
-    are the poses; empty if the poses are only parts of segments. Raises `EstimationError`."""
+    are the poses; empty if the poses are only parts of segments. Raises `EstimationError` if the plan or the data are not suitable."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
     variance = np.einsum("ni,nj,ij->n", felt, felt, poses.correlation)

@@ -39,7 +39,7 @@ _AXES = ("x", "y", "z")
 
 
 def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each axis for segments at rest. Raises `EstimationError`."""
+    """The design of each axis for segments at rest. Raises `EstimationError` if a segment moves or its orientation is unknown."""
     model, needed = error_model(terms), "an accelerometer can be compared with gravity only at rest"
     matrix = matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
     return PositionsDesign(model, tuple(segments), matrix, model.magnitudes)
@@ -56,7 +56,8 @@ class AxesQuantities(Quantities):
 
 
 def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> AxesQuantities:
-    """Computes bias, scale factor and misalignments of three axes. Raises `EstimationError`."""
+    """Computes bias, scale factor and misalignments of three axes. Raises `EstimationError` if the plan or the data are not
+    suitable."""
     parameters = request.parameters
     basis = parameters.uncertainty
     observations = observe(request.segments, parameters.outputs, request.sensor)

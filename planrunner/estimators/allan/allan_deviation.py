@@ -112,7 +112,7 @@ class AllanDeviation:
     Parameters = AllanDeviationParameters
 
     def design(self, request: DesignRequest[AllanDeviationParameters]) -> Design:
-        """Checks that the planned record is suitable. Raises `EstimationError`."""
+        """Checks that the planned record is suitable. Raises `EstimationError` if the plan is not suitable."""
         parameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         moving = [segment.label for segment in request.segments if not isinstance(segment.motion, Rest)]
@@ -145,7 +145,7 @@ class AllanDeviation:
         return Foresight(tuple(predicted), tuple(unpredicted))
 
     def estimate(self, request: EstimateRequest[AllanDeviationParameters]) -> Estimate:
-        """Computes deviations and coefficients from the samples. Raises `EstimationError`."""
+        """Computes deviations and coefficients from the samples. Raises `EstimationError` if the plan or the data are not suitable."""
         parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")

@@ -106,7 +106,8 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
     Parameters = ErrorModelParameters
 
     def design(self, request: DesignRequest[ErrorModelParameters]) -> Design:
-        """Checks how well the planned segments determine the amplitudes of each output. Raises `EstimationError`."""
+        """Checks how well the planned segments determine the amplitudes of each output. Raises `EstimationError` if the plan is not
+        suitable."""
         parameters = request.parameters
         _known_monitors(parameters, {output.name: output.unit for output in request.sensor.outputs})
         by_name: dict[str, DesignBlock] = {}
@@ -167,7 +168,8 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Known(directions={one.name: np.eye(3)[one.errors.axis] for one in named})
 
     def quantities(self, request: EstimateRequest[ErrorModelParameters]) -> ModelQuantities:
-        """Computes the amplitudes from the means of the segments. Raises `EstimationError`."""
+        """Computes the amplitudes from the means of the segments. Raises `EstimationError` if the plan or the data are not
+        suitable."""
         parameters = request.parameters
         units = {name: text for one in request.segments for name, text in one.units.items()}
         _known_monitors(parameters, units)

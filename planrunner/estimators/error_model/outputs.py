@@ -156,7 +156,8 @@ def models(
     samples: SampledOutputs,
 ) -> tuple[Together, ...]:
     """Builds the models of all outputs. units: maps each output to its unit, as declared or recorded; states: states of all
-    segments; samples: samples of all segments. Raises `EstimationError`."""
+    segments; samples: samples of all segments. Raises `EstimationError` if the outputs, the effects and the segments do not fit
+    each other."""
     for name in parameters.axes:
         if name not in parameters.outputs:
             raise EstimationError(f"`axes` names '{name}'", closest(name, parameters.outputs), f"axes.{name}")

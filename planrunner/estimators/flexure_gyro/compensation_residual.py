@@ -81,7 +81,8 @@ class CompensationResidual:
     Parameters = CompensationResidualParameters
 
     def design(self, request: DesignRequest[CompensationResidualParameters]) -> Design:
-        """Returns a design without coefficients. The predicted ratios are in the notes and in `extra`. Raises `EstimationError`."""
+        """Returns a design without coefficients. The predicted ratios are in the notes and in `extra`. Raises `EstimationError` if
+        the plan is not suitable."""
         model = flexure_gyro.static_model()
         matrix = static_matrix(model, request.segments, request.site)
         sets: dict[str, tuple[Array, Array]] = {}
@@ -112,7 +113,7 @@ class CompensationResidual:
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in named))
 
     def estimate(self, request: EstimateRequest[CompensationResidualParameters]) -> Estimate:
-        """Computes the residuals of each set in `uses`. Raises `EstimationError`."""
+        """Computes the residuals of each set in `uses`. Raises `EstimationError` if the plan or the data are not suitable."""
         for name, used in request.uses.items():
             if used.extra.get("terms") != list(flexure_gyro.static_model().names):
                 raise EstimationError(_NO_SET.format(name))

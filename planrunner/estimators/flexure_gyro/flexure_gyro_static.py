@@ -92,7 +92,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
     Parameters = FlexureGyroStaticParameters
 
     def design(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Design:
-        """Checks the design of both outputs at the planned positions. Raises `EstimationError`."""
+        """Checks the design of both outputs at the planned positions. Raises `EstimationError` if the plan is not suitable."""
         parameters = request.parameters
         design = static_design(parameters.terms, request.segments, request.site)
         blocks = design.blocks(request, _two(parameters.outputs))
@@ -116,7 +116,8 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         return Known({name: (model, own) for name, own in zip(parameters.outputs, outputs, strict=True)})
 
     def quantities(self, request: EstimateRequest[FlexureGyroStaticParameters]) -> StaticQuantities:
-        """Computes the coefficients from the means of the positions. Raises `EstimationError`."""
+        """Computes the coefficients from the means of the positions. Raises `EstimationError` if the plan or the data are not
+        suitable."""
         parameters = request.parameters
         basis = parameters.uncertainty
         observations = observe(request.segments, _two(parameters.outputs), request.sensor)
@@ -182,7 +183,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
 
 
 def static_design(products: tuple[str, ...], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each output for segments at rest. Raises `EstimationError`."""
+    """The design of each output for segments at rest. Raises `EstimationError` if a segment moves or its orientation is unknown."""
     model = flexure_gyro.static_model(products)
     return PositionsDesign(model, tuple(segments), static_matrix(model, segments, site), local_magnitudes(model, site))
 

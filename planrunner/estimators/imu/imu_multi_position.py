@@ -130,7 +130,8 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
     Parameters = ImuMultiPositionParameters
 
     def design(self, request: DesignRequest[ImuMultiPositionParameters]) -> Design:
-        """Checks how well the planned positions and rates determine the coefficients of each output. Raises `EstimationError`."""
+        """Checks how well the planned positions and rates determine the coefficients of each output. Raises `EstimationError` if
+        the plan is not suitable."""
         parameters = request.parameters
         blocks: list[DesignBlock] = []
         remarks: list[Remark] = []
@@ -151,7 +152,8 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         return Known(directions={name: np.eye(3)[axis] for _, names, _ in triads for axis, name in enumerate(names)})
 
     def quantities(self, request: EstimateRequest[ImuMultiPositionParameters]) -> ImuQuantities:
-        """Computes the coefficients from the means of the segments. Raises `EstimationError`."""
+        """Computes the coefficients from the means of the segments. Raises `EstimationError` if the plan or the data are not
+        suitable."""
         parameters = request.parameters
         basis = parameters.uncertainty
         triads = tuple(_fit(request, *one) for one in _triads(parameters))
@@ -218,7 +220,8 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
 
 
 def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
-    """The kind, the channels and the terms of each triad that the plan gives. Raises `EstimationError`."""
+    """The kind, the channels and the terms of each triad that the plan gives. Raises `EstimationError` if a triad does not have
+    three channels, or if the plan gives no triad."""
     stated = (
         ("gyro", parameters.gyros, parameters.gyro_terms, _RATES),
         ("accel", parameters.accelerometers, parameters.accelerometer_terms, _FORCES),
@@ -253,7 +256,8 @@ def _usable(kind: str, segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each output of a triad at the segments that the triad can use. Raises `EstimationError`."""
+    """The design of each output of a triad at the segments that the triad can use. Raises `EstimationError` if the triad can use no
+    segment, or if a term cannot be computed for the segments."""
     model, usable = error_model(terms), _usable(kind, segments)
     try:
         matrix = columns_of(model, mean_poses(usable), site)

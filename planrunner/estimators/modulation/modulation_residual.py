@@ -103,7 +103,7 @@ class ModulationResidual:
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in rows))
 
     def estimate(self, request: EstimateRequest[ModulationResidualParameters]) -> Estimate:
-        """Compares the navigations. Raises `EstimationError`."""
+        """Compares the navigations. Raises `EstimationError` if the plan or the data are not suitable."""
         navigations = compared(request)
         (still,) = (item for item in navigations if item.cycle is None)
         turned = [item for item in navigations if item.cycle is not None]

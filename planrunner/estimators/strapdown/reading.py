@@ -161,7 +161,7 @@ def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, N
 
 
 def reference_mean(recorded: RecordedSegment, name: str) -> float:
-    """The mean of a reference channel over a segment, SI. Raises `EstimationError`."""
+    """The mean of a reference channel over a segment, SI. Raises `EstimationError` if the channel has an unsuitable unit."""
     statistics = recorded.statistics
     return float(statistics.mean[statistics.of(name)]) * _reference_unit(recorded, name)
 

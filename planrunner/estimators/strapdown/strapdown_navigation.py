@@ -19,7 +19,7 @@ class StrapdownNavigation:
     Parameters = StrapdownNavigationParameters
 
     def design(self, request: DesignRequest[StrapdownNavigationParameters]) -> Design:
-        """Returns remarks on the planned segments. Raises `EstimationError`."""
+        """Returns remarks on the planned segments. Raises `EstimationError` if the plan is not suitable."""
         from planrunner.estimators.strapdown.design import design
 
         return design(request)
@@ -31,7 +31,8 @@ class StrapdownNavigation:
         return foresee(request)
 
     def estimate(self, request: EstimateRequest[StrapdownNavigationParameters]) -> Estimate:
-        """Computes the errors of the navigation from the recording. Raises `EstimationError`."""
+        """Computes the errors of the navigation from the recording. Raises `EstimationError` if the plan or the data are not
+        suitable."""
         from planrunner.estimators.strapdown.results import assemble
 
         return assemble(request, navigate(request))

@@ -159,7 +159,7 @@ def correlation_time(residuals: Sequence[Array]) -> float:
     """The factor, at least one, by which the correlation of successive residuals increases the variance of fitted coefficients.
 
     The factor is 1 + 2·Σ r_k, where r_k is the autocorrelation of all series together at the lag k. The sum ends before the first
-    lag at which it is not positive (Geyer, Statistical Science 7, 1992, 473).
+    lag at which r_k is not positive (Geyer, Statistical Science 7, 1992, 473).
     """
     total = sum(float(one @ one) for one in residuals)
     longest = max((len(one) for one in residuals), default=0)
@@ -266,8 +266,8 @@ class CurveFit:
         return value, np.hypot(u, value - full), freedom
 
     def warmer(self, by: float) -> Array:
-        """The coefficients (p,) of the curve shifted along the temperature axis: at T it has the value that this curve has at T +
-        `by`, where `by` is in K. They describe a run in which the true temperatures are higher by this amount."""
+        """The coefficients (p,) of a shifted curve, whose value at T is the value of this curve at T + `by`, where `by` is in K.
+        They describe a run in which the true temperatures are higher by this amount."""
         if self.curve.form == "spline":
             return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
         moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef

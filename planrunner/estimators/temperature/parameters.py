@@ -92,8 +92,8 @@ class TemperatureModelParameters(Record):
 
 
 def remarks(request: DesignRequest[TemperatureModelParameters]) -> tuple[Remark, ...]:
-    """Errors in a plan about a curve that no recording can give. Ramps, and estimates without a prediction, cannot be judged before
-    the recording, so they are not reported."""
+    """Errors about requests in a plan that no recording can fulfil. Ramps, and estimates without a prediction, cannot be judged
+    before the recording, so they are not reported."""
     if request.uses:
         return tuple(_of_estimates(request))
     if any(segment.ramp_to is not None or segment.temperature is None for segment in request.segments):

@@ -55,9 +55,9 @@ _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 @dataclass(frozen=True)
 class Loop:
-    """The differences between rising and falling temperature at n temperatures. celsius: (n,), temperatures, degC. width: (n,),
-    value at rising temperature minus value at falling temperature, in the value's unit; uncertainty: (n,), standard uncertainty of
-    `width`; freedom: (n,), degrees of freedom of this uncertainty."""
+    """The differences between values at rising and values at falling temperature, at n temperatures. celsius: (n,), temperatures,
+    degC. width: (n,), value at rising temperature minus value at falling temperature, in the value's unit; uncertainty: (n,),
+    standard uncertainty of `width`; freedom: (n,), degrees of freedom of this uncertainty."""
 
     celsius: Array
     width: Array
@@ -171,7 +171,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         return Foresight(unpredicted=tuple(found))
 
     def quantities(self, request: EstimateRequest[TemperatureModelParameters]) -> Curves:
-        """Fits a curve to the values of every quantity. Raises `EstimationError`."""
+        """Fits a curve to the values of every quantity. Raises `EstimationError` if the plan or the data are not suitable."""
         parameters = request.parameters
         _one_source(parameters, bool(request.uses))
         if parameters.channels:

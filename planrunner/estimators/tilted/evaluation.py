@@ -194,8 +194,8 @@ def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
 
 
 def slope_weights(kelvin: Array) -> Array:
-    """The weights (g,), 1/K, that compute a slope from values at g temperatures. The sum of the weighted values is the slope of the
-    straight line through the values."""
+    """The weights (g,), per kelvin, that compute a slope from values at g temperatures. The sum of the weighted values is the slope
+    of the straight line through the values."""
     off = kelvin - kelvin.mean()
     return np.asarray(off / np.sum(off * off))
 

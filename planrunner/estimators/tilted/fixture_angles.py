@@ -109,8 +109,8 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
     Parameters = FixtureAnglesParameters
 
     def design(self, request: DesignRequest[FixtureAnglesParameters]) -> Design:
-        """Checks, for each output, which components of the gain vector the planned orientations determine. Raises
-        `EstimationError`."""
+        """Checks, for each output, which components of the gain vector the planned orientations determine. Raises `EstimationError`
+        if the plan is not suitable."""
         how = request.parameters.azimuth
         outputs = [output.name for output in request.sensor.outputs]
         axes = mounted_axes(request.setup.mounting, outputs, request.parameters.outputs)
@@ -129,7 +129,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         return Design(tuple(blocks), remarks=remarks)
 
     def quantities(self, request: EstimateRequest[FixtureAnglesParameters]) -> FixtureQuantities:
-        """Computes the angles from the means. Raises `EstimationError`."""
+        """Computes the angles from the means. Raises `EstimationError` if the plan or the data are not suitable."""
         parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")

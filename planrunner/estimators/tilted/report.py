@@ -123,7 +123,8 @@ def _residuals(situation: Situation, units: Units) -> Table:
 
 def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Table:
     """A table of the response at the lowest rate (IEEE Std 528), and of the smallest change of rate that can be distinguished from
-    noise in a recording at this rate: k·√2·u, where u is the standard uncertainty of the mean."""
+    noise in a recording at this rate. This change is k·√2·u, where k is the coverage factor, and u is the standard uncertainty of
+    the mean, as a rate."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)

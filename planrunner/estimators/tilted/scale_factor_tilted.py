@@ -3,9 +3,10 @@
 
 For each temperature and repeat, F_r is the mean of the zero readings before and after the rates. The line F_j − F_r = K·cos θ·ω_j +
 F_0 + ν_j is fitted by ordinary least squares to the outputs F_j at the rates ω_j. The names of the metrics follow IEEE 952 and
-1431. The source does not treat the Earth's rotation. Its component along the rotation axis is the same in F_j and F_r, and so
-cancels. Its other components turn with the table, so their average over whole turns in F_j is zero. They remain in the zero
-readings F_r at the home position, so F_0 contains these components unless they are corrected for.
+1431. The source does not treat the Earth's rotation. The component of the Earth's rotation along the rotation axis of the table is
+the same in F_j and F_r, and so cancels. The other components of the Earth's rotation turn with the table, so their average over
+whole turns in F_j is zero. They remain in the zero readings F_r at the home position, so F_0 contains these components unless they
+are corrected for.
 """
 
 from __future__ import annotations
@@ -102,11 +103,12 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
     Parameters = ScaleFactorTiltedParameters
 
     def design(self, request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
-        """Checks the lines through the planned rates, and reports parts that the plan lacks. Raises `EstimationError`."""
+        """Checks the lines through the planned rates, and reports parts that the plan lacks. Raises `EstimationError` if the plan
+        is not suitable."""
         return tilted_planning.design(request)
 
     def quantities(self, request: EstimateRequest[ScaleFactorTiltedParameters]) -> TiltedQuantities:
-        """Computes the scale factors from the means. Raises `EstimationError`."""
+        """Computes the scale factors from the means. Raises `EstimationError` if the plan or the data are not suitable."""
         parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
