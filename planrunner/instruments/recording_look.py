@@ -62,9 +62,12 @@ _NAME = re.compile(r"[^A-Za-z0-9_]+")
 
 @dataclass(frozen=True, slots=True)
 class LikelyChannel:
-    """A column as a probable channel. unit: guessed; counts: whether the numbers are raw counts, with `per_unit` counts per unit;
-    noise: standard deviation of a sample at rest, in the unit, 0 if it is constant and NaN if it is not known; source: what the unit was
-    guessed from, `name`, `size` or `motion`; stands: whether the channel never changes."""
+    """A column that is probably a channel.
+
+    unit: the probable unit. counts: True if the numbers are raw counts, with `per_unit` counts per unit. noise: standard deviation
+    of a sample at rest, in `unit`; 0 if the channel is constant at rest, NaN if the noise is unknown. source: what shows the unit:
+    `name` for the name of the column, `size` for the size of its values, `motion` for turns that the accelerometers also show.
+    stands: True if the channel never changes."""
 
     name: str
     column: str
@@ -78,14 +81,16 @@ class LikelyChannel:
 
     @property
     def sure(self) -> bool:
-        """Whether the name of the column contains the unit."""
+        """True if the name of the column contains the unit."""
         return self.source == "name"
 
 
 @dataclass(frozen=True, slots=True)
 class WindowLevels:
-    """Mean and scatter of each column in successive windows. begin, end: of the windows, (n,), s; size: rows in a window; mean, scatter:
-    column → (n,), NaN where a window holds no number."""
+    """Mean and standard deviation (scatter) of each column in successive windows.
+
+    begin, end: (n,), start and end times of the windows, s; size: number of rows in a window; mean, scatter: for each column, the
+    values (n,); the mean is NaN if a window contains fewer than two numbers."""
 
     begin: Array
     end: Array
@@ -95,21 +100,24 @@ class WindowLevels:
 
     @property
     def length(self) -> float:
-        """Usual length of a window, s."""
+        """Median length of the windows, s."""
         return float(np.median(self.end - self.begin)) if len(self.begin) else 0.0
 
     @property
     def rates(self) -> Array:
-        """Rows per second in each window, (n,)."""
+        """The sample rate (n,) in each window, Hz."""
         return self.size / (self.end - self.begin)
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Properties of a recording. time: None if rows are counted; rate: Hz; other: columns that are not channels; sparse: columns of
-    channels that have a number in few of the rows; still: spans without motion; backwards: number of rows whose time does not increase
-    (if there are any, rows are counted instead); pauses: number of pauses, and the length of the shortest one, s; motion: how gyros and
-    accelerometers describe the same turns, None if the recording does not show it."""
+    """Properties that were found in a recording.
+
+    time: the column of the time; None if rows are counted. rate: sample rate, Hz. other: columns that are not channels. sparse:
+    columns that contain less than half as many numbers as the fullest column of a gyro or accelerometer. still: spans without
+    motion. backwards: number of rows whose time does not increase; if there are any, rows are counted instead. pauses: number of
+    pauses, and the length of the shortest one, s. motion: comparison of gyros and accelerometers during turns; None if it gives no
+    clear result."""
 
     file: str
     format: Format | None
@@ -127,7 +135,7 @@ class Look:
 
     @property
     def other_rate(self) -> tuple[float, float] | None:
-        """Another sample rate [Hz] that the recording also has, and the time [s] at which it is first seen; None if there is none."""
+        """A second sample rate [Hz] of the recording, and the time [s] at which it first occurs; None if there is no second rate."""
         if self.time is None:
             return None
         rates = self.windows.rates
@@ -140,12 +148,12 @@ class Look:
 
     @property
     def reversed_axes(self) -> bool:
-        """Whether gyros and accelerometers seem to have different axes."""
+        """True if the axes of the gyros seem to differ from those of the accelerometers."""
         return self.motion is not None and not self.motion.same_axes
 
     @property
     def still_share(self) -> float:
-        """Fraction of the time without motion."""
+        """The fraction of the recorded time that is without motion."""
         whole = float(np.sum(self.windows.end - self.windows.begin))
         return sum(span.seconds for span in self.still) / whole if whole else 0.0
 
@@ -195,8 +203,10 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
 
 
 class _Clock:
-    """Observes the time column: the rows in which time does not increase, the steps longer than `pause` [s], and the total time.
-    times: of the rows that were yielded last, s after the first row. After the last row, `stamp` is None if the column is not a time."""
+    """Observes the time column: rows in which time does not increase, steps longer than `pause` [s], and the total time.
+
+    times: times of the rows that were yielded last, s after the first row. stamp: after the last row, None if the column is not a
+    time."""
 
     def __init__(self, stamp: LikelyTime | None, pause: float):
         self._stamp = stamp
@@ -221,16 +231,18 @@ class _Clock:
 
     @property
     def counts_rows(self) -> bool:
-        """Whether the time of a row is its number over the sample rate."""
+        """True if the time of a row is its number divided by the sample rate."""
         return self._stamp is None
 
     @property
     def stamp(self) -> LikelyTime | None:
-        """The time, with the value at which its counter returns to zero; None if it runs backwards or stands."""
+        """The column of the time, with the value at which its counter returns to zero; None if the time of some rows does not
+        increase."""
         return None if self._stamp is None or self.backwards else replace(self._stamp, wraps=self._wraps)
 
     def unwrapped(self, times: Array) -> Array:
-        """Times [s] after each return of the counter to zero that was recognised only at the end."""
+        """Corrects times [s] if the return of the counter to zero was recognised only after the last row: adds one period of the
+        counter for each return."""
         if self._stamp is None or self._stamp.wraps is not None or self._wraps is None:
             return times
         return times + np.cumsum(np.diff(times, prepend=times[:1]) < 0) * (self._wraps * self._stamp.scale)
@@ -264,9 +276,11 @@ class _Clock:
 
 
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
-    """The guesses for columns. If no name contains a gyro or an accelerometer, three neighbouring columns are taken as
-    accelerometers if their vector is as long as gravity, and three columns next to them as gyros. Columns whose names end in x, y and z
-    are these axes; otherwise the first is x."""
+    """Guesses for the columns, completed if the names do not help.
+
+    If no name suggests a gyro or an accelerometer, three neighbouring columns whose vector is as long as gravity are taken as
+    accelerometers, and three columns next to them as gyros. If the names of three columns state the axes x, y and z, they get these
+    axes; otherwise they are x, y and z in their order."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
@@ -284,13 +298,15 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
 
 
 def _axes(sensed: str, three: Sequence[Guess]) -> dict[str, tuple[str, str]]:
-    """What three columns sense, and along which axis."""
+    """The sensed quantity and the axis of three columns, by name of the column.
+
+    If the names do not state the axes x, y and z, the columns are x, y and z in their order."""
     named = {one.axis for one in three} == set("xyz")
     return {one.column: (sensed, one.axis if named else "xyz"[k]) for k, one in enumerate(three)}
 
 
 def _median(values: Array) -> float:
-    """The median of the numbers among the values, 0 if there are none."""
+    """The median of the finite values; 0 if there are none."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else 0.0
 
@@ -303,7 +319,9 @@ def _windows(
     clock: _Clock,
     notice: Announce | None,
 ) -> tuple[WindowLevels, int, dict[str, int]]:
-    """Means and scatter of windows, the number of rows, and the count of numbers in each column."""
+    """Computes the means and standard deviations of all windows.
+
+    Also returns the number of rows, and the number of finite values in each column."""
     size = max(2, round(WINDOW * rate), math.ceil(about / MOST_WINDOWS))
     pace = Pace("looking at the recording", about, notice)
     kept: dict[str, Array] = {column: np.zeros(0) for column in columns}
@@ -335,7 +353,9 @@ def _windows(
 
 
 def _levels(table: Array) -> tuple[Array, Array]:
-    """Mean and standard deviation of each row, (n,), without missing numbers; NaN if a row holds fewer than two. table: (n, k)."""
+    """Mean and standard deviation (n,) of each row of a table (n, k), without missing numbers.
+
+    The mean is NaN if a row contains fewer than two numbers."""
     if np.isfinite(table).all():
         return table.mean(axis=1), table.std(axis=1, ddof=1)
     known = np.isfinite(table)
@@ -347,7 +367,9 @@ def _levels(table: Array) -> tuple[Array, Array]:
 
 
 def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
-    """The windows with the times of counted rows. rate: Hz."""
+    """The same windows, with times that are computed from the number of rows.
+
+    rate: sample rate, Hz."""
     begin = np.arange(float(len(windows.begin))) * (windows.size / rate)
     return replace(windows, begin=begin, end=begin + windows.size / rate)
 
@@ -389,7 +411,8 @@ def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Arr
 
 
 def _motion(guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[Span]) -> TurnComparison | None:
-    """How the gyros and accelerometers describe the same turns; None without exactly one triad of each."""
+    """Compares gyros and accelerometers during turns; None if there is not exactly one triad of each, or if the comparison gives no
+    clear result."""
     triads: list[Array] = []
     for sensed in ("gyro", "accel"):
         triad = [[one.column for one in guesses if (one.sensed, one.axis) == (sensed, axis)] for axis in "xyz"]

@@ -1,5 +1,8 @@
-"""Compares the gyros of a recording that has no description yet with its accelerometers: a turn between two intervals at rest moves
-gravity in the axes of the sensor by the integrated rate of turn. This shows the unit of the gyros, and exchanged or reversed axes."""
+"""Compares the gyros of a recording that has no description yet with its accelerometers.
+
+A turn between two intervals at rest changes the direction of gravity in the sensor's axes. The accelerometers show this change
+directly, and it can be computed by integrating the outputs of the gyros. The comparison shows the unit of the gyros, and whether
+axes are exchanged or reversed."""
 
 from __future__ import annotations
 
@@ -26,8 +29,11 @@ _CLEARLY = 3.0  # times this error, and more, for any other explanation of anoth
 
 @dataclass(frozen=True, slots=True)
 class TurnComparison:
-    """How gyros and accelerometers describe the same turns. unit: of the gyros; axes: for each gyro x, y, z the axis of the
-    accelerometers about which it turns, with its sign; error: median angle [deg] between measured and computed gravity."""
+    """Result of the comparison of gyros with accelerometers.
+
+    unit: unit of the gyros. axes: for the gyros x, y and z, the axis of the accelerometers about which each one measures, with its
+    sign. error: median angle [deg] between the direction of gravity that is measured after a turn and the direction that is
+    computed from the gyros."""
 
     unit: str
     axes: tuple[str, str, str]
@@ -40,8 +46,10 @@ class TurnComparison:
 
 @dataclass(frozen=True, slots=True)
 class _Turn:
-    """One turn between two intervals at rest. before, after: direction of gravity, (3,); steps: integrated outputs of the gyros in
-    successive windows, (n, 3), unit of the gyros times s."""
+    """One turn between two intervals at rest.
+
+    before, after: (3,), direction of gravity before and after the turn; steps: (n, 3), outputs of the gyros without their bias,
+    integrated over successive windows, in the unit of the gyros times s."""
 
     before: Array
     after: Array
@@ -49,8 +57,10 @@ class _Turn:
 
 
 def turns_compared(gyro: Array, accel: Array, begin: Array, end: Array, still: Sequence[Span]) -> TurnComparison | None:
-    """How the gyros describe the turns that the accelerometers show; None if there are fewer than `LEAST_TURNS` turns, if nothing
-    agrees, or if several explanations do. gyro, accel: means of windows, (n, 3); begin, end: of the windows, (n,), s."""
+    """Compares gyros with accelerometers over the turns between the intervals at rest `still`.
+
+    Returns None if there are fewer than `LEAST_TURNS` turns, if gyros and accelerometers agree for no unit and no axes, or if they
+    agree for several. gyro, accel: (n, 3), means over windows; begin, end: (n,), start and end times of the windows, s."""
     turns = list(_turns(gyro, accel, begin, end, still))
     if len(turns) < LEAST_TURNS:
         return None
@@ -87,7 +97,8 @@ def _turns(gyro: Array, accel: Array, begin: Array, end: Array, still: Sequence[
 
 
 def _signed_axes() -> Iterator[tuple[tuple[str, str, str], Array]]:
-    """All 48 ways to exchange and reverse three axes, with the matrix from the gyros to the axes of the accelerometers."""
+    """Yields all 48 ways to exchange and reverse three axes, each with the matrix that converts vectors from the axes of the gyros
+    to those of the accelerometers."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))
@@ -97,8 +108,11 @@ def _signed_axes() -> Iterator[tuple[tuple[str, str, str], Array]]:
 
 
 def _error(turns: Sequence[_Turn], matrix: Array) -> float:
-    """Median angle [deg] between gravity after a turn as measured, and as computed from the gyros. In the axes of the sensor a fixed
-    direction u follows du/dt = -ω × u. matrix: from the gyros to rad/s about the axes of the accelerometers."""
+    """Median angle [deg] between the direction of gravity that is measured after a turn and the direction that is computed from the
+    gyros.
+
+    In the axes of the sensor, a direction u that is fixed in space follows du/dt = -ω × u. matrix: converts outputs of the gyros to
+    rates in rad/s about the axes of the accelerometers."""
     from scipy.spatial.transform import Rotation
 
     angles = []

@@ -170,7 +170,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Array], Array]) -> float:
     """Standard error of a channel's mean over a segment, from the scatter about a known course of the channel. The samples are read
     once more. If there are no samples but only published statistics, the standard error is that of these statistics. course: gives
-    the course at times (k,), s since the beginning of the segment, in the unit of the channel."""
+    the course at times (k,), s since the start of the segment, in the unit of the channel."""
     whole = recorded.statistics
 
     def left() -> Iterator[Block]:

@@ -38,8 +38,9 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
 
     A sample is still if the standard deviation of every channel, in a window of the length `detection.window` around the sample, is
     below `detection.threshold`. A span is a run of still samples with a duration of at least `at_least`. A span therefore begins
-    and ends half a window away from the motion. A window that contains a gap in time or a missing value is not still. Raises
-    `EstimationError` if a channel is missing or is not an acceleration.
+    and ends half a window away from the motion. Rows with a missing value are left out. A window that lasts more than 1.5 times
+    `detection.window`, because rows are missing, is not still. Raises `EstimationError` if a channel is missing or is not an
+    acceleration.
     """
     limits = _limits(recorded, detection)
     found: list[StillSpan] = []
@@ -94,8 +95,11 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
 def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
 ) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int]]:
-    """For each stretch of samples that are centres of windows: time, values (n, k), whether each sample is still, and samples per
-    window. Rows with a missing number are left out; a window that becomes longer by half of its length because of them is not still."""
+    """Yields the samples that are centres of windows, in stretches: times, values (n, k), whether each sample is still, and the
+    number of samples per window.
+
+    Rows with a missing number are left out. A window that lasts more than 1.5 times its nominal length, because rows are missing,
+    is not still."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length = 0
@@ -118,7 +122,9 @@ def _centred(
 
 
 def _sliding_variance(values: Array, length: int) -> Array:
-    """Sample variance of every window of `length` rows, shape (n − length + 1, k). values: without missing numbers."""
+    """The sample variance in every window of `length` rows, shape (n − length + 1, k).
+
+    values: (n, k), without missing numbers."""
     centred = values - values.mean(axis=0)
     zero = np.zeros((1, values.shape[1]))
     sums = np.vstack([zero, np.cumsum(centred, axis=0)])

@@ -327,8 +327,8 @@ def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
 
 
 def _beside(kinds: Kinds) -> float:
-    """Log BF that is added to every hypothesis with an effect, because a tone or bursts with an independent cause may or may not be
-    present."""
+    """Log BF that is added to every hypothesis with an effect, because a tone or bursts with an independent cause may be present in
+    addition."""
     return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
 
 

@@ -1,6 +1,7 @@
 """Guesses how a file is arranged: its format, its numeric columns, its column of time, and the channel of each column.
 
-Guesses use only names and numbers. A person who knows the recording should check and correct them.
+The guesses use only names, numbers, and the sample rate that a text file may state before its header. A person who knows the
+recording should check and correct them.
 """
 
 from __future__ import annotations
@@ -62,9 +63,11 @@ _MATRIX = re.compile(r"\[([123])\]$")
 
 @dataclass(frozen=True, slots=True)
 class LikelyTime:
-    """The probable time of a row. column: its column; unit: its unit; rate: samples per second, Hz; per_second: for a counter of unknown
-    unit, its counts per second, otherwise None; wraps: value at which the counter returns to zero, None if it does not; sure: whether
-    the name of the column or the file states the unit or the rate."""
+    """The column that probably contains the time.
+
+    column: name of the column. unit: unit of its values; s if `per_second` is given. rate: sample rate, Hz. per_second: counts per
+    second if the column is a counter, otherwise None. wraps: value at which the counter returns to zero; None if it never does.
+    sure: True if the name of the column or the file states the unit or the rate."""
 
     column: str
     unit: str
@@ -187,8 +190,9 @@ def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) 
 
 
 def stated_rate(path: Path, name: str, given: Format | None) -> float | None:
-    """The sample rate [Hz] that the lines before the header of a text file state, such as `// Sample rate: 100.0Hz`. None if they state
-    none. Raises `InstrumentError`."""
+    """The sample rate [Hz] that a text file states before its header, such as `// Sample rate: 100.0Hz`; None if it states none.
+
+    Raises `InstrumentError` if the file cannot be opened."""
     if given is None or not isinstance(given.parameters, TextKeys):
         return None
     with open_samples(path, name) as file:
@@ -199,8 +203,9 @@ def stated_rate(path: Path, name: str, given: Format | None) -> float | None:
 
 
 def guessed_time(first: Mapping[str, Array], stated: float | None = None) -> LikelyTime | None:
-    """The column of the time, guessed from the first rows of all columns; None if no column is a time. stated: sample rate [Hz] that the
-    file states."""
+    """Guesses the column of the time from the first rows of all columns; None if no column looks like a time.
+
+    stated: sample rate [Hz] that the file states, None if it states none."""
     for pattern in (_TIME, re.compile("")):
         for column, values in first.items():
             if pattern.pattern and not pattern.search(column):
@@ -225,8 +230,10 @@ def guessed_time(first: Mapping[str, Array], stated: float | None = None) -> Lik
 
 
 def wrap_of(backwards: Array, step: float, least: float, most: float) -> float | None:
-    """The value at which a counter returns to zero, None if its steps backwards have another cause. backwards: these steps; step: the
-    usual step; least, most: of the counter."""
+    """The value at which a counter returns to zero; None if its values decrease for another reason.
+
+    backwards: the steps of the counter that are not positive; step: its median step; least, most: its smallest and its largest
+    value."""
     if not len(backwards) or step <= 0 or least < 0:
         return None
     fits = (w for w in _WRAPS if most < w and np.all((backwards + w > 0) & (backwards + w <= _LONGEST_STEP * step)))
@@ -234,8 +241,9 @@ def wrap_of(backwards: Array, step: float, least: float, most: float) -> float |
 
 
 def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
-    """The steps of the time between rows that contain a sample of the inertial sensor, of which other rows of a mixed log have none.
-    steps: between all rows, (n - 1,)."""
+    """The steps of the time between those rows that contain a sample of a gyro or an accelerometer.
+
+    In a log of several instruments, other rows contain no such sample. steps: (n - 1,), steps of the time between all rows."""
     held = [
         np.isfinite(values) for column, values in first.items() if guessed_channel(column).sensed in ("gyro", "accel")
     ]
@@ -248,7 +256,7 @@ _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def _time_of(column: str, step: float, wraps: float | None, stated: float | None) -> LikelyTime | None:
-    """The time in a column whose usual step is `step`. None if the step is not that of a usual sample rate."""
+    """Describes the time in a column whose median step is `step`; None if no unit of time leads to a usual sample rate."""
     for pattern, per_second in _COUNTERS:
         if pattern.search(column):
             return LikelyTime(column, "s", per_second / step, per_second, wraps)
@@ -287,8 +295,9 @@ def guessed_channel(column: str) -> Guess:
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
-    """The unit of a column whose name does not contain it. level: for a gyro, a large absolute value of the column; for an
-    accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of the accelerometers."""
+    """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. level: for a gyro, a large
+    absolute value of the column; for an accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of
+    the accelerometers."""
     if sensed == "accel":
         for unit, one_g in (("m/s^2", STANDARD_GRAVITY), ("g", 1.0), ("mg", 1000.0)):
             if abs(math.log(max(level, 1e-9) / one_g)) < _GRAVITY:

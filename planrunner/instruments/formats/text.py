@@ -122,14 +122,16 @@ class TextFile(FormatFile[TextKeys]):
                     first += part.num_rows
 
     def _few_wrong(self, rows: int) -> None:
-        """Checks that few lines have a wrong number of columns. rows: number of the other lines. Raises `InstrumentError`."""
+        """Raises `InstrumentError` if too many lines have a wrong number of columns.
+
+        rows: number of lines that have the right number of columns."""
         wrong = len(self._wrong)
         if wrong > MOST_WRONG * rows:
             message = f"{wrong} of {rows + wrong} lines have another number of columns than the header, such as '{self._wrong[0][:40]}'"
             raise InstrumentError(f"{self.name} cannot be read: {message}; check `separator` in the bench file")
 
     def _left_out(self, row: arrow_csv.InvalidRow) -> str:
-        """Leaves out a line with a wrong number of columns: a comment, or a line that the logger did not finish."""
+        """Skips a line with a wrong number of columns, such as a comment or a line that the logger did not finish."""
         self._wrong.append(row.text)
         return "skip"
 
