@@ -1,1 +1,1 @@
-"""Review of plans, benches and runs: the meaning of each, and the difference between two of them."""
+"""Review of plans, benches and runs: computes the meaning of each, and the difference between two of them."""

@@ -1,13 +1,13 @@
-"""Approvals as files: next to a plan, and in the folder of a run.
+"""Approvals stored as files: next to a plan, and in the folder of a run.
 
     calibration.yaml
     calibration.yaml.approvals/
       20260301T081100Z-4f2a9c0d11e38b57.dsse.json     one approval or withdrawal
       20260301T081100Z-4f2a9c0d11e38b57.yaml          the plan as it was approved, for comparisons; nothing relies on it
 
-Each approval has its own file, so that several reviewers can work in branches. A file is written under another name, synced and
-renamed, so that it exists completely or not at all. Names of files come only from the time and the digest, never from a stated
-text.
+Each approval has its own file, so that several reviewers can work in separate branches of a repository. A file is written under
+another name, synced and renamed, so that it exists completely or not at all. The name of a file is made only from the time and the
+digest, never from a text that the approval states.
 
 The file `approvals.json` of a run folder contains the approvals that counted when the run began, with the canonical meanings that
 they cover.
@@ -79,8 +79,8 @@ def _read(folder: GuardedFolder, name: str) -> ApprovalRecord:
 
 
 def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
-    """The plan as it was approved, if its text is available. The caller must compare the digest of its meaning with the digest in
-    the approval."""
+    """The text of the plan as it was approved; None if it is not available. The caller must compare the digest of its meaning with
+    the digest in the approval."""
     name = approval.file.removesuffix(_ENVELOPE) + _PLAN
     try:
         return GuardedFolder.open(folder).read(name, MOST_GIVEN)
@@ -92,7 +92,7 @@ def write_envelope(
     plan: Path, envelope: Envelope, signed: str, text: bytes | None = None, storage: Storage | None = None
 ) -> str:
     """Writes an approval or withdrawal next to a plan; returns the name of its file. signed: the time of signing that the envelope
-    states, ISO 8601; text: the plan as it was approved. Raises `InputError` if it cannot be written."""
+    states, ISO 8601. text: the plan as it was approved. Raises `InputError` if it cannot be written."""
     storage = storage or Storage()
     folder = approvals_folder(plan)
     stem = f"{re.sub(r'[^0-9T]', '', signed[:19])}Z-{payload_digest(envelope)[:16]}"
@@ -123,8 +123,8 @@ def _unreadable(folder: Path, error: Exception) -> InputError:
 class KeptApprovals:
     """The approval data in a run folder.
 
-    plan, bench: canonical JSON of the meanings that the approvals cover; ring: text of the key ring at the beginning of the run;
-    day: the date of the beginning of the run; approvals: those that counted; keys, folder: the places where the key ring and the
+    plan, bench: canonical JSON of the meanings that the approvals cover. ring: text of the key ring at the beginning of the run.
+    day: date on which the run began. approvals: the approvals that counted. keys, folder: the places where the key ring and the
     approvals were found.
     """
 
@@ -145,8 +145,8 @@ class KeptApprovals:
         return hashlib.sha256(self.bench.encode()).hexdigest()
 
     def to_bytes(self, runs: Path) -> bytes:
-        """The content of `approvals.json`. runs: the folder that contains the run folders. Paths are relative to this folder, so
-        that the file names no folder above the one that the runs and the approvals have in common."""
+        """The content of `approvals.json`. runs: the folder that contains the run folders. Paths in it are relative to this folder.
+        They therefore name no folder above the lowest one that contains both the runs and the approvals."""
         given = [entry_of(one) for one in self.approvals]
         return to_bytes(
             {
@@ -162,7 +162,7 @@ class KeptApprovals:
 
 
 def _relative(path: str, runs: Path) -> str:
-    """A path relative to the folder of the runs; only the file name if both are on different drives."""
+    """A path relative to the folder of the runs; if the two are on different drives, only the file name."""
     try:
         found = os.path.relpath(os.path.realpath(path), os.path.realpath(runs))
     except ValueError:
@@ -176,7 +176,8 @@ def entry_of(approval: StatedApproval) -> JsonObject:
 
 
 def entries_of(given: Iterable[Mapping[str, Json]]) -> tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]:
-    """Converts entries in the files of a run to approvals; also returns the entries that are not approvals."""
+    """Reads the approvals in entries from the files of a run; returns the approvals, and separately the entries that are not
+    approvals."""
     read = [read_stated(str(one["file"]), str(one["envelope"]).encode()) for one in given]
     good = tuple(one for one in read if isinstance(one, StatedApproval))
     bad = tuple(
@@ -190,14 +191,14 @@ def entries_of(given: Iterable[Mapping[str, Json]]) -> tuple[tuple[StatedApprova
 def keep(
     plan: Meaning, bench: Meaning, ring: str, day: date, counted: Iterable[StatedApproval], keys: Path, folder: Path
 ) -> KeptApprovals:
-    """The approval data that the run folder will contain."""
+    """Collects the approval data that the run folder will contain."""
     texts = plan.canonical().decode(), bench.canonical().decode()
     return KeptApprovals(*texts, ring, day, tuple(counted), str(keys.absolute()), str(folder.absolute()))
 
 
 def kept_approvals(data: bytes, run: Path) -> tuple[KeptApprovals, tuple[DamagedApproval, ...]]:
-    """The content of `approvals.json` of a run folder, and the entries that are not approvals. Raises `IntegrityError` for a file
-    with any other content."""
+    """Reads `approvals.json` of a run folder; returns its content, and separately the entries that are not approvals. Raises
+    `IntegrityError` for a file that does not have the form of `approvals.json`."""
     value = parse_json(data, run / APPROVALS, "approvals", "planrunner_approvals", FORMAT)
     good, bad = entries_of(value["approvals"])
     try:

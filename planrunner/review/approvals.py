@@ -1,9 +1,9 @@
 """Approvals of plans: signed statements that bind a reviewer's key to the meaning of a plan and of the benches that it may run on.
 
 An approval is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest
-of the canonical meaning of the plan apart from its bench (`procedure_of`). Its predicate names the benches by the digests of their
-meanings apart from the approvals that they require (`equipment_of`). A withdrawal is a statement of the same form about earlier
-approvals.
+of the canonical meaning of the plan without its bench (`procedure_of`). Its predicate names each bench by the digest of the bench's
+meaning, in which the required approvals are left out (`equipment_of`). A withdrawal is a statement of the same form that names
+earlier approvals.
 
 `judged` determines for every approval whether it counts under the rule of a bench, and why it does not. It reads no file and needs
 no private key.
@@ -55,7 +55,8 @@ ApprovalStanding = Literal[
 
 @dataclass(frozen=True, slots=True)
 class ApprovedBench:
-    """A bench for which an approval is valid: its name, and the digest of its meaning apart from the approvals that it requires."""
+    """A bench for which an approval is valid: its name, and the digest of its meaning, in which the approvals that it requires are
+    left out."""
 
     name: str
     sha256: str
@@ -63,8 +64,8 @@ class ApprovedBench:
 
 @dataclass(frozen=True, slots=True)
 class Approved:
-    """What an approval covers. plan: digest of the meaning of the plan apart from its bench; title, author: as the plan states
-    them. until: last day on which the approval is valid; None without a limit."""
+    """What an approval covers. plan: digest of the meaning of the plan without its bench. title, author: as the plan states them.
+    until: last day on which the approval is valid; None if there is no such day."""
 
     plan: str
     title: str
@@ -78,7 +79,7 @@ class StatedApproval:
     """An approval as a file states it. digest: SHA-256 of the payload of its envelope. All values are claims of the signer until
     `judged` has checked them.
 
-    name: name of the reviewer; signed: time of signing, UTC; version: version of planrunner.
+    name: name of the reviewer. signed: time of signing, UTC. version: version of planrunner.
     """
 
     file: str
@@ -105,7 +106,7 @@ class StatedWithdrawal:
 
 @dataclass(frozen=True, slots=True)
 class DamagedApproval:
-    """A file that does not have the form of an approval of planrunner."""
+    """A file that does not have the form of one of planrunner's approvals."""
 
     file: str
     why: str
@@ -127,7 +128,7 @@ def approval_envelope(what: Approved, name: str, statement: str, signer: Signer,
 
 
 def withdrawal_envelope(withdrawn: Mapping[str, str], name: str, why: str, signer: Signer, signed: str) -> Envelope:
-    """Signs the withdrawal of approvals. withdrawn: file of an approval → digest of its payload."""
+    """Signs the withdrawal of approvals. withdrawn: maps the file of each approval to the digest of the approval's payload."""
     return _signed(WITHDRAWAL, withdrawn, _told(name, why, signed), signer)
 
 
@@ -194,7 +195,7 @@ def _withdrawal(file: str, envelope: Envelope, statement: JsonObject) -> StatedW
 
 
 def payload_digest(envelope: Envelope) -> str:
-    """SHA-256 of the signed content. It identifies an approval independently of its file."""
+    """SHA-256 of the signed content of an approval. It identifies the approval independently of the approval's file."""
     return hashlib.sha256(envelope.payload).hexdigest()
 
 
@@ -251,8 +252,8 @@ def _moment(value: Json) -> datetime:
 
 @dataclass(frozen=True, slots=True)
 class JudgedApproval:
-    """An approval with the result of its check. why: the reason, in words, why it does not count; empty if it counts. key: the
-    signing key as the key ring knows it; None if the ring does not contain it."""
+    """An approval with the result of its check. why: the reason why the approval does not count, in words; empty if it counts. key:
+    the signing key as the key ring lists it; None if the ring does not contain it."""
 
     stated: StatedApproval | DamagedApproval
     standing: ApprovalStanding
@@ -293,9 +294,9 @@ class JudgedApproval:
 @dataclass(frozen=True, slots=True)
 class ApprovalRequest:
     """The plan, the bench and the time for which approvals are checked. plan, bench: digests of the meanings from `procedure_of`
-    and `equipment_of`; author: the authors that the plan states.
+    and `equipment_of`. author: the authors that the plan states.
 
-    moment: time at which the plan is to run, with a time zone; day: the date at this moment in the time zone of the bench.
+    moment: time at which the plan is to run, with a time zone. day: the date at that time in the time zone of the bench.
     """
 
     plan: str
@@ -308,10 +309,10 @@ class ApprovalRequest:
 def judged(
     stated: Iterable[ApprovalRecord], rule: ApprovalRule, ring: KeyRing, asked: ApprovalRequest
 ) -> tuple[tuple[JudgedApproval, ...], bool]:
-    """Checks every approval in the order of the times of signing; also returns whether the rule of the bench is met.
+    """Checks every approval in the order of signing; returns the results, and True if the rule of the bench is met.
 
-    It is met if as many persons approved as it requires. If the rule excludes approvals by the author, each author must be stated
-    and be in the key ring.
+    The rule is met if as many persons approved as it requires. If the rule excludes approvals by the author, the plan must state
+    every author, and every author must be in the key ring.
     """
     files = list(stated)
     gone = set(rule.withdrawn) | _withdrawn(files, ring)
@@ -334,13 +335,13 @@ def judged(
 
 
 def unknown_authors(author: Sequence[str], ring: KeyRing) -> tuple[str, ...]:
-    """Authors that are not in the key ring, so that it cannot be determined whether they approved; one empty name if the plan
-    states no author."""
+    """The authors that are not in the key ring. For these it cannot be determined whether they approved the plan. If the plan
+    states no author, the result is one empty name."""
     return tuple(name for name in author if ring.person(name) is None) if author else ("",)
 
 
 def _withdrawn(stated: Iterable[ApprovalRecord], ring: KeyRing) -> set[str]:
-    """Digests of the approvals that are withdrawn by the same key that signed them."""
+    """Digests of the approvals that were withdrawn with the key that signed them."""
     files = list(stated)
     given = {one.digest: one.envelope.key for one in files if isinstance(one, StatedApproval)}
     found = set()
@@ -359,8 +360,8 @@ def _standing(
     asked: ApprovalRequest,
     gone: set[str],
 ) -> tuple[ApprovalStanding, str]:
-    """The result of the check of one approval. Faults of the key and of the signature are checked first, because without a valid
-    signature all other values are only claims."""
+    """Whether an approval counts, and the reason if it does not. Faults of the key and of the signature are checked first, because
+    without a valid signature all other values are only claims."""
     what, day = one.what, asked.day
     if known is None:
         return "unknown key", f"its key {one.envelope.key} is not in the key ring"

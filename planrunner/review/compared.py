@@ -1,4 +1,4 @@
-"""The complete comparison of two plans, benches or runs, for tables, pages and JSON."""
+"""The complete comparison of two plans, two benches or two runs, for tables, pages and JSON."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """Both sides of a comparison and their difference.
+    """The two sides of a comparison and the difference between them.
 
-    names: names of both sides, as the user gives them. meanings: the meaning of each side; for a run, the meaning of its plan on
-    its bench. schedules: the schedule of each plan, or None if it could not be made. unforeseen: the reason why the consequences
-    are missing. facts: facts that differ between two runs; conditions: measured conditions that differ between two runs.
+    names: names of the two sides, as the user gives them. meanings: the meaning of each side; for a run, the meaning of its plan on
+    its bench. schedules: the schedule of each plan; None if it could not be made. unforeseen: the reason why the consequences are
+    missing. facts: facts that differ between two runs. conditions: measured conditions that differ between two runs.
     """
 
     kind: ComparedKind
@@ -46,14 +46,14 @@ class Compared:
 
     @property
     def digests(self) -> tuple[str, str]:
-        """SHA-256 of both meanings. Computing the digests takes longer than the comparison, so they are computed only when they are
-        shown."""
+        """SHA-256 of the meaning of each side. Computing the digests takes longer than the comparison, so they are computed only
+        when they are shown."""
         return self.meanings[0].digest(), self.meanings[1].digest()
 
     @property
     def different(self) -> bool:
-        """Whether the meanings differ. Two runs differ if their coefficients or their plans differ, so two recordings always differ
-        because of noise."""
+        """Whether the two sides differ in their meanings. Two runs differ if their coefficients or their plans differ, so two
+        recordings always differ because of noise."""
         if self.runs is not None:
             apart = any(item.difference for item in self.runs.coefficients) or any(self.runs.only)
             return apart or not self.meaning.empty

@@ -1,7 +1,7 @@
-"""Consequences of a change of a plan before anything runs: time, predicted uncertainties, terms that can be determined, use of the
-bench, limits, findings.
+"""Consequences of a change of a plan, before anything runs: changes of time, of predicted uncertainties, of the terms that can be
+determined, of the use of the bench, of limits and of findings.
 
-Everything comes from two checks, one of each plan on its bench; nothing is estimated a second time here.
+Everything comes from two checks, one for each plan on its bench; nothing is estimated again here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from planrunner.plan.schedule import Cycle, Rock, Schedule, Spin
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """The result of a check of one plan on its bench. findings: the findings to show. schedule: None if the plan has errors."""
+    """The result of checking one plan on its bench. findings: the findings to be shown. schedule: None if the plan has errors."""
 
     schedule: Schedule | None = None
     designs: Mapping[str, Design] = field(default_factory=dict)
@@ -33,7 +33,7 @@ class Forecast:
 
 @dataclass(frozen=True, slots=True)
 class PredictedChange:
-    """The predicted standard uncertainty of one coefficient, in `unit`, before and after a change; None if the plan does not
+    """The predicted standard uncertainty of one coefficient, in `unit`, before and after a change; None where the plan does not
     predict it."""
 
     estimate: str
@@ -45,7 +45,7 @@ class PredictedChange:
 
 @dataclass(frozen=True, slots=True)
 class Undetermined:
-    """Terms that the planned segments cannot determine, for one output of an estimate."""
+    """The terms that the planned segments cannot determine, for one output of an estimate."""
 
     estimate: str
     output: str
@@ -54,9 +54,9 @@ class Undetermined:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """One demand of two plans on their benches, for example the largest rate. before, after: the extreme value that each plan
-    commands; limits: what the bench of each plan can do. All values are in `unit`; None if there is no such value. lowest: True if
-    the limit is a lower limit."""
+    """One demand that two plans make on their benches, for example the largest rate. before, after: the extreme value that the
+    first and the second plan command. limits: the limits of the benches of the two plans. All values are in `unit`; a value that
+    does not exist is None. lowest: True if the limits are lower limits."""
 
     name: str
     unit: str
@@ -79,11 +79,12 @@ class Demand:
 
 @dataclass(frozen=True, slots=True)
 class Consequences:
-    """The consequences of a change.
+    """The consequences of a change of a plan.
 
-    total: planned time before and after the change, s; None without a schedule. predicted: coefficients whose predicted uncertainty
-    differs. lost: terms that can no longer be determined; won: terms that can be determined only now. demands: demands on the bench
-    that differ. new, gone: findings that appear and disappear, compared without their places.
+    total: planned times before and after the change, s; None without a schedule. predicted: coefficients whose predicted
+    uncertainty differs. lost: terms that can no longer be determined. won: terms that can be determined only after the change.
+    demands: demands on the bench that differ. new, gone: findings that appear or disappear because of the change, compared without
+    their places.
     """
 
     total: tuple[float | None, float | None]
@@ -135,7 +136,8 @@ def _sound_terms(forecast: Forecast) -> dict[tuple[str, str], frozenset[str]]:
 
 
 def _undetermined(forecast: Forecast, known: Mapping[tuple[str, str], frozenset[str]]) -> Iterator[Undetermined]:
-    """Terms that this plan cannot determine, although the other plan estimates the same outputs and can determine them."""
+    """Yields the terms that this plan cannot determine, although the other plan estimates the same outputs and can determine these
+    terms."""
     for name, judged in forecast.judged.items():
         for one in judged:
             other = known.get((name, one.output))

@@ -1,8 +1,9 @@
-"""The difference of two plans or two benches by meaning, as data.
+"""The difference in meaning between two plans or two benches, as data.
 
-Segments are matched by their labels. The remaining ones are matched by their content (renamed segments), then by their place
-between matched neighbours if little of their content differs. Matched segments that are outside the longest common order count as
-moved. The computing time is proportional to the number of segments, except that of the longest increasing subsequence (n·log n).
+Segments are matched by their labels. Segments without a match are matched by their content (renamed segments), and then by their
+place between matched neighbours if little of their content differs. Matched segments that are outside the longest common order
+count as moved. The computing time is proportional to the number of segments n, except for the longest increasing subsequence, which
+takes a time proportional to n·log n.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ Tendency = Literal["loosened", "tightened", "both", ""]
 
 @dataclass(frozen=True, slots=True)
 class PartChange:
-    """One part of a plan or bench that differs. before, after: canonical content of the part in each file, None if the part is
-    absent; shown: the part as each file writes it, empty if absent. gained, lost: added and removed values, if the part is a list
-    of values in both files."""
+    """One part of a plan or bench that differs. before, after: canonical content of the part in each file; None if the part is
+    absent. shown: the part as each file writes it; empty if the part is absent. gained, lost: added and removed values, if the part
+    is a list of values in both files."""
 
     place: KeyPath
     before: Json
@@ -43,8 +44,8 @@ class PartChange:
 
 @dataclass(frozen=True, slots=True)
 class SegmentChange:
-    """One segment that differs. before, after: label of the segment in each plan, None if the plan lacks it; positions: its place
-    in each plan, counted from 1."""
+    """One segment that differs. before, after: label of the segment in each plan; None if the plan lacks the segment. positions:
+    place of the segment in each plan, counted from 1."""
 
     before: str | None
     after: str | None
@@ -59,10 +60,10 @@ class SegmentChange:
 
 @dataclass(frozen=True, slots=True)
 class MeaningDifference:
-    """The difference of two plans or benches.
+    """The difference between two plans or two benches.
 
-    parts: all differences outside the segments and limits. texts: changed texts for readers, which do not count as a difference.
-    rounded: quantities in different units that agree within the written digits, which do not count as a difference either.
+    parts: all differences outside the segments and limits. texts: texts for readers that changed; they do not count as a
+    difference. rounded: quantities in different units that agree to the written digits; they do not count as a difference either.
     """
 
     kind: str
@@ -144,8 +145,8 @@ _NEAR = 20
 
 
 def matched(a: Sequence[Segment_], b: Sequence[Segment_]) -> list[tuple[int | None, int | None]]:
-    """Pairs of indices (in a, in b), in the order of b. An unmatched segment of a is placed after the matched segment that precedes
-    it in a."""
+    """Matches the segments of two sequences; returns pairs of indices (in a, in b), in the order of b. The index of a missing
+    partner is None. An unmatched segment of a is placed after the matched segment that precedes it in a."""
     there = {_label(item): j for j, item in enumerate(b)}
     partner = {i: there[_label(item)] for i, item in enumerate(a) if _label(item) in there}
     taken = set(partner.values())
@@ -178,8 +179,8 @@ def _content(segment: Segment_) -> str:
 
 
 def _match_in_gaps(a: Sequence[Segment_], b: Sequence[Segment_], partner: dict[int, int], taken: set[int]) -> None:
-    """Matches segments that have no match yet, if they lie between the same matched neighbours and few of their keys differ. The
-    order of the segments is kept."""
+    """Matches further segments if they lie between the same matched neighbours in both plans and few of their keys differ. The
+    order of the segments is preserved."""
     before_b: dict[int, deque[int]] = defaultdict(deque)  # unmatched of b by their matched predecessor, -1 for none
     last = -1
     for j in range(len(b)):
@@ -232,7 +233,7 @@ def _segment_changes(
 
 
 def _stated(segment: Segment_, removed: bool) -> Iterator[PartChange]:
-    """The keys of an added or removed segment that have a value, each as a change."""
+    """Yields each key of an added or removed segment that has a value, as a change."""
     for name, part in segment.items():
         text = in_words(part)
         if name != "label" and plain(part) not in (None, [], False) and text:
@@ -266,8 +267,8 @@ def _moved(order: Sequence[int]) -> set[int]:
 
 
 def _renamed(content: dict[str, Branch], names: Mapping[str, str], all_labels: Sequence[str]) -> dict[str, Branch]:
-    """A plan's content in which estimates and diagnosis select segments by the new names of these segments. A selection of all
-    segments is stated as a selection of all."""
+    """The content of a plan in which estimates and diagnosis select renamed segments by their new names. If all segments are
+    selected, this is stated as a selection of all segments."""
     made = dict(content)
     estimates = content["estimates"]
     assert isinstance(estimates, dict)
@@ -299,7 +300,8 @@ def _relabelled(chosen: Branch, names: Mapping[str, str], all_labels: Sequence[s
 
 
 def _limits(a: Sequence[Branch], b: Sequence[Branch], rounded: list[PartChange]) -> Iterator[PartChange]:
-    """The changed limits. Limits are matched by their quantity; several limits of the same quantity are matched in order."""
+    """The changes of limits. Limits are matched by their quantity; if several limits have the same quantity, they are matched in
+    order."""
     old, new = _by_quantity(a), _by_quantity(b)
     for name in dict.fromkeys([*old, *new]):
         before, after = old.get(name, []), new.get(name, [])
@@ -330,7 +332,7 @@ def _by_quantity(limits: Sequence[Branch]) -> dict[str, list[dict[str, Branch]]]
 
 
 def _limit_in_words(limit: dict[str, Branch] | None, other: dict[str, Branch] | None) -> str:
-    """The bounds of a limit in words, and its other properties if they differ from those of the other limit."""
+    """The bounds of a limit in words, and those other properties in which it differs from the other limit."""
     if limit is None:
         return ""
     low, high = limit["at_least"], limit["at_most"]
@@ -378,7 +380,7 @@ def _sign(before: float, after: float) -> int:
 
 
 def _bound(branch: Branch, absent: float) -> float:
-    """A bound in SI units."""
+    """A bound of a limit in SI units."""
     if not isinstance(branch, StatedValue) or branch.quantity is None:
         return absent
     return branch.quantity.value
@@ -388,8 +390,8 @@ def _bound(branch: Branch, absent: float) -> float:
 
 
 def _changes(place: KeyPath, a: Branch, b: Branch, rounded: list[PartChange]) -> Iterator[PartChange]:
-    """The parts in which two branches of a meaning differ. The comparison goes down to the level at which the two branches no
-    longer have the same form."""
+    """Yields the parts in which two branches of a meaning differ. The comparison descends as long as the two branches have the same
+    form."""
     if isinstance(a, StatedValue) and isinstance(b, StatedValue):
         if a.content == b.content:
             return

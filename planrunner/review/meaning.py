@@ -1,4 +1,4 @@
-"""The meaning of a plan and of a bench: everything that changes what is done or measured, and nothing else.
+"""The meaning of a plan or a bench: everything that affects what is done or measured, and nothing else.
 
 The meaning is made by reading and expanding the file: it has one entry for each segment, with inherited and default keys filled in,
 and with quantities in SI-coherent units. Comments, formatting, the order of keys, the way in which a sweep is written, units, and
@@ -45,8 +45,8 @@ DIGITS = 12
 
 @dataclass(frozen=True, slots=True)
 class StatedValue:
-    """One value. content: its canonical form, for digests; shown: the value as the file writes it, for readers. quantity: the
-    quantity with its unit as written, if the value is a quantity; otherwise None."""
+    """One value in a meaning. content: its canonical form, for digests. shown: the value as the file writes it, for readers.
+    quantity: the quantity with its unit as written, if the value is a quantity; otherwise None."""
 
     content: Json
     shown: str
@@ -79,13 +79,14 @@ class Meaning:
         return hashlib.sha256(self.canonical()).hexdigest()
 
     def lines(self) -> Iterator[str]:
-        """The meaning line by line, for programs that compare lines of text. Each line contains the path of a value and the value."""
+        """The meaning as lines of text, for programs that compare texts line by line. Each line contains the path of a value and
+        the value."""
         yield f"{self.kind} {VERSION}"
         yield from _lines("", self.content)
 
 
 def canonical_json(value: Json) -> bytes:
-    """The canonical form of a JSON value by RFC 8785: sorted keys, no spaces, shortest numbers."""
+    """The canonical form of a JSON value according to RFC 8785: sorted keys, no spaces, shortest numbers."""
     import rfc8785  # not needed by `check`
 
     return rfc8785.dumps(value)
@@ -94,8 +95,8 @@ def canonical_json(value: Json) -> bytes:
 def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
     """SHA-256 of the meaning of a plan, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
 
-    bench: the bench on which the plan runs; its meaning then enters the digest too. Without a bench, the digest covers only the
-    name of the plan's bench.
+    bench: the bench on which the plan runs; if it is given, its meaning enters the digest too. Without a bench, the digest covers
+    only the name of the plan's bench.
     """
     return meaning_of_plan(plan, bench).digest()
 
@@ -144,15 +145,15 @@ def meaning_of_bench(bench: Bench) -> Meaning:
 
 
 def procedure_of(plan: Plan) -> Meaning:
-    """The meaning of a plan apart from its bench. An approval covers this meaning, together with the benches that it names. Raises
-    `InputError`."""
+    """The meaning of a plan without its bench. An approval covers this meaning, together with the benches named in the approval.
+    Raises `InputError` for a plan with errors."""
     meaning = meaning_of_plan(plan)
     return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "bench"})
 
 
 def equipment_of(bench: Bench) -> Meaning:
-    """The meaning of a bench apart from the approvals that it requires. Changed requirements for approvals therefore do not change
-    what was approved."""
+    """The meaning of a bench, in which the approvals that it requires are left out. An approval therefore stays valid if only these
+    requirements change."""
     meaning = meaning_of_bench(bench)
     return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "approvals"})
 
@@ -278,7 +279,7 @@ def _estimate(spec: EstimateSpec, labels: Labels, names: Sequence[str]) -> dict[
 
 
 def _selecting(spec: EstimateSpec | DiagnosisSpec, labels: Labels, names: Sequence[str]) -> dict[str, Branch]:
-    """The meaning of a record that selects segments. Patterns are replaced by the labels that they select."""
+    """The meaning of a record that selects segments. The patterns in the record are replaced by the labels that they select."""
     parts = _record(spec)
     if isinstance(spec.segments, Detection):
         found = _record(spec.segments)
@@ -297,7 +298,7 @@ def _selected(patterns: Sequence[str], labels: Labels, names: Sequence[str]) -> 
 
 
 def _limit(limit: Limit) -> dict[str, Branch]:
-    """A limit with its two bounds. ±x means at least −x and at most x."""
+    """The meaning of a limit with its two bounds. ±x means at least −x and at most x."""
     parts = _record(limit)
     bound = None if limit.within is None else parse_symmetric(limit.within)
     parts.pop("within")
@@ -317,8 +318,8 @@ _NOTHING = StatedValue(None, "none")
 
 
 def _of(value: object) -> Branch:
-    """The meaning of a value that a kind of the language has read. Raises `InputError` for a value from a plug-in that has no JSON
-    form."""
+    """The meaning of a value that a kind of the language has read. Raises `InputError` for a value of a plug-in if the value has no
+    JSON form."""
     match value:
         case None:
             return _NOTHING
@@ -387,8 +388,8 @@ def _quantity(quantity: Quantity) -> JsonObject:
 
 @lru_cache(maxsize=1024)
 def _matrix(orientation: Orientation) -> Json:
-    """The meaning of an orientation: its matrix rounded to 12 decimals, because components of unit vectors have one scale. Rows are
-    the sensor's axes in East-North-Up."""
+    """The meaning of an orientation: its matrix, rounded to 12 decimals because components of unit vectors are all on the same
+    scale. Rows are the sensor's axes in East-North-Up."""
     if orientation.matrix is None:
         return "unknown"
     return [[round(part, DIGITS) + 0.0 for part in row] for row in orientation.matrix]

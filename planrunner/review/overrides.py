@@ -1,7 +1,9 @@
-"""Overrides of a check standard: signed statements by which a person allows runs to begin on a bench that is not in control.
+"""Overrides of a check standard: signed statements by which a person allows runs to begin on a bench although its check standard is
+not in control.
 
 An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest
-of the canonical meaning of the bench apart from the approvals that it requires. Any change of the bench therefore ends an override.
+of the canonical meaning of the bench, in which the approvals that it requires are left out. Any other change of the bench therefore
+ends an override.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ OVERRIDE = "urn:planrunner:check-standard-override:v1"
 
 @dataclass(frozen=True, slots=True)
 class Overridden:
-    """What an override covers. bench: digest of the meaning of the bench; device: the check standard; why: the reason. until: last
-    day on which the override is valid."""
+    """What an override covers. bench: digest of the meaning of the bench. device: the check standard. why: the reason for the
+    override. until: last day on which the override is valid."""
 
     bench: str
     device: str
@@ -57,8 +59,8 @@ def override_envelope(what: Overridden, signer: Signer, signed: datetime) -> Env
 
 
 def read_override(data: bytes) -> StatedOverride | None:
-    """Reads the override in a file; None if the file does not have the form of an override of planrunner. Its signature is not
-    checked here."""
+    """Reads the override in a file; returns None if the file does not have the form of one of planrunner's overrides. Its signature
+    is not checked here."""
     try:
         envelope = parse_envelope(data, PAYLOAD)
         statement = read_statement(envelope.payload, OVERRIDE)
@@ -77,9 +79,9 @@ def read_override(data: bytes) -> StatedOverride | None:
 def objection(
     one: StatedOverride, ring: KeyRing, by: str, what: Overridden, moment: datetime, day: date | None = None
 ) -> str:
-    """The reason why an override does not count; empty if it counts. by: the person who is said to have given the override, named
-    as in the key ring. what: the present bench and check standard, and the reason that must be the same; its `until` is not used.
-    moment: time for which the override is checked, with a time zone; day: date in the time zone of the bench, by default the date
+    """The reason why an override does not count; empty if it counts. by: the person who should have given the override, named as in
+    the key ring. what: the present bench, check standard and reason, which the override must state too; its `until` is ignored.
+    moment: time for which the override is checked, with a time zone. day: date in the time zone of the bench; by default, the date
     of `moment`."""
     known, day = ring.find(one.envelope.key), day or moment.date()
     if known is None:
@@ -104,9 +106,8 @@ def objection(
 def kept_objection(
     given: JsonObject, ring: KeyRing, bench: str | None, device: str, moment: datetime, day: date
 ) -> str:
-    """The same as `objection`, for an override that a run folder keeps together with its signature. bench: digest of the meaning of
-    the bench when the override was used; None if it is not to be compared. moment, day: time and date at which the override was
-    used."""
+    """The same as `objection`, for an override that a run folder keeps with its signature. bench: digest of the meaning of the
+    bench when the override was used; None if it is not to be compared. moment, day: time and date at which the override was used."""
     stated = read_override(to_bytes(given["signature"]))
     if stated is None:
         return "it is damaged"

@@ -1,16 +1,15 @@
-"""The difference of the results of two runs: every coefficient with the significance of its difference.
+"""The difference between the results of two runs: for every coefficient, the difference and its significance.
 
-Each of the two results of a coefficient has its own random errors. On the same bench, they also have common errors. For example, an
-azimuth of the site that is wrong by an arc minute is wrong in both runs. A common input contributes to the difference in proportion
-to the difference of its two sensitivity coefficients. Let c₁ᵢuᵢ and c₂ᵢuᵢ be the contributions of the common input i in runs 1 and
+The two results of a coefficient have independent random errors. On the same bench, they also have common errors. For example, an
+azimuth of the site that is wrong by an arc minute is wrong in both runs. A common input contributes to the difference in proportion to the difference between its two sensitivity coefficients. Let c₁ᵢuᵢ and c₂ᵢuᵢ be the contributions of the common input i in runs 1 and
 2. The standard uncertainty of the difference is then
 
     u² = u₁² + u₂² − 2·Σ (c₁ᵢuᵢ)(c₂ᵢuᵢ)                 (JCGM 100:2008, 5.2.2, equation 16, with r = 1)
 
-An input is common if both budgets state the same quantity with the same value, uncertainty and source, as type B. p is the two-sided
-probability of a larger difference without a change of the sensor: of Student's t with the effective degrees of freedom of the parts that
-are not common (Welch-Satterthwaite, G.4). Holm's correction (Scandinavian Journal of Statistics 6, 1979) allows for the number of
-coefficients compared.
+An input is common if both budgets state the same quantity with the same value, uncertainty and source, as type B. p is the
+two-sided probability of a larger difference if the sensor has not changed; it follows from Student's t with the effective degrees
+of freedom of the contributions that are not common (Welch-Satterthwaite, G.4). Holm's correction (Scandinavian Journal of
+Statistics 6, 1979) allows for the number of coefficients compared.
 """
 
 from __future__ import annotations
@@ -27,8 +26,9 @@ from planrunner.uncertainty.influences import BudgetLine
 @dataclass(frozen=True, slots=True)
 class CoefficientDifference:
     """The difference of one coefficient between two runs, in `unit`. difference: value in the second run minus value in the first.
-    common: the correlated fraction of the variances, 2·Σ (c₁u)(c₂u)/(u₁² + u₂²). p: probability as in the docstring of the module,
-    NaN if it cannot be computed, for example for a standard deviation; holm: p corrected for the number of coefficients compared."""
+    common: the correlated fraction of the variances, 2·Σ (c₁u)(c₂u)/(u₁² + u₂²). p: the probability defined in the docstring of the
+    module; NaN if it cannot be computed, for example for a standard deviation. holm: p corrected for the number of coefficients
+    compared."""
 
     estimate: str
     coefficient: str
@@ -46,7 +46,7 @@ class CoefficientDifference:
 @dataclass(frozen=True, slots=True)
 class RunDifference:
     """The difference between two runs. coefficients: the coefficients that both runs have. only: names of the coefficients that
-    only the first run has, and of those that only the second has."""
+    only the first run has, and of those that only the second run has."""
 
     coefficients: tuple[CoefficientDifference, ...]
     only: tuple[tuple[str, ...], tuple[str, ...]]
@@ -79,8 +79,8 @@ Lines = Mapping[tuple[object, ...], BudgetLine]
 
 
 def _lines(estimate: Estimate, coefficient: str) -> Lines:
-    """The type B rows of a coefficient's budget, each for a single input. A row has the same key in two runs if its input is the
-    same."""
+    """The type B lines of a coefficient's budget that stand for a single input each. A line has the same key in two runs if its
+    input is the same."""
     return {
         (line.quantity, line.value, line.unit, line.standard_uncertainty, line.distribution, line.source): line
         for budget in estimate.budgets
@@ -121,8 +121,8 @@ def _difference(name: str, one: Coefficient, other: Coefficient, lines: tuple[Li
 
 
 def _effective(variances: Sequence[float], freedoms: Sequence[float], total: float) -> float:
-    """Effective degrees of freedom by the Welch-Satterthwaite formula, ν = u⁴/Σ uᵢ⁴/νᵢ; infinite if no part has finite degrees of
-    freedom."""
+    """Effective degrees of freedom according to the Welch-Satterthwaite formula, ν = u⁴/Σ uᵢ⁴/νᵢ; infinite if no contribution has
+    finite degrees of freedom."""
     parts = [v**2 / nu for v, nu in zip(variances, freedoms, strict=True) if nu > 0 and math.isfinite(nu)]
     below = math.fsum(parts)
     return total**2 / below if below > 0 and math.isfinite(total) else math.inf

@@ -1,7 +1,7 @@
 """The private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent holds.
 
-Runs may end when nobody is present, so the program never asks for a passphrase. Therefore the key file either has no passphrase and
-can be read only by its owner (like the host keys of SSH), or its passphrase is in the environment.
+Runs may end when nobody is present, so the program never asks for the passphrase of such a key. Therefore the key file either has
+no passphrase and can be read only by its owner (like the host keys of SSH), or its passphrase is in an environment variable.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ENDING = ".pem"
 
 
 class BenchKeyError(Exception):
-    """The private key of a bench cannot be used. The message gives the reason."""
+    """The error if the private key of a bench cannot be used. The message gives the reason."""
 
 
 def keys_folder() -> Path:
@@ -43,8 +43,8 @@ def keys_folder() -> Path:
 
 
 def bench_signer(public: PublicKey) -> Signer:
-    """The private key that belongs to this public key: from the folder of signing keys, otherwise from the ssh-agent. Nothing is
-    signed, and the user is not asked. Raises `BenchKeyError` if neither of them has the key."""
+    """The private key that belongs to a public key: from the folder of signing keys or, if it is not there, from the ssh-agent.
+    Nothing is signed, and the user is not asked. Raises `BenchKeyError` if neither the folder nor the agent has the key."""
     found, why = _of_files(public)
     if found is not None:
         return found
@@ -54,8 +54,8 @@ def bench_signer(public: PublicKey) -> Signer:
 
 
 def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
-    """Makes a new key without a passphrase in the folder of signing keys; returns its file. Raises `InputError` and
-    `BenchKeyError`."""
+    """Makes a new key without a passphrase in the folder of signing keys; returns its file. Raises `InputError` if the file cannot
+    be written, and `BenchKeyError` if there is no folder."""
     folder = keys_folder()
     try:
         make_private(folder)
@@ -71,7 +71,7 @@ def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
 
 
 def _of_files(public: PublicKey) -> tuple[PrivateKey | None, str]:
-    """The private key from the file beside the `.pub` file of this public key; None and the reason if there is no usable file."""
+    """The private key for this public key, from the file next to the `.pub` file; None and the reason if no file can be used."""
     folder = keys_folder()
     why = f"it is not in {folder}"
     try:
@@ -104,7 +104,7 @@ def _private(path: Path, public: PublicKey) -> PrivateKey:
 
 
 def reason(error: Exception) -> str:
-    """The reason why a key or a file cannot be used, in words."""
+    """States in words why a key or a file cannot be used."""
     if isinstance(error, InputError):
         return error.findings[0].message
     return error.strerror or str(error) if isinstance(error, OSError) else str(error)

@@ -1,4 +1,4 @@
-"""Reads keys of the bench file of a run without validation, so that the run can be verified even if this file is not valid."""
+"""Reads keys from a run's bench file without validation, so that the run can be verified even if the bench file is not valid."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """DSSE envelopes: signed payloads with a type (https://github.com/secure-systems-lab/dsse, v1).
 
-The signature covers the pre-authentication encoding (PAE) of type and payload, so that nobody can present the payload as one of
-another type. One envelope has exactly one signature.
+The signature covers the pre-authentication encoding (PAE) of the type and the payload, so that nobody can present the payload as
+having another type. One envelope has exactly one signature.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from planrunner.signing.keys import PublicKey, Signer
 
 
 class EnvelopeError(ValueError):
-    """The text is not an envelope as planrunner writes it. The message gives the reason."""
+    """The error for a text that is not an envelope as planrunner writes it. The message gives the reason."""
 
 
 def pae(kind: str, payload: bytes) -> bytes:
@@ -27,7 +27,8 @@ def pae(kind: str, payload: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """An envelope. key: fingerprint of the key that is said to have signed; `signed_by` checks this."""
+    """An envelope with its payload and its signature. key: fingerprint of the key that is said to have signed; `signed_by` checks
+    the signature."""
 
     kind: str
     payload: bytes
@@ -35,7 +36,7 @@ class Envelope:
     signature: bytes
 
     def signed_by(self, key: PublicKey) -> bool:
-        """Whether this key made the signature of this payload and its type."""
+        """Whether this key made the signature of the envelope's payload and type."""
         return self.key == key.fingerprint and key.signed(self.signature, pae(self.kind, self.payload))
 
     def to_bytes(self) -> bytes:
@@ -50,7 +51,8 @@ def seal_envelope(kind: str, payload: bytes, signer: Signer) -> Envelope:
 
 
 def parse_envelope(data: bytes, kind: str) -> Envelope:
-    """Reads the envelope in a file. kind: the only accepted type of the payload. Raises `EnvelopeError`."""
+    """Reads the envelope in a file. kind: the only type of payload that is accepted. Raises `EnvelopeError` for a file that is not
+    such an envelope."""
     try:
         value = from_bytes(data)
     except ValueError:

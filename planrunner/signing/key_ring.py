@@ -62,8 +62,8 @@ class KeyRingFile(Record):
 
 @dataclass(frozen=True, slots=True)
 class KnownKey:
-    """A key of the ring with its owner. Dates are None if the ring does not state them. owner: the person who owns the key; empty
-    if the name of the key is the name of the person."""
+    """A key in the key ring, with its owner. Dates that the ring does not state are None. owner: the person who owns the key; empty
+    if the name of the key is the person's name."""
 
     name: str
     public: PublicKey
@@ -79,9 +79,9 @@ class KnownKey:
         return self.owner or self.name
 
     def objection(self, day: date) -> str:
-        """The reason why a signature with this date does not count; empty if it counts.
+        """The reason why a signature of this date does not count; empty if it counts.
 
-        The date of a signature comes from the signer's clock. It therefore cannot show that a signature was made before the key was
+        The date of a signature comes from the signer's clock. This date cannot prove that a signature was made before the key was
         revoked, so no signature of a revoked key counts.
         """
         if self.revoked is not None:
@@ -95,7 +95,7 @@ class KnownKey:
 
 @dataclass(frozen=True, slots=True)
 class KeyRing:
-    """Keys by fingerprint."""
+    """The keys of a key ring by fingerprint."""
 
     keys: dict[str, KnownKey]
 
@@ -103,7 +103,7 @@ class KeyRing:
         return self.keys.get(fingerprint)
 
     def person(self, name: str) -> str | None:
-        """The person who has this name or whose key has this name; None if the ring has no such person."""
+        """The person who has this name, or whose key has this name; None if the ring has no such person."""
         named = {one.name: one.person for one in self.keys.values()}
         return named.get(name, name if name in named.values() else None)
 
@@ -150,7 +150,7 @@ def _day(entry: KeyEntry, name: str, log: Findings) -> date | None:
 
 
 def entry_text(name: str, public: PublicKey, roles: tuple[str, ...], until: str | None) -> str:
-    """The entry for a key, as the file of a ring contains it under `keys:`."""
+    """The entry for a key in the form in which the file of a key ring contains it under `keys:`."""
     lines = [f"  {name}:", f"    public: {public.line}"]
     if roles:
         lines.append(f"    roles: [{', '.join(roles)}]")

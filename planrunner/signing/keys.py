@@ -1,7 +1,7 @@
 """Ed25519 keys (RFC 8032): private keys in files with a passphrase, public keys as lines in OpenSSH format.
 
-Ed25519 is the only algorithm, so that nobody can choose a weaker one for a signature. A public key is written as in `~/.ssh/id_ed25519.pub`
-and named by its fingerprint, as `ssh-keygen -l` shows it.
+Ed25519 is the only algorithm, so that nobody can choose a weaker algorithm for a signature. A public key is written as in
+`~/.ssh/id_ed25519.pub` and is named by its fingerprint, as `ssh-keygen -l` shows it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PublicKey:
 
     @property
     def blob(self) -> bytes:
-        """The key as SSH transmits it (RFC 8709, 4)."""
+        """The key in the form in which SSH transmits it (RFC 8709, section 4)."""
         return _text(ALGORITHM.encode()) + _text(self.raw)
 
     @property
@@ -50,7 +50,7 @@ class PublicKey:
         return f"{ALGORITHM} {base64.b64encode(self.blob).decode()}"
 
     def signed(self, signature: bytes, message: bytes) -> bool:
-        """Whether this key made this signature of this message."""
+        """Whether a signature of a message was made with this key."""
         try:
             Ed25519PublicKey.from_public_bytes(self.raw).verify(signature, message)
         except (InvalidSignature, ValueError):
@@ -130,7 +130,7 @@ def _write_new(path: Path, data: bytes) -> None:
 
 
 def is_encrypted(path: Path) -> bool:
-    """Whether the file contains a private key that needs a passphrase. Raises `InputError` if it cannot be read."""
+    """Whether the file contains a private key that needs a passphrase. Raises `InputError` if the file cannot be read."""
     try:
         _load(_read(path), None)
     except TypeError:
@@ -181,7 +181,7 @@ def read_public(path: Path) -> PublicKey:
 
 
 def parse_public(line: str) -> PublicKey:
-    """Reads the public key in a line `ssh-ed25519 AAAA… comment`. Raises ValueError."""
+    """Reads the public key in a line `ssh-ed25519 AAAA… comment`. Raises ValueError for any other text."""
     words = line.split(None, 2)
     if len(words) < 2 or words[0] != ALGORITHM or "\n" in line.strip():
         raise ValueError(f"this is not a public key of the form `{ALGORITHM} AAAA…`")
@@ -220,5 +220,5 @@ def _read(path: Path) -> bytes:
 
 
 def _text(data: bytes) -> bytes:
-    """Encodes bytes as a `string` of SSH (RFC 4251, 5)."""
+    """Encodes bytes in the SSH format `string` (RFC 4251, section 5)."""
     return len(data).to_bytes(4, "big") + data

@@ -1,5 +1,5 @@
-"""The passphrase of private keys, from the environment. The module is small, so that commands can use it without importing the code
-for keys."""
+"""Reads the passphrase of private keys from the environment. The module is small, so that commands can use it without importing the
+code for keys."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ VARIABLE = "PLANRUNNER_PASSPHRASE"
 
 
 def of_environment() -> bytes | None:
-    """The passphrase in the environment; None if the variable is not set."""
+    """The passphrase in the environment variable; None if the variable is not set."""
     text = os.environ.get(VARIABLE)
     return None if text is None else text.encode()

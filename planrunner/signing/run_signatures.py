@@ -1,12 +1,12 @@
 """Electronic signatures of sealed runs: `signatures/<number>-<meaning>.dsse.json` in the run folder.
 
 A signature is a DSSE envelope with an in-toto Statement v1 whose predicate is a test result
-(https://in-toto.io/attestation/test-result/v0.1). Its subjects are files, each with its digest: the seal, the files that the run
-was given, the journal, the lists of digests of analyses, and the earlier signatures. The seal and these lists contain the digests
-of everything else.
+(https://in-toto.io/attestation/test-result/v0.1). Its subjects are files, each with its digest: the seal, the files with which the
+run began, the journal, the lists of digests of analyses, and the earlier signatures. The seal and the lists contain the digests of
+all other files.
 
-Persons sign what they examined (`PersonMeaning`), with all files that exist at that time. A bench signs what it made
-(`BenchMeaning`) with its own key: the seal when it has recorded a run, and each analysis when it has evaluated the run.
+Persons sign what they have examined (`PersonMeaning`); their signatures cover all files that exist at that time. A bench signs with
+its own key what it has made (`BenchMeaning`): the seal when it has recorded a run, and each analysis when it has evaluated the run.
 """
 
 from __future__ import annotations
@@ -58,8 +58,9 @@ _FILE = re.compile(rf"([0-9]{{4}})-({'|'.join((*MEANINGS, *BENCH_MEANINGS))})\.d
 
 @dataclass(frozen=True, slots=True)
 class BenchSigning:
-    """What a run states about the signatures of its bench. key: public key in the bench file; None if the file names none. name:
-    name of the bench. earlier_seals: SHA-256 of the seals that existed before the run was opened again, according to its journal."""
+    """What the files of a run state about the signatures of its bench. key: public key in the bench file; None if the bench file
+    names none. name: name of the bench. earlier_seals: SHA-256 of the seals that existed before the run was opened again, according
+    to its journal."""
 
     key: PublicKey | None = None
     name: str = ""
@@ -67,8 +68,8 @@ class BenchSigning:
 
 
 def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> BenchSigning:
-    """Reads what a run states about the signatures of its bench. bench: text of the bench file of the run; earlier_seals: as in
-    `BenchSigning`."""
+    """Reads what the files of a run state about the signatures of its bench. bench: text of the run's bench file. earlier_seals: as
+    in `BenchSigning`."""
     stated, name = declared(bench, "signing"), declared(bench, "name")
     text = stated.get("key") if isinstance(stated, dict) else None
     try:
@@ -79,7 +80,7 @@ def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> Ben
 
 
 def signing_of(found: Examined) -> BenchSigning:
-    """Reads what an examined run states about the signatures of its bench."""
+    """Reads what an examined run folder states about the signatures of its bench."""
     return bench_signing(found.given.get(BENCH), () if found.state is None else found.state.earlier_seals)
 
 
@@ -87,11 +88,11 @@ def signing_of(found: Examined) -> BenchSigning:
 class RunSignature:
     """One signature of a run.
 
-    file: name of the file in `signatures/`. standing: `unknown key` if no key ring was given or the ring lacks the key; all other
-    values are then only claims. why: the reason if the signature is not valid. owner: the name of the key in the ring. name,
-    signed, comment, result: as the signer states them; `signed` is UTC, ISO 8601. analyses: numbers of the analyses that the
-    signature covers. current: True if it covers the present seal, False for a bench's signature of a seal from before the run was
-    opened again.
+    file: name of the file in `signatures/`. standing: `unknown key` if no key ring was given or if the ring lacks the key; all
+    other values are then claims only. why: the reason why the signature is not valid; empty if it is valid. owner: the name of the
+    key in the ring. name, signed, comment, result: as the signer states them; `signed` is UTC, ISO 8601. analyses: numbers of the
+    analyses that the signature covers. current: True if the signature covers the present seal; False if a bench made it for a seal
+    from before the run was reopened.
     """
 
     file: str
@@ -118,7 +119,7 @@ class RunSignature:
 def statement(
     run: str, subjects: Mapping[str, str], result: TestResult, meaning: SignatureMeaning, name: str, comment: str
 ) -> JsonObject:
-    """The in-toto statement of a signature that is made now. subjects: file in the run folder → SHA-256 of the file."""
+    """The in-toto statement for a signature that is made now. subjects: maps each file in the run folder to its SHA-256."""
     given = [{"name": file, "digest": {"sha256": subjects[file]}} for file in (PLAN, BENCH)]
     return {
         "_type": STATEMENT,
@@ -147,8 +148,8 @@ def sign_run(
     """Signs a run that was verified as sealed and unchanged; returns the name of the new file. The caller must hold the lock of the
     folder.
 
-    run: name of the run; analyses: numbers of the analyses that the signature covers, by default all. Raises `InputError` if the
-    name or comment cannot be printed or the key cannot sign, and `OSError`.
+    run: name of the run. analyses: numbers of the analyses that the signature covers; by default, all analyses. Raises `InputError`
+    if the name or the comment cannot be printed or if the key cannot sign, and `OSError`.
     """
     require_line(str(folder.path), "name", name, 1)
     require_line(str(folder.path), "comment", comment)
@@ -170,14 +171,14 @@ def signatures_of(
 ) -> tuple[RunSignature, ...]:
     """All signatures of a run in the order of their numbers, each checked against the key ring and the present files.
 
-    bench: what the run states about the signatures of its bench; by default read from the run folder. Raises `OSError`.
+    bench: what the run states about the signatures of its bench; by default, this is read from the run folder. Raises `OSError`.
     """
     bench = bench or bench_signing(folder.read(BENCH, MOST_GIVEN))
     return tuple(_examined(folder, file, ring, bench) for file in _files(folder))
 
 
 def signature_faults(folder: GuardedFolder) -> Iterator[str]:
-    """Entries of `signatures/` that are not signatures, and gaps in the numbers of the signatures. Raises `OSError`."""
+    """Reports entries of `signatures/` that are not signatures, and gaps in the numbers of the signatures. Raises `OSError`."""
     numbers = []
     if folder.entry(SIGNATURES) is None:
         return
@@ -253,13 +254,12 @@ def lacking_signatures(
     analyses: Iterable[int],
     ring: KeyRing | None,
 ) -> Iterator[tuple[str, str]]:
-    """The signatures of a sealed run that its bench must make but that are missing, each as code and message.
+    """The signatures of a sealed run that its bench must make but that are missing, each as a code and a message.
 
     The bench file requires signatures if it names a key. The key ring also requires them if it contains a key of the bench that is
-    valid on the day of the run. Neither a changed bench file nor the revocation of the key can therefore remove the requirement.
-    made: time when the run began; analyses: numbers of the analyses of the run. A person's signature of an analysis can replace
-    that of the bench, because a person may evaluate a run elsewhere; if a key ring is given, it must contain the key of this
-    person.
+    valid on the day of the run. The requirement therefore remains even if the bench file is changed or the key is revoked. made:
+    time when the run began. analyses: numbers of the analyses of the run. A person's signature of an analysis can replace the
+    bench's signature, because a person may evaluate a run elsewhere; if a key ring is given, it must contain the person's key.
     """
     day = made.date()
     expected = [one for one in ([] if ring is None else _benches(ring)) if one.person == bench.name]
@@ -291,8 +291,8 @@ def _with(claimed: RunSignature, standing: SignatureStanding, why: str, owner: s
 
 
 def _read(file: str, envelope: Envelope) -> tuple[dict[str, str], RunSignature, str]:
-    """Reads the subjects, the claims and the name of the run from an envelope. Raises ValueError, KeyError or TypeError for any
-    other form."""
+    """Reads the subjects, the claims and the name of the run from an envelope. Raises ValueError, KeyError or TypeError for an
+    envelope of any other form."""
     value = read_statement(envelope.payload, PREDICATE)
     listed = [(one["name"], one["digest"]["sha256"]) for one in value["subject"]]
     predicate = value["predicate"]
@@ -318,11 +318,11 @@ def _read(file: str, envelope: Envelope) -> tuple[dict[str, str], RunSignature, 
 
 
 def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], run: str, *, earlier: bool) -> str:
-    """The first difference between the signed digests and the present files, in words; empty if there is none. Analyses and
-    signatures that were added later are not a difference.
+    """Describes the first difference between the signed digests and the present files in words; empty if there is none. Analyses
+    and signatures that were added later are not a difference.
 
-    earlier: True if the signature covers a seal from before the run was opened again. The journal contains the digest of that seal,
-    so the present seal and journal may then differ from the signed ones.
+    earlier: True if the signature covers a seal from before the run was reopened. The journal contains the digest of that seal, so
+    the present seal and journal may then differ from the signed ones.
     """
     try:
         present = _subjects(folder, before=file)
@@ -347,8 +347,8 @@ def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], r
 def _subjects(
     folder: GuardedFolder, before: str | None = None, analyses: Iterable[int] | None = None
 ) -> dict[str, str]:
-    """Maps each file that a signature covers to its SHA-256 digest. before: file of a signature; it and all later signatures are
-    omitted. analyses: numbers of the analyses, by default all. Raises `OSError`."""
+    """Maps each file that a signature covers to its SHA-256 digest. before: file of a signature; this signature and all later ones
+    are left out. analyses: numbers of the analyses; by default, all analyses. Raises `OSError`."""
     limits = {
         RUN: MOST_GIVEN,
         PLAN: MOST_GIVEN,

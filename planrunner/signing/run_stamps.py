@@ -2,8 +2,8 @@
 agree with them.
 
 A time stamp proves that the stamped events existed at the time of the stamp. The following event `stamped` contains the digest of
-the stamp. It and all later events were therefore written after the stamp. The times of events between two stamps thus have an upper
-and a lower bound.
+the stamp. This event and all later ones were therefore written after the stamp. The times of events between two stamps thus have a
+lower and an upper bound.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ StampStanding = Literal["valid", "unknown authority", "invalid"]
 
 @dataclass(frozen=True, slots=True)
 class RunStamp:
-    """One time stamp of a run. events: number of events in the stamped part of the journal; None for a stamp of the seal. time:
+    """One time stamp of a run. events: number of events in the stamped part of the journal; None for a stamp of the seal. time: the
     time that the authority states, UTC, ISO 8601; empty if it cannot be read. standing: `unknown authority` if only the certificate
-    in the bench file of the run verifies the stamp. why: the reason if the stamp is not valid."""
+    in the bench file of the run verifies the stamp. why: the reason why the stamp is not valid; empty if it is valid."""
 
     file: str
     events: int | None
@@ -55,7 +55,7 @@ def declared_stamps(found: Examined) -> Mapping[str, Json] | None:
 
 
 def stamped_seals(folder: GuardedFolder) -> set[str]:
-    """The digests of all seals that the stamps in a run folder claim to stamp. Raises `OSError`."""
+    """The digests of all seals that, according to the time stamps in a run folder, were stamped. Raises `OSError`."""
     found = set()
     for name in stamp_names(folder):
         if name.own is not None:
@@ -65,8 +65,8 @@ def stamped_seals(folder: GuardedFolder) -> set[str]:
 
 
 def verify_stamps(found: Examined, given: StampAuthority | None) -> tuple[RunStamp, ...]:
-    """Verifies all time stamps of an examined run. Faults are added to the findings of `found`. given: the authority that the
-    verifier trusts. Raises `OSError`."""
+    """Verifies all time stamps of an examined run. Adds faults to the findings of `found`. given: the authority that the verifier
+    trusts. Raises `OSError`."""
     mark, stated = Mark(str(found.folder.path)), declared_stamps(found)
     own = _stated_authority(stated)
     authority = given or own
@@ -102,7 +102,7 @@ def _stated_authority(stated: Mapping[str, Json] | None) -> StampAuthority | Non
 
 
 def _check_files(found: Examined, names: tuple[StampName, ...]) -> None:
-    """Reports entries of the folder that are not time stamps, and gaps in the numbers of the stamps."""
+    """Reports entries of the folder `stamps` that are not time stamps, and gaps in the numbers of the stamps."""
     if found.folder.entry(FOLDER) is None:
         return
     within, known = found.folder.folder(FOLDER), {one.file for one in names}
@@ -141,8 +141,8 @@ def _verified(found: Examined, name: StampName, authority: StampAuthority | None
 
 
 def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str, str]:
-    """The fault if a stamp is not for the present journal or a seal of the run, as code and message; both are empty without a
-    fault."""
+    """The fault of a stamp that belongs neither to the present journal nor to a seal of the run, as a code and a message; both are
+    empty if there is no fault."""
     if found.scan is None or found.state is None:
         return "", ""
     if name.events is None:
@@ -157,7 +157,8 @@ def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str,
 
 
 def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str, str]:
-    """The fault if the stamped data have a later date than their stamp, as code and message; both are empty without a fault."""
+    """The fault of a stamp whose data state a later time than the stamp itself, as a code and a message; both are empty if there is
+    no fault."""
     if found.scan is None:
         return "", ""
     stated = found.scan.times.get(name.events) if name.events is not None else None
@@ -169,8 +170,8 @@ def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str
 
 
 def _check_record(found: Examined, stamps: Mapping[str, RunStamp]) -> None:
-    """Checks that the stamps that the journal names are present and unchanged, and that no event that records a stamp is dated
-    before this stamp."""
+    """Checks that the stamps that the journal names exist unchanged, and that no event that records a stamp has an earlier time
+    than the stamp."""
     assert found.state is not None
     for event in found.state.stamped:
         path, place = found.folder.path / FOLDER / event["file"], f"{found.folder.path / JOURNAL}:{event['seq']}"
@@ -192,7 +193,7 @@ def _check_record(found: Examined, stamps: Mapping[str, RunStamp]) -> None:
 
 
 def _check_seal(found: Examined, stamps: tuple[RunStamp, ...]) -> None:
-    """Checks that the present seal has a time stamp and was not stamped late."""
+    """Checks that the present seal has a time stamp that was not obtained late."""
     assert found.state is not None
     mark = Mark(str(found.folder.path))
     if found.seal is None or not found.state.finished:

@@ -28,7 +28,7 @@ class AgentKey:
     public: PublicKey
 
     def sign(self, message: bytes) -> bytes:
-        """The 64 bytes of the signature. Raises `InputError` if the agent cannot be reached or refuses."""
+        """The 64 bytes of the signature. Raises `InputError` if the agent cannot be reached or refuses to sign."""
         reply = _answer(bytes([SIGN_REQUEST]) + _string(self.public.blob) + _string(message) + bytes(4), PATIENCE)
         expected = bytes([SIGN_RESPONSE]) + _string(_string(ALGORITHM.encode()) + _string(bytes(64)))
         signature = reply[-64:]
@@ -48,7 +48,7 @@ def holds(key: PublicKey) -> bool:
 
 
 def _listed(data: bytes) -> Iterator[bytes]:
-    """The keys in the agent's list, which contains keys and comments in turn."""
+    """Yields the keys in the agent's list, in which keys and comments alternate."""
     strings = []
     while len(data) >= 4:
         size = int.from_bytes(data[:4], "big")
@@ -59,7 +59,7 @@ def _listed(data: bytes) -> Iterator[bytes]:
 
 def _answer(request: bytes, patience: float) -> bytes:
     """The reply of the agent, without the length that precedes it; empty if the reply is too long. Raises `InputError` if no agent
-    is running or the agent does not answer. patience: longest time to wait, s."""
+    is running or the agent does not answer. patience: the longest time to wait, s."""
     path = os.environ.get("SSH_AUTH_SOCK", "")
     if not path or sys.platform == "win32":
         hint = "start ssh-agent and add the key with ssh-add"

@@ -1,5 +1,5 @@
-"""Requests time stamps of a journal while the journal grows. A separate thread sends the requests to the authority, so that a run
-never waits for it."""
+"""Requests time stamps of a journal while events are added to it. A separate thread sends the requests to the authority, so that
+the run never waits for the authority."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LAST_PATIENCE = 30.0
 
 
 class Stamper:
-    """The `Witness` that stamps the journal of one run. every: shortest time between two requests, s."""
+    """The `Witness` that stamps the journal of one run. every: the shortest time between two requests, s."""
 
     def __init__(self, url: str, authority: StampAuthority, every: float):
         self._url, self._authority, self._every = url, authority, every

@@ -15,15 +15,15 @@ MOST_LETTERS = 200
 
 
 def payload_of(value: Json) -> bytes:
-    """The payload as canonical JSON (RFC 8785)."""
+    """The statement as a payload, in canonical JSON (RFC 8785)."""
     import rfc8785
 
     return rfc8785.dumps(value)
 
 
 def read_statement(payload: bytes, predicate: str) -> JsonObject:
-    """Reads the statement in a payload. predicate: the only accepted type of its predicate. Raises ValueError or KeyError for any
-    other content, and for a statement that is not in canonical form."""
+    """Reads the statement in a payload. predicate: the only type of predicate that is accepted. Raises ValueError or KeyError for
+    any other content, and for a statement that is not in canonical form."""
     value = from_bytes(payload)
     if not isinstance(value, dict) or payload_of(value) != payload:
         raise ValueError
@@ -40,7 +40,7 @@ def printable_line(text: str) -> bool:
 
 def require_line(where: str, what: str, text: str, least: int = 0) -> None:
     """Raises `InputError` for a text that cannot be printed as one line or has a wrong length. where: the file to be signed, for
-    the message; least: smallest permitted number of characters."""
+    the message. least: the smallest permitted number of characters."""
     if not least <= len(text.strip()) or len(text) > MOST_LETTERS or not printable_line(text):
         message = f"the {what} must be one line of printable text with at most {MOST_LETTERS} characters"
         raise InputError.at(Mark(where), "sign-text", message, "shorten it, or correct it")

@@ -33,19 +33,20 @@ PATIENCE = 10.0
 
 
 class StampError(ValueError):
-    """A time stamp is missing or not valid. The message gives the reason."""
+    """The error if a time stamp is missing or not valid. The message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class StampAuthority:
-    """Certificates that verify time stamps: those of the authority itself, or those of the root and of the intermediate authorities
-    that certify it. revocations: lists of revoked certificates, each signed by one of these certificates."""
+    """The certificates that verify time stamps: those of the authority itself, or those of the root and intermediate authorities
+    above it. revocations: lists of revoked certificates; each list is signed with one of these certificates."""
 
     certificates: tuple[x509.Certificate, ...]
     revocations: tuple[x509.CertificateRevocationList, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[[bytes, bytes], StampAuthority], tuple[bytes, bytes]]:
-        """Makes the object picklable: the certificate objects of the library cannot be sent to another process."""
+        """Makes the object picklable by writing the certificates as PEM, because the library's certificate objects cannot be sent
+        to another process."""
         certificates, lists = (
             b"".join(one.public_bytes(Encoding.PEM) for one in some) for some in (self.certificates, self.revocations)
         )
@@ -93,8 +94,8 @@ _NOT_COMPROMISED = (
 
 
 def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: StampAuthority) -> None:
-    """Raises `StampError` if the signer's certificate, or one that certifies it, was revoked in a way that invalidates a stamp of
-    this time."""
+    """Raises `StampError` if the certificate of the signer, or one above it in the chain, was revoked in a way that invalidates a
+    stamp made at this time."""
     known = {*authority.certificates, *map(x509.load_der_x509_certificate, reply.signed_data.certificates)}
     signers = {(one.issuer, one.serial_number) for one in reply.signed_data.signer_infos}
     chain = [one for one in known if (one.issuer, one.serial_number) in signers]
@@ -120,7 +121,8 @@ def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: 
 
 
 def stamp_time(token: bytes, digest: str, authority: StampAuthority) -> datetime:
-    """The time (UTC) at which the authority stamped a SHA-256 digest (64 hexadecimal digits). Raises `StampError`."""
+    """The time (UTC) at which the authority stamped a SHA-256 digest (64 hexadecimal digits). Raises `StampError` if the reply is
+    no valid stamp of this digest."""
     reply = _decoded(token)
     _verify(VerifierBuilder(roots=list(authority.certificates)), reply, digest)
     moment = reply.tst_info.gen_time.astimezone(UTC)
@@ -129,7 +131,7 @@ def stamp_time(token: bytes, digest: str, authority: StampAuthority) -> datetime
 
 
 def stamped_digest(token: bytes) -> str:
-    """The SHA-256 digest that a reply claims to stamp. Raises `StampError`."""
+    """The SHA-256 digest that a reply claims to stamp. Raises `StampError` if it cannot be read."""
     imprint = _decoded(token).tst_info.message_imprint
     if imprint.hash_algorithm != SHA256:
         raise StampError("it is not a stamp of a SHA-256 digest")
@@ -138,7 +140,7 @@ def stamped_digest(token: bytes) -> str:
 
 def request_stamp(url: str, data: bytes, digest: str, authority: StampAuthority) -> tuple[bytes, datetime]:
     """Requests a new time stamp of `data`, whose SHA-256 digest is `digest`. Returns the verified reply of the authority, and the
-    time of the stamp. Raises `StampError`."""
+    time of the stamp. Raises `StampError` if no valid time stamp is obtained."""
     query = TimestampRequestBuilder().data(data).hash_algorithm(HashAlgorithm.SHA256).build()
     request = urllib.request.Request(url, data=query.as_bytes(), headers={"Content-Type": QUERY})
     try:

@@ -19,8 +19,9 @@ SIGNED = "head.dsse.json"
 
 @dataclass(frozen=True, slots=True)
 class RememberedHead:
-    """A tree head from a file. key: fingerprint of the key that is said to have signed, empty without a signature; owner: the name
-    of this key in the key ring if the signature is valid; why: the fault of the signature, empty if none is known."""
+    """A tree head of a log, as read from a file. key: fingerprint of the key that is said to have signed the head; empty if it is
+    not signed. owner: the name of this key in the key ring if the signature is valid. why: the fault of the signature; empty if
+    none is known."""
 
     head: TreeHead
     key: str = ""
@@ -49,7 +50,8 @@ def signed_head(log: RunLog, ring: KeyRing | None) -> RememberedHead | None:
 
 
 def remembered_head(data: bytes, path: Path, ring: KeyRing | None) -> RememberedHead:
-    """Reads the tree head in a file, which may be signed. Raises `IntegrityError` if the file does not contain a tree head."""
+    """Reads the tree head in a file; the head can be signed or unsigned. Raises `IntegrityError` if the file does not contain a
+    tree head."""
     if b'"payloadType"' not in data:
         return RememberedHead(parse_head(data, path))
     try:
