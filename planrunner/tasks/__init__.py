@@ -1,1 +1,1 @@
-"""The work of each command as functions, for the command line and for other programs. There is one module for each command."""
+"""The work of each command as functions, which the command line and other programs can call. There is one module for each command."""

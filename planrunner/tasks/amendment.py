@@ -1,5 +1,5 @@
-"""Another evaluation of a run by a named person, for a stated reason. It is stored as a new analysis that names the analysis it
-amends."""
+"""Another evaluation of a run, made by a named person for a stated reason. It is stored as a new analysis that names the analysis
+it amends."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ MAY_DIFFER = ("estimates", "limits", "report", "diagnosis")
 
 @dataclass(frozen=True, slots=True)
 class Amendment:
-    """An amendment. by: the person who makes the amendment; why: the reason; plan: a plan with other estimates or limits, or None
-    to use those of the run. amends: number of the analysis to amend, by default the newest."""
+    """An amendment of the evaluation of a run. by: the person who makes the amendment. why: the reason. plan: a plan with other
+    estimates or limits; None to use the plan of the run. amends: number of the analysis to amend; by default, the newest."""
 
     by: str
     why: str
@@ -47,8 +47,8 @@ class Amendment:
 
 
 def checked_amendment(amendment: Amendment) -> Amendment:
-    """The amendment without leading and trailing spaces. Raises `InputError` if the person or the reason is missing, or is not one
-    line of plain text."""
+    """Checks an amendment; returns it without leading and trailing spaces in its texts. Raises `InputError` if the person or the
+    reason is missing, or is not one line of plain text."""
     told = {"--by": amendment.by.strip(), "--why": amendment.why.strip()}
     for option, text in told.items():
         if not text or len(text) > MOST_TEXT or not text.isprintable() or MISLEADING.search(text):
@@ -77,12 +77,12 @@ def _measured(plan: Plan) -> JsonObject:
 
 
 def stored_amendment(analysis: StoredAnalysis) -> JsonObject | None:
-    """The amendment that an analysis contains; None for an ordinary analysis. Raises `IntegrityError`."""
+    """The amendment that an analysis contains; None for an ordinary analysis. Raises `IntegrityError` if the analysis was changed."""
     if AMENDMENT not in analysis.files:
         return None
     return analysis.read_json(AMENDMENT, "amendment", "planrunner_amendment", FORMAT)
 
 
 def in_words(amendment: Mapping[str, object]) -> str:
-    """The amendment in one line, for reports and the terminal."""
+    """Describes the amendment in one line, for reports and the terminal."""
     return f"amends analysis {amendment['amends']}, by {amendment['by']}: {amendment['why']}"

@@ -53,7 +53,7 @@ from planrunner.signing.key_ring import KeyRing, parse_ring
 
 @dataclass(frozen=True, slots=True)
 class RingFile:
-    """A key ring, with the text from which it was read."""
+    """A key ring, and the text from which it was read."""
 
     path: Path
     text: str
@@ -61,14 +61,14 @@ class RingFile:
 
 
 def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
-    """The key ring that a bench names. Raises `InputError` if the ring cannot be read, or if a person in `by` or a key does not fit
-    the rule for approvals."""
+    """The key ring that a bench names. Raises `InputError` if the ring cannot be read, or if a person whom the rule's key `by`
+    names is not in it."""
     return _ring(rule, bench_file.parent / rule.keys)
 
 
 def ring_of_run(rule: ApprovalRule, kept: KeptApprovals, bench_file: Path | None) -> RingFile:
-    """The key ring with which a run is continued. The bench names this ring; it is not in the run folder. bench_file: file of a
-    bench that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
+    """The key ring with which a run is continued. The bench names this ring; the run folder does not contain it. bench_file: file
+    of a bench that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
     return _ring(rule, Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys)
 
 
@@ -94,8 +94,8 @@ def _ring(rule: ApprovalRule, path: Path) -> RingFile:
 
 @dataclass(frozen=True, slots=True)
 class _Reason:
-    """How a finding reports that an approval does not count. code: code of the finding; hint: what to do; key: key of the rule for
-    approvals that the reason concerns, if any."""
+    """How a finding reports the reason why an approval does not count. code: code of the finding. hint: what to do. key: the key of
+    the bench's rule for approvals that the reason concerns, if any."""
 
     code: str
     hint: str
@@ -124,8 +124,8 @@ _REASONS: dict[ApprovalStanding, _Reason] = {
 def required_approvals(
     plan_file: Path, plan_bytes: bytes, plan: Plan, bench: Bench, moment: datetime, log: Findings
 ) -> KeptApprovals | None:
-    """The approval data that the run folder must keep. None if the bench requires no approvals, or if approvals are missing;
-    findings then give the reasons.
+    """The approval data that the run folder must keep. Returns None if the bench requires no approvals, or if approvals are
+    missing; in the second case, findings give the reasons.
 
     The approvals are read beside the plan file, and the key ring beside the bench file. moment: time at which the plan is to run,
     with a time zone.
@@ -163,14 +163,14 @@ def _require_authors(rule: ApprovalRule, plan: Plan, ring: KeyRing, log: Finding
 
 @dataclass(frozen=True, slots=True)
 class _Differences:
-    """Describes how approved plans differ from the present one."""
+    """Describes how approved plans differ from the plan that is to run."""
 
     folder: Path
     plan: Plan
     data: bytes
 
     def words(self, approval: StatedApproval) -> str:
-        """The difference from an approved plan in words, if the text of that plan is available and still has the approved meaning."""
+        """Describes the difference from an approved plan, if the text of that plan is available and still has the approved meaning."""
         data = approved_text(self.folder, approval)
         if data is None:
             return ""
@@ -196,7 +196,7 @@ def _tell(
     remedy: str = "",
 ) -> None:
     """Adds one error about missing approvals, and for each key a further error with the reason why the newest approval with that
-    key does not count. remedy: text of the hint, by default to approve the plan."""
+    key does not count. remedy: text of the hint; by default, the advice to approve the plan."""
     persons = sorted({one.person for one in found if one.standing == "counts"})
     counted = (
         f"only the approval by {persons[0]} counts"
@@ -230,12 +230,12 @@ def _tell(
 def still_approved(
     reader: RunReader, plan: Plan, bench: Bench, bench_file: Path | None, further: Path | None = None
 ) -> tuple[JsonObject, ...]:
-    """The further approvals with which a run can be continued, as entries for its journal. Raises `InputError` if too few approvals
-    count today.
+    """The approvals that were added since the run began or was last continued, as entries for its journal. Raises `InputError` if
+    too few approvals count today.
 
-    bench_file: file of a bench that replaces the one in the run folder. further: plan file beside which there are approvals that
-    were given after the run began. Without it, only the approvals with which the run began or was continued can count. An approval
-    does not count if it has expired or was withdrawn since then, or if its key was revoked.
+    bench_file: file of a bench that replaces the one in the run folder. further: plan file next to which there are approvals that
+    were given after the run began. If it is not given, only the approvals with which the run began or was continued can count. An
+    approval does not count if it has expired or been withdrawn in the meantime, or if its key has been revoked.
     """
     rule = bench.approvals
     if rule is None:
@@ -272,8 +272,8 @@ def still_approved(
 def _renewals(
     state: JournalState,
 ) -> list[tuple[datetime, tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]]]:
-    """For each time at which a run was continued with further approvals: the time, these approvals, and the entries that are not
-    approvals."""
+    """For each time at which a run was continued with further approvals: the time, these approvals, and the journal entries that
+    are not approvals."""
     return [(datetime.fromisoformat(at), entries_of(given)) for at, given in state.renewals]
 
 
@@ -282,14 +282,14 @@ def _renewals(
 
 @dataclass(frozen=True, slots=True)
 class RunApproval:
-    """An approval under which a plan ran. verified: True if the user gave a key ring to verify the approval. Otherwise, the
-    approval was checked with the ring in the run folder, which proves nothing about the owner of the key."""
+    """An approval under which a plan ran. verified: True if the approval was verified with a key ring that the user gave.
+    Otherwise, it was checked with the ring in the run folder, which proves nothing about the owner of the key."""
 
     judged: JudgedApproval
     verified: bool
 
     def words(self) -> str:
-        """Who approved the plan, when, until when, and with which key, in words."""
+        """States in words who approved the plan, when, until when, and with which key."""
         stated = self.judged.stated
         if not isinstance(stated, StatedApproval):
             return stated.file
@@ -298,8 +298,8 @@ class RunApproval:
 
 
 def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, ...]:
-    """The approvals of a run, checked for the moment when the run began. Faults become findings. ring: key ring with the keys that
-    the user knows."""
+    """The approvals of a run, checked for the time at which the run began. Faults become findings. ring: key ring with the keys
+    that the user knows."""
     path = found.folder.path
     if not {PLAN, BENCH} <= found.given.keys() or not found.run:
         return ()
@@ -352,7 +352,7 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
 
 
 def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None:
-    """Checks whether each signed override of the check standard was valid when the run began or was continued with it."""
+    """Checks whether each signed override of the check standard was valid when the run began with it or was continued with it."""
     begun = found.run.get("check_standard", {})
     created = datetime.fromisoformat(str(found.run["created"]))
     judged_then = [(RUN, created, kept.day, begun)]
@@ -373,7 +373,7 @@ def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None
 def _tell_invalid(
     found: Examined, where: Path, seen: Sequence[JudgedApproval], outdated: Sequence[ApprovalStanding], *, met: bool
 ) -> None:
-    """Reports approvals that do not count, except those that later approvals replace. met: True if enough approvals count."""
+    """Reports approvals that do not count, except those that later approvals have replaced. met: True if enough approvals count."""
     why = "; ".join(f"{_name(one)}: {one.why}" for one in seen if one.standing not in ("counts", *outdated))
     if not met or why:
         lacking = "the approvals that the bench requires are not all valid"
@@ -419,8 +419,8 @@ def _name(one: JudgedApproval) -> str:
 
 
 def approved_by(reader: RunReader) -> Iterator[tuple[str, str]]:
-    """The name of each person whose approval the run folder keeps, and the text that reports print about this approval. The
-    approvals were verified when the run began or was continued with further ones."""
+    """For each approval in the run folder, the name of the person and the text about the approval that reports print. The approvals
+    were verified when the run began or was continued with further approvals."""
     if reader.approvals is None:
         return
     kept, _ = kept_approvals(reader.approvals, reader.path)

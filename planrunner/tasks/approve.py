@@ -1,4 +1,4 @@
-"""Approving a plan for benches, withdrawing approvals, and listing them.
+"""Approves a plan for benches, withdraws approvals, and lists them.
 
 prepared = prepare(plan, benches, until)
 prepared.what            what would be signed; the reviewer must see it first
@@ -47,8 +47,8 @@ _ANYBODY = ApprovalRule(keys="", author_may_approve=True)
 
 @dataclass(frozen=True, slots=True)
 class PreparedApproval:
-    """The content of an approval before it is signed. sound: the checked plan on each bench; last: the newest approval of a plan with
-    another meaning whose text is available, with the difference from the present plan; None if there is no such approval."""
+    """The content of an approval before it is signed. sound: the checked plan on each bench. last: the newest approval of a plan
+    with another meaning, with the difference from the present plan; None if there is no such approval or its text is not available."""
 
     plan: Path
     what: Approved
@@ -58,7 +58,7 @@ class PreparedApproval:
 
 @dataclass(frozen=True, slots=True)
 class BenchApprovals:
-    """The approvals of a plan on one bench. rule: the rule of the bench for approvals, None if it requires none; met: True if the
+    """The approvals of a plan on one bench. rule: the bench's rule for approvals; None if the bench requires none. met: True if the
     approvals meet the rule."""
 
     bench: str
@@ -70,11 +70,11 @@ class BenchApprovals:
 def prepare(
     plan: Path, benches: Sequence[str] = (), until: date | None = None, *, foresee: bool = True
 ) -> PreparedApproval:
-    """Prepares an approval of a plan. benches: names of shipped benches or bench files, by default the bench that the plan names;
-    until: last day of the approval.
+    """Prepares an approval of a plan. benches: names of shipped benches or bench files; by default, the bench that the plan names.
+    until: last day on which the approval is valid.
 
-    foresee: True if the difference from the last approved version includes the consequences. Raises `InputError` for a plan that
-    does not pass its checks on every bench, and for a day in the past.
+    foresee: True to compute the consequences of the difference from the last approved version, too. Raises `InputError` for a plan
+    that does not pass its checks on every bench, and for a day in the past.
     """
     document = Document(source.read_bytes(plan), str(plan))
     sound = tuple(check_plan(document, bench).sound() for bench in benches or (None,))
@@ -110,7 +110,7 @@ def _last(
 def approve(
     prepared: PreparedApproval, signer: Signer, name: str, statement: str = "", storage: Storage | None = None
 ) -> str:
-    """Signs the prepared approval; returns the name of the new file. Raises `InputError`."""
+    """Signs the prepared approval; returns the name of the new file. Raises `InputError` if the approval cannot be written."""
     require_line(str(prepared.plan), "name", name, 1)
     require_line(str(prepared.plan), "statement", statement)
     signed = utc_now()
@@ -119,8 +119,8 @@ def approve(
 
 
 def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage | None = None) -> tuple[str, int]:
-    """Withdraws all approvals of a plan that were signed with this key; returns the name of the new file and the number of these
-    approvals. Raises `InputError`."""
+    """Withdraws all approvals of a plan that were signed with this key; returns the name of the new file and the number of
+    approvals withdrawn. Raises `InputError` if there is no such approval."""
     require_line(str(plan), "name", name, 1)
     require_line(str(plan), "statement", why, 1)
     stated = read_approvals(approvals_folder(plan))
@@ -139,8 +139,8 @@ def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage |
 
 
 def approvals_on(plan: Path, sound: Sound, ring: KeyRing | None = None) -> BenchApprovals:
-    """The approvals of a plan on a bench that are valid now. ring: key ring to use instead of the one that the bench names. Raises
-    `InputError`."""
+    """The approvals of a plan on a bench that are valid now. ring: the key ring to use instead of the ring that the bench names.
+    Raises `InputError`."""
     rule = sound.bench.approvals
     if ring is None:
         ring = KeyRing({}) if rule is None else ring_of(rule, Path(sound.bench.origin.mark.file)).ring

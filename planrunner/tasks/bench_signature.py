@@ -1,7 +1,7 @@
-"""Automatic signatures with the key of the bench: of the seal of every run, and of every analysis that is made on the bench's
-computer.
+"""Signatures that are made automatically with the key of the bench: of the seal of every run, and of every analysis made on the
+computer of the bench.
 
-A signature that fails never damages a run: the run stays sealed, the command warns, and `sign_later` signs the run when the key is
+If signing fails, this never damages a run: the run stays sealed, the command warns, and `sign_later` signs the run when the key is
 available.
 """
 
@@ -39,19 +39,20 @@ _RESULTS: dict[VerdictKind, TestResult] = {"pass": "PASSED", "warned": "WARNED",
 
 
 def statement_result(results: Results) -> TestResult:
-    """The result that a signed statement gives for a run."""
+    """The result of a run in the form in which a signed statement contains it."""
     warnings = sum(len(estimate.warnings) for estimate in results.estimates.values())
     return _RESULTS[verdict_kind(results.limits, results.failures, warnings)]
 
 
 def key_of(bench: Bench) -> PublicKey | None:
-    """The key that signs the runs of a bench; None if the bench names none. The bench file must already have been checked."""
+    """The public key that must sign the runs of a bench; None if the bench names none. The bench file must already have been
+    checked."""
     return None if bench.signing is None else parse_public(bench.signing.key)
 
 
 def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
-    """Adds an error if the public key in the bench file cannot be read. key_needed: True if a run may follow on this computer. If
-    the private key is then not available, this is only a warning, because the run is worth more than its signature."""
+    """Adds an error if the public key in the bench file cannot be read. key_needed: True if a run on this computer may follow the
+    check. A private key that is not available then causes only a warning, because the run is worth more than its signature."""
     if bench.signing is None:
         return
     mark = bench.signing.at("key")
@@ -68,7 +69,7 @@ def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
 
 def sign_seal(folder: GuardedFolder, run: str, bench: Bench, storage: Storage | None = None) -> tuple[Finding, ...]:
     """Signs the seal that the caller has just written while it holds the lock. Returns the reason why the seal is not signed; empty
-    if it is signed or need not be signed."""
+    if it is signed or does not need a signature."""
     public = key_of(bench)
     if public is None:
         return ()
@@ -85,11 +86,10 @@ def sign_analysis(
     reader: RunReader, bench: Bench, analysis: StoredAnalysis, results: Results, *, elsewhere: bool = False
 ) -> tuple[Finding, ...]:
     """Signs an analysis that has just been made from the run. Returns the reason why the analysis is not signed; empty if it is
-    signed or need not be signed.
+    signed or does not need a signature.
 
-    The bench signs an analysis only if it also signed the seal. This guarantees that the samples are those that the bench recorded.
-    elsewhere: True if another computer computed the results; the bench does not sign
-    results that it did not compute.
+    The bench signs an analysis only if it also signed the seal. The signed seal guarantees that the samples are those that the
+    bench recorded. elsewhere: True if another computer computed the results, which the bench then does not sign.
     """
     public = key_of(bench)
     if public is None or not reader.sealed:
@@ -109,8 +109,7 @@ def sign_analysis(
 
 
 def _require_signed_seal(reader: RunReader) -> None:
-    """Raises `BenchKeyError` unless the key in the bench file signed the present seal, and the present seal is the one that was
-    read before."""
+    """Raises `BenchKeyError` unless the present seal is the one that was read before and is signed with the key in the bench file."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     seal = digest(reader.folder.read(seals.NAME, seals.MOST_BYTES))
     good = (one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid")
@@ -133,8 +132,8 @@ def _sign(
 
 @contextmanager
 def locked(folder: GuardedFolder) -> Iterator[None]:
-    """Holds the lock of a run folder; first waits until other processes release it. Raises `InputError` if the lock cannot be
-    obtained."""
+    """Holds the lock of a run folder while the enclosed code runs; first waits until other processes release it. Raises
+    `InputError` if the lock cannot be obtained."""
     until = time.monotonic() + PATIENCE
     while True:
         try:
@@ -154,8 +153,9 @@ def locked(folder: GuardedFolder) -> Iterator[None]:
 
 
 def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[int, Results]) -> None:
-    """Signs what an automatic signature should have signed: the seal of a run that was verified, and analyses that were recomputed.
-    The caller must hold the lock. proven: number of an analysis → its recomputed results. Raises `InputError` and `OSError`."""
+    """Makes the signatures that should have been made automatically: of the seal of a verified run, and of analyses that were
+    recomputed. The caller must hold the lock of the run folder. proven: maps the number of each recomputed analysis to its results.
+    Raises `InputError` and `OSError`."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     run = reader.run["run"]
     good = [one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid" and one.by_bench]
@@ -166,8 +166,8 @@ def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[
 
 
 def unsigned_analyses(reader: RunReader) -> tuple[int, ...]:
-    """Numbers of the analyses without a good signature. A signature is good if it is valid, or if only a key ring is missing to
-    verify it. Raises `OSError`."""
+    """Numbers of the analyses without a good signature. A signature is good if it is valid, or if it cannot be verified only
+    because no key ring is given. Raises `OSError`."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     good = [one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid"]
     covered = {number for one in good for number in one.analyses}

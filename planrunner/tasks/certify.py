@@ -1,4 +1,4 @@
-"""Issues the calibration certificate of a run: determines its contents, and the obstacles to issuing it."""
+"""Issues the calibration certificate of a run: determines the contents of the certificate, and what prevents issuing it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def facts(
     before_run: str = "",
 ) -> CertificateFacts:
     """The contents of a certificate for this run. given: run information that is given when the certificate is issued; it takes
-    precedence over that of the run."""
+    precedence over the information in the run."""
     recorded = recorded_information(reader)
     segments = tuple(recording)
     bench = sound.bench
@@ -75,7 +75,7 @@ _SHOWN = ("name", "address", "location", "contact", "accreditation", "traceabili
 
 
 def recorded_information(reader: RunReader) -> dict[str, str]:
-    """The run information that the run folder contains."""
+    """The run information that is stored in the run folder."""
     return {name: str(value) for name, value in reader.run["info"].items()}
 
 
@@ -131,7 +131,7 @@ def _events(reader: RunReader) -> Iterable[tuple[str, str, str]]:
 
 
 def obstacles(reader: RunReader, sound: Sound, results: Results, shown: CertificateFacts) -> list[Finding]:
-    """All obstacles to issuing a certificate for this run."""
+    """All reasons that prevent issuing a certificate for this run."""
     log = Findings()
     mark = Mark(str(reader.path))
     told = {name for name, text in shown.told.items() if text}
@@ -218,7 +218,7 @@ def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log
 
 
 def issued_as(shown: CertificateFacts) -> JsonObject:
-    """Data that are stored with a certificate, so that later certificates can be checked against them."""
+    """The data that are stored with a certificate, so that later certificates can be checked against them."""
     kept = {name: shown.told.get(name, "") for name in ("certificate_number", "amends", "amendment_reason")}
     return {"planrunner_issued": 1, **{name: text for name, text in kept.items() if text}, "issued": shown.issued}
 
@@ -232,8 +232,8 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
-    """The obstacle if a run cannot serve as the run before the adjustment: it is the certified run itself, or was made with another
-    item."""
+    """The reason why a run cannot be the one before the adjustment: it is the certified run itself, or it was made with another
+    item. None if it can."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"
         hint = "give the run of the same item before its adjustment"
@@ -249,5 +249,5 @@ def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader)
 
 
 def names() -> list[str]:
-    """The names of the run information that certificates use."""
+    """The names of all run information that certificates use."""
     return [item.name for item in ASKED]

@@ -1,4 +1,4 @@
-"""All checks of a plan on a bench at once: of its form, its meaning and its physics.
+"""Makes all checks of a plan on a bench: of its form, its meaning and its physics.
 
 checked = check_plan(Path("plans/x.yaml")) checked.findings       all findings, with file:line:column checked.schedule       the planned
 steps, with times checked.designs        the expected results of each estimate, with predicted uncertainties
@@ -48,8 +48,9 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes that were read, with the values given
-    for parameters entered. approvals: the approvals that the bench requires; None if it requires none or the plan lacks them."""
+    """The result of checking a plan: the plan and the bench, as far as they could be read, and the findings. plan_bytes,
+    bench_bytes: the exact bytes that were read; in the plan, the values given for parameters have been entered. approvals: the
+    approvals that the bench requires; None if it requires none or if the plan lacks them."""
 
     file: str
     findings: Findings
@@ -87,16 +88,16 @@ class Checked:
 
     @property
     def portable(self) -> bool:
-        """Whether another computer would get the same result today. Another computer has no signing key, may have other runs and
-        another time, and may lack files. The result is therefore not portable if the bench signs its runs, has a check standard or
-        requires approvals, or if the check found an error."""
+        """Whether another computer would get the same result of the check today. Another computer has no signing key, may have
+        other runs and another time, and may lack files. The result is therefore not portable if the bench signs its runs, has a
+        check standard or requires approvals, or if the check found an error."""
         bench = self.bench
         if bench is None or not self.ok:
             return False
         return bench.signing is None and bench.check_standard is None and bench.approvals is None
 
     def sound(self) -> Sound:
-        """The plan with everything needed to run it. Raises `InputError` with the findings if there are errors."""
+        """The plan with everything that is needed to run it. Raises `InputError` with the findings if there are errors."""
         if (
             self.findings.errors
             or self.plan is None
@@ -125,8 +126,8 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A plan that passed its checks (warnings may remain in `findings`). parameters: the values that the user gave for parameters.
-    approvals: the approvals that the bench requires; None if there are none. A bench that requires approvals does not run a plan
+    """A plan that has passed its checks; `findings` may contain warnings. parameters: the values that the user gave for parameters.
+    approvals: the approvals that the bench requires; None if it requires none. A bench that requires approvals does not run a plan
     without them."""
 
     file: str
@@ -163,13 +164,14 @@ def check_plan(
     today: date | None = None,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Checked:
-    """Makes all checks of a plan before it runs. No content of the files makes it raise an error.
+    """Makes all checks of a plan before it runs. It raises no error, whatever the files contain.
 
     plan_file: path of the plan file, or its contents as a `Document`. For a `Document`, the bench is searched relative to the name
-    that it shows. Approvals are searched only beside a path. If the bench requires approvals, a `Document` therefore passes the
-    checks but does not run. bench: bench that replaces the one in the plan: the name of a shipped bench, a path relative to the
-    working folder, or a `Document`. today: the day on which calibrations must be valid, by default the current day. parameters:
-    values for parameters of the plan. Findings about such a value state the place where the value was given.
+    that it shows. Approvals are searched only next to the file of a path. A `Document` can therefore pass the checks, but does not
+    run on a bench that requires approvals. bench: the bench to use instead of the one in the plan: the name of a shipped bench, a
+    path relative to the working folder, or a `Document`. today: the day on which calibrations must be valid; by default, the
+    current day. parameters: values for parameters of the plan. Findings about such a value state the place where the value was
+    given.
     """
     file = plan_file.shown if isinstance(plan_file, Document) else str(plan_file)
     checked = Checked(file, Findings(), {name: given.value for name, given in parameters.items()})
@@ -193,7 +195,7 @@ def check_plan(
 
 
 def _where_given(finding: Finding, parameters: Mapping[str, Given], places: Mapping[str, Mark]) -> Finding:
-    """A finding about the value of a parameter, moved to the place where the value was given."""
+    """Moves a finding about the value of a parameter to the place where the value was given."""
     for name, place in places.items():
         if place.covers(finding.mark):
             given = parameters[name]
@@ -233,7 +235,8 @@ def _check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
 
 
 def _check_approvals(checked: Checked, plan_file: Path, plan: Plan, bench: Bench, today: date | None) -> None:
-    """Checks the approvals of a plan that has no errors. A plan with errors cannot run, and correcting it may change its meaning."""
+    """Checks the approvals of a plan that has no errors. Plans with errors are not checked, because they cannot run, and correcting
+    an error may change the meaning."""
     if bench.approvals is None or checked.findings.errors:
         return
     from planrunner.tasks.approvals import required_approvals
@@ -249,7 +252,7 @@ _OTHER_PAGES = ("show", "design", "diagnosis", "difference", "timetable")
 
 @cache
 def report_names() -> tuple[str, ...]:
-    """The reports that can be written for a run: the shipped templates except `_OTHER_PAGES`."""
+    """The names of the reports that can be written for a run: the shipped templates except those in `_OTHER_PAGES`."""
     return tuple(name for name in available() if name.partition(".")[0] not in _OTHER_PAGES)
 
 
@@ -366,7 +369,7 @@ def _check_estimate(
 
 
 def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
-    """Groups of outputs with the same finding; the outputs in each group keep their order."""
+    """Groups the outputs for which the same was found; the outputs in each group keep their order."""
     groups: dict[tuple[object, ...], list[Identifiability]] = {}
     for one in judged:
         what = (one.rank, one.columns, f"{one.condition:.3g}", one.unidentifiable, one.explanation)
@@ -375,7 +378,7 @@ def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
 
 
 def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findings) -> None:
-    """Adds one finding for a group of outputs with the same result, if this result requires one."""
+    """Adds one finding for a group of outputs for which the same was found, if this requires a finding."""
     judged, names = alike[0], [one.output for one in alike]
     outputs = f"output {names[0]}" if len(names) == 1 else f"outputs {', '.join(names[:-1])} and {names[-1]}"
     if not judged.sound:
@@ -437,7 +440,7 @@ def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findi
 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
-    """Warns about a guarded limit that is narrower than the expected uncertainty, because then no value can pass it."""
+    """Warns about a limit with a guard band that is narrower than the expected uncertainty, because no value can then pass it."""
     if limit.rule != "guarded":
         return
     try:

@@ -1,6 +1,6 @@
-"""Checks the recording of a plan before the run: reads the whole file, then tries every estimate.
+"""Checks the recording that a plan plays back, before the run: reads the whole file, then tries every estimate.
 
-Findings are added to those of the plan. No results are kept. The check only shows whether a run would complete.
+Findings are added to those of the plan. No results are kept. The check shows only whether a run would be completed.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from planrunner.tasks.check import Checked, Sound
 
 
 def check_recording(checked: Checked, data_root: Path, notice: Announce | None = None) -> None:
-    """Adds findings about the recording that the bench of a plan plays back. For other benches it does nothing. notice: receives
-    the progress. No content of the files makes it raise an error."""
+    """Adds findings about the recording that the bench of a plan plays back. It does nothing if the bench plays back no recording.
+    notice: receives the progress. It raises no error, whatever the files contain."""
     bench, models, log = checked.bench, checked.models, checked.findings
     if bench is None or models is None:
         return

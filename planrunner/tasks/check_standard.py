@@ -1,4 +1,4 @@
-"""The check standard of a bench before a run: its state according to the archive, and whether the run may begin in this state."""
+"""The check standard of a bench before a run: determines its state from the archive, and whether the run may begin in this state."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ CODE = "bench-check-standard"
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """A person's decision to let a run begin although the check standard is not in control, with the reason."""
+    """A person's decision, with the reason, that a run may begin although the check standard is not in control."""
 
     by: str
     why: str
 
 
 def override_file(bench_file: Path) -> Path:
-    """The path of the signed override of a bench, which is beside the bench file."""
+    """The path of the signed override for a bench, next to the bench file."""
     return bench_file.with_name(f"{bench_file.stem}.override.json")
 
 
@@ -79,8 +79,8 @@ def sign_override(bench: Bench, override: Override, until: date, signer: Signer)
 
 
 def signature_of(bench: Bench, override: Override) -> JsonObject | None:
-    """The signed statement of an override; None if the bench has no key ring, because the person cannot be authenticated then.
-    Raises `InputError` if the bench has a key ring but there is no valid signed override beside the bench file."""
+    """Reads the signed statement of an override; returns None if the bench has no key ring, because nobody can then be
+    authenticated. Raises `InputError` if the bench has a key ring but there is no valid signed override next to the bench file."""
     rule = bench.check_standard
     if rule is None or bench.approvals is None:
         return None
@@ -111,14 +111,15 @@ def _require_named(bench: Bench, rule: CheckStandardRule, override: Override) ->
 
 
 def shown_name(override: JsonObject) -> str:
-    """The person who gave an override, as run.json names them, and whether this name is authenticated."""
+    """The person who gave an override, as run.json names the person, and whether this name is authenticated."""
     name = str(override["by"])
     return name if "signature" in override else f"{name} (name not authenticated)"
 
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """Permission for a run to begin. record: data about the check standard for run.json. findings: warnings for the user."""
+    """The permission for a run to begin. record: data about the check standard that are stored in run.json. findings: warnings for
+    the user."""
 
     record: JsonObject | None = None
     findings: tuple[Finding, ...] = ()
@@ -133,7 +134,7 @@ def control_state(
     fresh: Freshness = Freshness(),  # noqa: B008 - frozen
 ) -> ControlState | None:
     """The state of the check standard of a bench according to the runs in an archive; None if the bench has no check standard. now:
-    time for which the state is determined, by default the current time. Raises `InputError` if the index cannot be used."""
+    time for which the state is determined; by default, the current time. Raises `InputError` if the index cannot be used."""
     rule = bench.check_standard
     if rule is None:
         return None
@@ -176,7 +177,7 @@ def _restore(damaged: Sequence[FaultRow]) -> str:
 
 
 def check_before_run(bench: Bench, plan_name: str, archive: Path, log: Findings) -> None:
-    """Checks the check standard as part of the check of a plan. The plan that measures the check standard may always run."""
+    """Checks the check standard as part of the check of a plan. The plan that measures the check standard is always allowed to run."""
     rule = bench.check_standard
     if rule is None or plan_name == rule.plan_name:
         return
@@ -195,8 +196,8 @@ def admit(
     signature: JsonObject | None = None,
 ) -> Admission:
     """Checks whether a run may begin on a bench. Raises `InputError` if the check standard of the bench is not in control and no
-    authorised person lets the run begin, or if an override is given but cannot be used. signature: signature of the override, if it
-    has been verified for the time when the run began."""
+    authorised person has given an override, or if an override is given but cannot be used. signature: the signed statement of the
+    override, if the caller has already verified that it was valid at the time when the run began."""
     rule = bench.check_standard
     if rule is None:
         if override is not None:
@@ -236,9 +237,9 @@ def admit_again(
     notice: Announce | None = None,
     bench_file: Path | None = None,
 ) -> Admission:
-    """Checks whether a run may be continued. The state of the check standard is its present state, according to the archive that
-    contains the run. An override with which the run began stays valid for the whole run. bench: the bench on which the run is
-    continued; bench_file: the file of this bench, if it replaces the file in the run folder. Raises `InputError` like `admit`."""
+    """Checks whether a run may be continued. The state of the check standard is determined again, from the archive that contains
+    the run. An override with which the run began stays valid for the whole run. bench: the bench on which the run is continued.
+    bench_file: the file of this bench, if it replaces the file in the run folder. Raises `InputError` like `admit`."""
     signature: JsonObject | None = None
     rule, began = bench.check_standard, run.run.get("check_standard", {}).get("override")
     own = None if began is None else Override(str(began["by"]), str(began["why"]))
@@ -255,7 +256,7 @@ def admit_again(
 
 def _signature_kept(bench: Bench, run: RunReader, began: JsonObject, bench_file: Path | None) -> JsonObject | None:
     """The signature of the override with which a run began. Raises `InputError` if the signature was not valid when the run began.
-    None if the bench has no key ring, or the override no signature."""
+    Returns None if the bench has no key ring or the override has no signature."""
     if bench.approvals is None or run.approvals is None or "signature" not in began:
         return None
     kept, created = kept_approvals(run.approvals, run.path)[0], datetime.fromisoformat(str(run.run["created"]))

@@ -1,4 +1,4 @@
-"""All checks of a suite at once: its own form and names, every plan on every bench on which it will run, and the timetable."""
+"""Makes all checks of a suite: of its own form and names, of every plan on every bench on which it will run, and of the timetable."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from planrunner.tasks.check import Checked, Document, check_plan
 
 @dataclass(frozen=True, slots=True)
 class PlanOnBench:
-    """The result of the check of a plan on a bench. seconds: planned duration, s; None if the length of a recording determines the
-    duration. size: largest size of the run folder, bytes. asks: for each item of run information in the plan, its name and whether
-    it is required."""
+    """The result of checking a plan on a bench. seconds: planned duration, s; None if the length of a recording determines the
+    duration. size: largest possible size of the run folder, bytes. asks: maps the name of each item of run information in the plan
+    to True if the item is required."""
 
     findings: tuple[Finding, ...]
     ok: bool
@@ -42,7 +42,8 @@ class PlanOnBench:
 
 @dataclass(slots=True)
 class CheckedSuite:
-    """A suite as far as it could be read and checked. virtual: True if all benches have simulated time."""
+    """The result of checking a suite: the suite, as far as it could be read, and the findings. virtual: True if all benches have
+    simulated time."""
 
     file: str
     findings: Findings
@@ -64,7 +65,7 @@ class CheckedSuite:
         return tuple(self.plans[test.measurement].seconds for test in self.tests)
 
     def sound(self) -> SoundSuite:
-        """The suite with all data that a night needs. Raises `InputError` with the findings if there are errors."""
+        """The suite with everything that a night needs. Raises `InputError` with the findings if there are errors."""
         if self.findings.errors or self.suite is None or self.forecast is None:
             raise InputError(self.findings)
         asks = tuple(dict(self.plans[test.measurement].asks) for test in self.tests)
@@ -76,8 +77,8 @@ class CheckedSuite:
 
 @dataclass(frozen=True, slots=True)
 class SoundSuite:
-    """A suite that passed its checks (warnings may remain in `findings`). asks: for each test, the run information that its plan
-    requests. size: largest total size of all run folders, bytes."""
+    """A suite that has passed its checks; `findings` may contain warnings. asks: for each test, the run information that its plan
+    requests. size: largest possible size of all run folders together, bytes."""
 
     file: str
     findings: Findings
@@ -97,7 +98,7 @@ class SoundSuite:
 
 
 def is_suite(file: Path) -> bool:
-    """Whether a file is a suite, which has the key `planrunner_suite`. False for a file that cannot be read."""
+    """Whether a file is a suite, that is, has the key `planrunner_suite`. False for a file that cannot be read."""
     try:
         data = source.read_bytes(file)
         # The whole text is parsed only if it contains the key.
@@ -109,8 +110,8 @@ def is_suite(file: Path) -> bool:
 
 
 def bench_file(suite: Suite, file: str, name: str) -> str:
-    """A bench of a suite, as the name of a shipped bench or as a path. A name without a folder or an ending means a shipped bench,
-    as in a plan."""
+    """The name of a shipped bench, or the path of a bench file, to which a bench of a suite refers. A name without a folder or an
+    ending means a shipped bench, as in a plan."""
     written = suite.benches[name].bench
     return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
 
@@ -118,11 +119,11 @@ def bench_file(suite: Suite, file: str, name: str) -> str:
 def check_suite(
     file: Path | Document, *, at: str | None = None, workers: Workers | None = None, archive: Path | None = None
 ) -> CheckedSuite:
-    """Makes all checks of a suite before a night. No content of the files makes it raise an error.
+    """Makes all checks of a suite before a night. It raises no error, whatever the files contain.
 
-    at: the local time from which the night may begin, in the time zone of the suite (ISO 8601), by default now. workers: processes
-    that share the checks of the plans, by default on this computer. archive: folder with the runs of the check standards; without
-    it, the state of the check standards is not checked.
+    at: the local time from which on the night may begin, in the time zone of the suite (ISO 8601); by default, now. workers:
+    processes that share the checks of the plans; by default, processes on this computer. archive: folder with the runs of the check
+    standards; if it is not given, the state of the check standards is not checked.
     """
     checked = CheckedSuite(file.shown if isinstance(file, Document) else str(file), Findings())
     log = checked.findings
@@ -162,7 +163,7 @@ def check_suite(
 
 
 def _rules(suite: Suite, file: str) -> dict[str, tuple[Bench, Path]]:
-    """Each bench of the suite that has a check standard, with the folder of its bench file, by the name in the suite. Faults of a
+    """Maps the name of each bench of the suite that has a check standard to the bench and the folder of the bench file. Faults of a
     bench are reported when its plans are checked."""
     found = {}
     for name in suite.benches:
@@ -177,7 +178,7 @@ def _rules(suite: Suite, file: str) -> dict[str, tuple[Bench, Path]]:
 
 
 def _standards(suite: Suite, rules: Mapping[str, tuple[Bench, Path]], log: Findings) -> dict[str, StandardFirst]:
-    """The check standards that the suite measures before other tests."""
+    """Maps the name of a bench to its check standard, if the suite measures the check standard before other tests."""
     found = {}
     for name, about in suite.benches.items():
         rule = rules[name][0].check_standard if name in rules else None
@@ -213,8 +214,8 @@ def _standards(suite: Suite, rules: Mapping[str, tuple[Bench, Path]], log: Findi
 def _check_standards(
     checked: CheckedSuite, suite: Suite, rules: Mapping[str, tuple[Bench, Path]], archive: Path | None
 ) -> None:
-    """Checks that each plan that measures a check standard states which device it measures. If no test of the suite measures a
-    check standard, also checks that it is in control now."""
+    """Checks that each plan in the suite that measures a check standard states the device that it measures. If no test of the suite
+    measures the check standard of a bench, also checks that this check standard is in control now."""
     log = checked.findings
     for name, (bench, _) in rules.items():
         rule, own = bench.check_standard, [test for test in checked.tests if test.bench == name]
@@ -240,7 +241,7 @@ def _check_standards(
 
 
 def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
-    """Checks every plan with every combination of its parameters on every bench. Each different case is checked once."""
+    """Checks every plan with every combination of its parameters on every bench. Equal cases are checked only once."""
     log = checked.findings
     first: dict[Measurement, PlannedTest] = {}
     for test in checked.tests:
@@ -273,7 +274,8 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
 
 
 def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
-    """A finding about a plan, with the values of its parameters, because the finding does not occur with other values."""
+    """A finding about a plan, to which the values of the plan's parameters are added because the finding does not occur with other
+    values."""
     values = ", ".join(f"{name} = {value}" for name, value in test.parameter_values.items())
     return replace(finding, message=f"{finding.message} (with {values})")
 
@@ -288,8 +290,8 @@ _Item = tuple[Path, str, Mapping[str, Given]]
 
 
 def _look_elsewhere(today: date, given: tuple[_Item, Path, Path]) -> PlanOnBench | None:
-    """Checks a plan on a worker of a cluster. Returns None if the result depends on the computer. given: the case to check, the
-    path of its plan, and the path of its bench."""
+    """Checks a plan on a worker of a cluster. Returns None if the result depends on this computer, so that the plan must be checked
+    here. given: the case to check, the path of its plan, and the path of its bench."""
     file, bench, parameters = given[0]
     found = check_plan(file, bench, today=today, parameters=parameters)
     return _seen(found) if found.portable else None
@@ -354,7 +356,7 @@ def _check_information(checked: CheckedSuite, suite: Suite) -> None:
 
 
 def _check_devices(checked: CheckedSuite, suite: Suite) -> None:
-    """Checks that no device is on two real benches, because nobody can move it at night."""
+    """Checks that no device is tested on two real benches, because nobody can move it at night."""
     real = {bench for (_, bench, _), answer in checked.plans.items() if answer.ok and not answer.virtual}
     for name, device in suite.devices.items():
         places = sorted({test.bench for test in checked.tests if test.device == name} & real)

@@ -1,9 +1,9 @@
-"""Closing the gap: enters the effects that a diagnosis finds into the simulation, simulates the plan again, and compares the
-recording with the simulations without and with these effects. A recording that is played back is simulated at its recorded motion,
-without a bench.
+"""Closes the gap between recording and simulation: enters the effects that a diagnosis finds into the simulation, simulates the
+plan again, and compares the recording with the simulations without and with these effects. A recording that is played back is
+simulated with its recorded motion, without a bench.
 
-`close` repeats this: it subtracts the effects found from the recording and diagnoses the rest again, until no remaining effect has
-a name.
+`close` repeats this: it subtracts the effects found from the recording and diagnoses the remaining gap again, until none of it can
+be attributed to a named effect.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class ClosingRound:
 
 @dataclass(frozen=True)
 class Closed:
-    """The result of `close`. first: diagnosis of the recording; last: diagnosis of the gap that remains. bench: text of the bench
-    file with all effects entered; empty if there are no effects, or if the simulations were computed without a bench."""
+    """The result of `close`. first: diagnosis of the recording. last: diagnosis of the gap that remains at the end. bench: text of
+    the bench file with all effects entered; empty if there are no effects, or if the simulations were computed without a bench."""
 
     first: Diagnosed
     rounds: tuple[ClosingRound, ...]
@@ -80,10 +80,10 @@ class Closed:
 def comparison(
     made: Diagnosed, stop: StopRequest, simulation: str | None = None, stated: Stated | None = None
 ) -> GapComparison:
-    """Compares the recording of a diagnosis with two simulations, without and with effects. simulation: virtual bench that
-    simulates the plan, by name or file; by default the bench of the recording. A bench that plays recordings back cannot simulate;
-    in that case, the simulations are computed for the recorded motion. stated: the effects with their parameters, in the form of
-    the diagnosis; by default those of its verdict.
+    """Compares the recording of a diagnosis with two simulations, without and with effects. simulation: the virtual bench that
+    simulates the plan, as a name or a file; by default, the bench of the recording. A bench that plays recordings back cannot
+    simulate; in that case, the simulations are computed for the recorded motion. stated: the effects with their parameters, in the
+    form in which a diagnosis states them; by default, the effects in its verdict.
 
     The noise of both simulations is independent of the noise of the recording. Raises `InputError` if the bench cannot simulate the
     plan.
@@ -104,12 +104,13 @@ def comparison(
 
 
 def computed_from_recording(recorded: Recorded, simulation: str | None) -> bool:
-    """Whether simulations are computed for the recorded motion: the bench plays recordings back, and the user names no other bench."""
+    """Whether simulations are computed for the recorded motion, because the bench plays recordings back and the user names no other
+    bench."""
     return simulation is None and recorded.sound.models.replays
 
 
 def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: StopRequest) -> tuple[Observed, Observed]:
-    """The samples from two runs of the plan on the virtual bench, one without and one with effects."""
+    """The samples from two runs of the plan on the virtual bench, without and with effects."""
     base, grounds = _base(made.recorded, simulation), made.diagnosis.grounds
     stated = as_planned(stated, grounds.weighing.observed, base.schedule.segments)
     absent, mark = _absent(grounds.nominal, stated), Mark(made.recorded.where)
@@ -122,9 +123,9 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 
 
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
-    """Two nominal simulations for the recorded motion, one without and one with effects. Each simulation has its own white noise
-    and is rounded to counts. The noise level and the counts are those of the recording. If an effect changes the noise or the
-    counts, the simulation without effects uses the declared values instead."""
+    """Two simulations for the recorded motion, without and with effects. Each simulation has its own white noise and is rounded to
+    counts. The noise levels and counts are those of the recording. If an effect changes the noise or the count of a channel, the
+    simulation without effects uses the declared value of the channel instead."""
     from planrunner.error_model.added import stuck
     from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
@@ -156,14 +157,15 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
 
 
 def _of_counts(seen: Observed, values: Array, counts: Array) -> Observed:
-    """The recording `seen` with other samples (N, K), and with counts (K,) as the resolution of its channels."""
+    """The recording `seen` with its samples replaced by (N, K) other samples, and the resolution of its channels replaced by the
+    counts (K,)."""
     channels = zip(seen.channels, counts.tolist(), strict=True)
     return replace(seen, values=values, channels=tuple(replace(one, resolution=count) for one, count in channels))
 
 
 def _before_rounding(level: Array, counts: Array, declared: Array) -> Array:
-    """Standard deviation (K,) of the noise before the samples are rounded to counts (K,). level: standard deviation (K,) of the
-    rounded samples. If the counts are so coarse that the samples do not show the noise, the declared level is used."""
+    """Standard deviation (K,) that the noise has before the samples are rounded to counts (K,). level: standard deviation (K,) of
+    the rounded samples. If a count is so coarse that the samples do not show the noise, the declared level is returned."""
     from planrunner.gap.evidence.rounding import is_coarse
 
     left = np.sqrt(np.maximum(level**2 - counts**2 / 12, 0.0))
@@ -177,7 +179,7 @@ def _rounded(values: Array, counts: Array) -> Array:
 
 
 def _walk(observed: Observed, triad: str, density: float, draw: np.random.Generator) -> Array:
-    """A random walk (N, K) in each channel of a triad; zero in the other channels. density: in the SI unit of the triad divided by
+    """A random walk (N, K) in each channel of a triad; zero in the other channels. density: in the SI unit of the triad, divided by
     √s."""
     steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]).clip(0.0))
     walk = np.zeros((len(steps), len(observed.channels)))
@@ -194,8 +196,8 @@ def close(
     rounds: int = ROUNDS,
     notice: Announce | None = None,
 ) -> Closed:
-    """Repeats four steps until no remaining effect has a name: diagnoses, enters the effects found, simulates, and compares. Raises
-    `InputError`."""
+    """Repeats four steps until none of the remaining gap can be attributed to a named effect: diagnoses, enters the effects found,
+    simulates, and compares. Raises `InputError`."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
     computed = computed_from_recording(recorded, simulation)
@@ -240,8 +242,8 @@ def close(
 
 
 def _merged(entered: Stated, further: Stated) -> Stated | None:
-    """The effects entered so far together with further ones. If a linear effect is named again, its amplitudes are added. None if a
-    nonlinear effect, or an effect on the noise, is named again."""
+    """Adds further effects to the effects entered so far. If a linear effect occurs again, its amplitudes are added. Returns None
+    if a nonlinear effect, or an effect on the noise, occurs again."""
     from planrunner.error_model.effects.interface import HasShape, effect_named
 
     merged = dict(entered)
@@ -262,7 +264,7 @@ def _sum(first: str | None, second: str) -> str:
 
 
 def _without(made: Diagnosed, stated: Stated) -> Observed:
-    """The samples of a diagnosis minus the contribution of the effects, which is computed for the recorded motion."""
+    """The samples of a diagnosis after subtracting the effects, whose contribution is computed for the recorded motion."""
     weighing = made.diagnosis.grounds.weighing
     fitted = weighing.fitted()
     change = _plus(made, fitted, _additions(made, stated)) - fitted
@@ -270,8 +272,9 @@ def _without(made: Diagnosed, stated: Stated) -> Observed:
 
 
 def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
-    """The effects, each with all its parameters. Every simulated world contains some effects that a nominal simulation may lack.
-    Such an effect is added with its whole share."""
+    """The effects to add to a simulation, each with all its parameters. Some effects act in every simulated world, but the nominal
+    simulation of the diagnosis may lack them. The diagnosed amplitude of such an effect is then added to the full effect of the
+    world."""
     from planrunner.error_model.added import SHARE, addition
     from planrunner.error_model.effects.interface import InEveryWorld
 
@@ -287,7 +290,7 @@ def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
 
 
 def _plus(made: Diagnosed, fitted: Array, additions: Sequence[Addition]) -> Array:
-    """The output (N, K) of the nominal simulation plus effects, SI."""
+    """The output (N, K) of the nominal simulation, with the effects added, SI."""
     from planrunner.error_model.added import added
 
     return added(replace(made.diagnosis.grounds.weighing.declared, fitted=fitted), fitted, additions, 0)
@@ -301,7 +304,8 @@ def _on_noise(name: str) -> bool:
 
 
 def _base(recorded: Recorded, simulation: str | None) -> Sound:
-    """The plan of a recording on the virtual bench. Raises `InputError` for a recording whose schedule cannot be simulated."""
+    """The plan of a recording, checked on the virtual bench. Raises `InputError` for a recording whose schedule cannot be
+    simulated."""
     if recorded.several:
         message = "several runs are analysed together, and a comparison simulates one plan"
         raise InputError.at(Mark(recorded.where), "gap-compare", message, "compare each run separately, without --also")
@@ -313,8 +317,7 @@ def _base(recorded: Recorded, simulation: str | None) -> Sound:
 
 
 def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
-    """Entries that remove effects: those that every simulated world contains but that the nominal simulation of the diagnosis
-    lacks."""
+    """Entries that remove the effects that act in every simulated world but that the nominal simulation of the diagnosis lacks."""
     from planrunner.error_model.effects.interface import InEveryWorld, effect_named
 
     known = {*nominal, *(name for name, _ in stated)}
@@ -326,7 +329,7 @@ def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
 
 
 def _with(base: Sound, stated: Stated, mark: Mark) -> Sound:
-    """The plan on its bench with the given effects added."""
+    """The plan, checked on its bench to which the given effects are added."""
     if not stated:
         return base
     shown = base.bench.origin.mark.file

@@ -31,7 +31,7 @@ def design(
     workers: Workers = ALONE,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Study:
-    """Makes the design study for the plan and the options. It studies positions if an estimate uses segments at rest. workers:
+    """Makes the design study for the plan and the options. It designs positions if an estimate uses segments at rest. workers:
     processes that share the search. parameters: values for parameters of the plan. Raises `InputError` with the findings about the
     plan, and `EstimationError` if there is nothing to design."""
     checked = check_plan(plan, bench=bench, parameters=parameters)
@@ -49,8 +49,8 @@ def _subject(checked: Checked) -> Subject:
 
 
 def write_plan(text: str, original: str, path: Path, bench: str | None = None) -> Checked:
-    """Writes a designed plan after it has passed its checks. original: file of the plan from which the designed plan was made.
-    Raises `InputError` with the faults of the designed plan, and `EstimationError` if it would overwrite the original."""
+    """Checks a designed plan and writes it to a file. original: file of the plan from which the designed plan was made. Raises
+    `InputError` with the faults of the designed plan, and `EstimationError` if it would overwrite the original."""
     if path.exists() and path.samefile(original):
         raise EstimationError(f"{path} is the plan itself: write to another file")
     data = text.encode()

@@ -1,7 +1,7 @@
-"""Designs the rotation cycle of a segment: computes the residual of a constant horizontal error for the planned cycle, and finds
-cycles whose residual is zero.
+"""Designs the rotation cycle of a segment: computes how much of a constant horizontal sensor error the planned cycle leaves, and
+finds cycles that leave nothing of it.
 
-Angles and rotations in a study are positive in the sense that the plan states, which may be clockwise.
+In a study, angles and rotations are positive in the sense of rotation that the plan states, which may be clockwise.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ORDERS = {"same": "same order", "free": "free order"}
 
 
 def has_cycle_alone(checked: Checked) -> bool:
-    """Whether a plan has a cycle and no estimate whose positions could be designed."""
+    """Whether a plan has a cycle, but no estimate whose positions could be designed."""
     cycles = checked.schedule is not None and any(isinstance(item.motion, Cycle) for item in checked.schedule.segments)
     return cycles and not any(design.blocks for design in checked.designs.values())
 
@@ -88,12 +88,12 @@ def _find(segments: Sequence[Segment], label: str | None) -> Segment:
 
 
 def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:
-    """The cycle, with all rotations reversed if `sign` is −1."""
+    """The cycle; all its rotations are reversed if `sign` is −1."""
     return replace(cycle, turns=tuple(sign * turn for turn in cycle.turns))
 
 
 def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: float) -> Cable:
-    """The angles that the axis can reach, relative to its angle at the start of the cycle."""
+    """The range of angles that the axis can reach, relative to its angle at the start of the cycle."""
     start = 0.0
     if segment.attitude is not None:
         try:
@@ -104,7 +104,7 @@ def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: fl
 
 
 def _sense(plan: model.Plan, label: str) -> float:
-    """The sign of the plan's angles: −1 if the plan counts them clockwise, otherwise 1."""
+    """The sign that converts the plan's angles to anticlockwise angles: −1 if the plan counts them clockwise, otherwise 1."""
     return -1.0 if _motion(plan, label).sense == "clockwise" else 1.0
 
 
@@ -116,7 +116,7 @@ def _motion(plan: model.Plan, label: str) -> model.MotionSpec:
 
 
 def _moves(cycle: RotationCycle, motion: Cycle, sign: float) -> tuple[str, ...]:
-    """The moves of a cycle in the notation of the plan, with its position names and its sense of rotation."""
+    """The moves of a cycle as the plan writes them, with its names of positions and its sense of rotation."""
     first = motion.positions[motion.moves[0].start]
 
     def named(angle: float) -> str:

@@ -1,5 +1,5 @@
-"""Designs the positions of a plan on its bench: compares the information from the planned positions, the information from the best
-set found, and an upper bound."""
+"""Designs the positions of a plan on its bench: compares the information that the planned positions give with the information of
+the best set found and with an upper bound."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for
 def design_positions(
     checked: Checked, asked: Asked, progress: SearchProgress | None = None, workers: Workers = ALONE
 ) -> FoundPositions:
-    """Designs the positions of a plan. workers: processes that share the search over freely chosen orientations. Raises
-    `InputError` with the findings about the plan, and `EstimationError` if there is nothing to design."""
+    """Designs the positions of a plan. workers: processes that share the search over arbitrary orientations. Raises `InputError`
+    with the findings about the plan, and `EstimationError` if there is nothing to design."""
     if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.restarts < 1 or asked.seed < 0:
@@ -61,7 +61,7 @@ def design_positions(
 
 
 def _rows_of(rows: direction_cosines.RowsAt, axes: tuple[TableAxis, ...], azimuth: float, settings: Array) -> Array:
-    """The design rows at m settings of the table's k axes; settings: shape (m, k)."""
+    """The design rows for m settings of the table's k axes."""
     return rows(positions.attitudes(axes, settings, azimuth))
 
 
@@ -153,7 +153,7 @@ class _Designer:
         )
 
     def _require_rank(self) -> None:
-        """Raises `EstimationError` if no set of orientations that the table can reach separates the terms."""
+        """Raises `EstimationError` if the terms cannot be separated by any set of orientations that the table can reach."""
         seen = rank.look(np.concatenate([self.region_rows, self.sight.fixed]))
         if seen.rank < self.terms:
             blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
@@ -163,8 +163,8 @@ class _Designer:
             )
 
     def _require_time(self) -> None:
-        """Raises `EstimationError` before the search if the parts of the plan that do not depend on the positions already exceed
-        the time budget."""
+        """Raises `EstimationError`, before the search, if those parts of the plan that do not depend on the positions already take
+        longer than the time budget."""
         if self.asked.time is None:
             return
         recorded = [segment for place in self.places for segment in place.segments]
@@ -177,7 +177,8 @@ class _Designer:
         self._left(others, "the other segments take")
 
     def _left(self, spent: float, what: str) -> float:
-        """Time [s] that the budget leaves for recording at all positions once. Raises `EstimationError` if this time is too short."""
+        """Time [s] that the budget leaves for recording once at all positions together. Raises `EstimationError` if this time is
+        too short."""
         assert self.asked.time is not None
         left = (self.asked.time - spent) / len(self.places[0].segments)
         if left < 10 * self.count:
@@ -188,13 +189,13 @@ class _Designer:
 
     @property
     def _decimals(self) -> int:
-        """Number of decimals of the angles [deg] in written orientations. Two decimals if the table can reach any attitude. More if
-        axes are missing or limited, because a rounded orientation might be out of reach."""
+        """Number of decimals of the angles [deg] in the orientations that are written to the plan. It is two if the table can reach
+        any attitude. It is larger if axes are missing or limited, because a rounded orientation might then be out of reach."""
         anywhere = len(self.axes) == 3 and all(axis.continuous for axis in self.axes)
         return DECIMALS if anywhere else 7
 
     def _rounded(self, settings: Array) -> Array:
-        """Joint angles rounded to hundredths of a degree within their limits, as an operator would set them."""
+        """Joint angles, rounded to hundredths of a degree within the limits of the axes, as an operator would set them."""
         step = math.radians(10.0**-DECIMALS)
         low, high = np.array([(axis.lowest, axis.highest) for axis in self.axes]).T
         return np.clip(np.round(settings / step) * step, low, high)
@@ -203,8 +204,8 @@ class _Designer:
         return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
 
     def _weighting(self, criterion: str) -> Array | None:
-        """The matrix of the linear criterion for the search; None for D and G. A set for criterion G is found by improving a set
-        for criterion D."""
+        """The matrix of the linear criterion for the search; None for the criteria D and G. For G, a set found for criterion D is
+        improved afterwards."""
         if criterion in "DG":
             return None
         return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
@@ -220,7 +221,7 @@ class _Designer:
         return exchange.choose(rows, self.count, weighting, seed=self.asked.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
-        """The chosen rows. For criterion G, they are first exchanged to reduce the largest variance."""
+        """The indices of the chosen rows. For criterion G, rows are first exchanged for others to reduce the largest variance."""
         if self.asked.criterion != "G":
             return indices
         return worst_variance.exchange(
@@ -239,8 +240,8 @@ class _Designer:
     def _references(
         self, region: optimal.Region, cardinal_rows: Array, free: Array, found: Mapping[str, Sequence[Array]]
     ) -> tuple[dict[str, Merit], dict[str, Bounds]]:
-        """The best sets found and the bounds, for cardinal orientations and for all orientations that the table can reach. Each
-        criterion has a separate search."""
+        """The best sets found and the upper bounds, for cardinal orientations and for all orientations that the table can reach.
+        Each criterion has a separate search."""
         merits = [self._merit(self.sight.rows(np.array(attitudes))) for attitudes in found.values()]
         continuous_ones = {}
         for number, criterion in enumerate(_WITH_BOUND):
@@ -323,7 +324,7 @@ class _Designer:
         )  # fmt: skip
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
-        """The dwell at each position within the time budget, and the D-efficiency of equal dwells relative to these dwells."""
+        """The dwell at each position within the time budget, and the D-efficiency of equal dwells relative to these."""
         if self.asked.time is None:
             return (), 1.0
         used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
@@ -345,9 +346,9 @@ class _Designer:
 
 
 def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
-    """The plan with other orientations, which are given as attitudes (3, 3) by their places in the plan. The result contains the
-    schedule of this plan, with real transition times, and the information for its estimates. Raises `EstimationError` if the bench
-    cannot execute this plan."""
+    """The plan with other orientations, which are given as attitudes (3, 3) by their places in the plan's text. The result contains
+    the schedule of this plan, with the real transition times, and the information for the plan's estimates. Raises
+    `EstimationError` if the bench cannot execute this plan."""
     assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
     new = {
         place: Orientation(in_words(attitude), tuple(map(tuple, attitude.tolist())))
@@ -374,7 +375,7 @@ def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> 
 
 
 def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells: Mapping[_Mark, float]) -> str:
-    """The text of the plan with other orientations and, if given, other dwells [s]. Raises `EstimationError`."""
+    """The text of the plan with other orientations and, if they are given, with other dwells [s]. Raises `EstimationError`."""
     text = source.decode(checked.plan_bytes, checked.file)
     try:
         if dwells:
@@ -385,7 +386,7 @@ def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells:
 
 
 def _best(merits: Sequence[Merit]) -> Merit:
-    """The best value of each criterion that any of the sets reaches."""
+    """For each criterion, the best value among the sets."""
     one = merits[0]
     return Merit(
         one.observations, one.terms, one.terms, max(m.determinant for m in merits), min(m.trace for m in merits),

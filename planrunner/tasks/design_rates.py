@@ -1,7 +1,7 @@
-"""Designs the rates of a plan: finds the pairs of rates that give the most information about a scale factor, and their recording
-times within a time budget.
+"""Designs the rates of a plan: finds the pairs of rates that give the most information about a scale factor, and the recording time
+of each pair within a time budget.
 
-The estimator gives the information of each rate. The design changes only one sweep of the plan. For a straight line, only the
+The estimator gives the information of each rate. The design changes only one sweep of the plan. For a straight line alone, only the
 largest rates would be chosen. By default, the columns |rate| and rate³ are therefore added to the estimator's terms. They stand for
 asymmetry and nonlinearity, which a scale-factor test also reports.
 """
@@ -36,8 +36,8 @@ _COPY = "designed rate "
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
-    """Whether rates are what can be designed in a plan: its first estimate over several rates fits a straight line. The rates may
-    form one sweep, which can be designed, or several sweeps, which `design_rates` refuses with a hint."""
+    """Whether rates are the only thing that can be designed in a plan: its first estimate over several rates fits a straight line.
+    The rates may form one sweep, which can be designed, or several sweeps, which `design_rates` refuses with a hint."""
     if checked.schedule is None or checked.plan is None:
         return False
     for name in [estimate] if estimate is not None else checked.plan.estimates:
@@ -50,7 +50,7 @@ def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
 
 
 def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
-    """The segments that an estimate uses."""
+    """The segments from which an estimate is made."""
     assert checked.plan is not None and checked.schedule is not None
     chosen = checked.plan.estimates[name].segments
     patterns = chosen.within if isinstance(chosen, Detection) else chosen
@@ -70,7 +70,7 @@ def design_rates(checked: Checked, asked: Asked, bench: str | None = None, worke
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """One sweep over rates: its segments, and all segments that its estimate uses. mark: (line, column) where the rates begin."""
+    """One sweep over rates: its segments, and all segments that the estimate uses. mark: (line, column) where the rates begin."""
 
     name: str
     mark: tuple[int, int]
@@ -165,7 +165,7 @@ class _RateDesigner:
     # -- information from a rate ---------------------------------------------------------------------------------------
 
     def _block(self, segments: Sequence[Segment]) -> DesignBlock:
-        """The design block of the output that is studied."""
+        """The block of design rows for the output that is studied."""
         return next(one for one in self._blocks(segments) if one.output == self.output)
 
     def _blocks(self, segments: Sequence[Segment]) -> Sequence[DesignBlock]:
@@ -186,8 +186,8 @@ class _RateDesigner:
         return design.blocks
 
     def _information(self, block: DesignBlock, kept: Sequence[bool], rate: float) -> Array:
-        """Information (p, p) from the rows of the block that `kept` selects, with their own noise, in units of one observation at
-        the largest rate."""
+        """Information (p, p) from those rows of the block that `kept` selects, weighted with the noise of each row. The unit is the
+        information of one observation at the largest rate."""
         mask = np.array(kept, dtype=bool)
         rows = np.asarray(block.matrix)[mask] / self.scale
         if len(self.terms) > rows.shape[1]:
@@ -197,8 +197,8 @@ class _RateDesigner:
         return np.asarray(weighted.T @ weighted)
 
     def _bundles(self, rates: Sequence[float], dwells: Sequence[float] | None = None) -> Array:
-        """Information (n, p, p) at each of n rates, from all repeats of the pair of segments at this rate. The segments are copies
-        of the planned pair at the largest rate, with the rate changed."""
+        """Information (n, p, p) at each of n rates, from all repeats of the pair of segments with that rate. The segments are
+        copies of the planned pair at the largest rate, with the rate changed."""
         copies = []
         for number, rate in enumerate(rates):
             seconds = self._dwell(rate) if dwells is None else dwells[number]
@@ -295,7 +295,8 @@ class _RateDesigner:
         return math.exp((reference - loss) / len(self.terms)) if self.asked.criterion == "D" else reference / loss
 
     def _allotted(self, rates: Sequence[float]) -> tuple[float, ...] | None:
-        """The dwell [s] at each rate, a whole number of turns, within the time budget; None without a budget. rates: largest first."""
+        """The dwell [s] at each rate within the time budget, as a whole number of turns; None without a budget. rates: sorted, the
+        largest first."""
         if self.asked.time is None:
             return None
         assert self.checked.schedule is not None

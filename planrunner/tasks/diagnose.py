@@ -1,9 +1,9 @@
 """Diagnoses a recording from start to finish: check the plan → read a run folder or a file → check the recording → diagnose.
 
-The layers are independent of one another; they are combined here, for the command line and for programs.
+The layers are independent of each other; this module combines them for the command line and for other programs.
 
-Recordings of one sensor that were made one after the other are joined to one recording: for example, the recording of a plan and
-that of the plan proposed after it.
+Several recordings of one sensor, made one after the other, can be joined to one recording: for example, the recording of a plan and
+the recording of the plan that was proposed after it.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ DIAGNOSIS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording with its plan. where: the run folder or the file, for messages; bench: name or file of the bench, in a form that
-    another plan can use. created: time when the run began; remarks: notes on the run folder. several: True if the recording is
-    joined from several runs."""
+    """A recording and the plan with which it was made. where: the run folder or the file, for messages. bench: name or file of the
+    bench, in a form that another plan can use. created: time when the run began. remarks: notes about the run folder. several: True
+    if recordings of several runs were joined."""
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
@@ -67,9 +67,10 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """A diagnosis with its recording, remarks on the recording, and a proposal of what to measure next. The proposal is None if no
-    question is open. declarations: wrong declarations that were corrected before the diagnosis. stated: for each effect that is
-    known to act, the stated values of its parameters; the key '' stands for the only parameter, or for all amplitudes."""
+    """A diagnosis with its recording, findings about the recording, and a proposal of what to measure next. The proposal is None if
+    no question is open. declarations: wrong declarations that were corrected before the diagnosis. stated: maps each effect that is
+    known to act to the stated values of its parameters; a value stated without a name has the key '' and applies to the only
+    parameter, or to all amplitudes."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -101,7 +102,7 @@ class Diagnosed:
 
 
 def _declaration(wrong: WrongDeclaration) -> JsonObject:
-    """JSON data according to `declarations` of `schemas/diagnosis.schema.json`."""
+    """A corrected declaration as JSON data according to `declarations` of `schemas/diagnosis.schema.json`."""
     from planrunner.error_model.effects.about import about
     from planrunner.error_model.effects.interface import effect_named
 
@@ -124,10 +125,11 @@ def diagnose_recorded(
     notice: Announce | None = None,
     given: Sequence[str] = (),
 ) -> Diagnosed:
-    """Diagnoses how a recording differs from its simulation. options: options of the diagnosis, by default those of the plan; jobs:
-    threads for linear algebra (more than one rarely helps, because the systems are small). notice: receives the progress of
-    reading. given: effects that are known to act: `EFFECT` is fitted; `EFFECT=VALUE` and `EFFECT=NAME:VALUE,NAME:VALUE…` are
-    subtracted. The gap that remains is diagnosed. Raises `InputError` with all obstacles to a diagnosis."""
+    """Diagnoses how a recording differs from its simulation. options: options of the diagnosis; by default, those in the plan.
+    jobs: number of threads for linear algebra; more than one rarely helps, because the systems are small. notice: receives the
+    progress of reading. given: effects that are known to act. `EFFECT` is fitted; `EFFECT=VALUE` and
+    `EFFECT=NAME:VALUE,NAME:VALUE…` are subtracted from the samples. The gap that remains after this is diagnosed. Raises
+    `InputError` with all obstacles to a diagnosis."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=jobs, user_api="blas"):
@@ -158,8 +160,8 @@ GIVEN = "--given"
 
 
 def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
-    """The effects that are known to act: the names of those to fit, and the stated values of those to subtract. Raises
-    `InputError`."""
+    """Reads the effects that are known to act; returns the names of those to fit, and the stated values of those to subtract.
+    Raises `InputError` for an unknown effect or an effect given twice."""
     from planrunner.tasks.simulate import parsed
 
     fitted: list[str] = []
@@ -180,7 +182,7 @@ def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]
 
 
 def _without(observed: Observed, stated: Mapping[str, Mapping[str, str]], nominal: tuple[str, ...]) -> Observed:
-    """The samples minus the effects whose values are stated. Raises `InputError`."""
+    """The samples after subtracting the effects whose values are stated. Raises `InputError`."""
     if not stated:
         return observed
     from planrunner.error_model.added import added, addition
@@ -197,10 +199,10 @@ _CLEARLY = 2.0
 
 
 def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
-    """Warns about nominal terms whose values are outside the specification in the bench file, or outside the usual range of the
-    sensor's grade, which follows from its noise. The values come from the fit of the simulation or from the diagnosis. If the
-    uncertainty of a value is larger than the usual limit, the plan does not determine this value, so the value shows nothing about
-    the sensor."""
+    """Warns about nominal terms whose values are outside the specification in the bench file. If there is no specification, the
+    usual limits of the sensor's grade are used, and the grade is determined from the sensor's noise. The values come from the fit
+    of the simulation or from the diagnosis. A value whose uncertainty is larger than the usual limit is not determined by the plan
+    and shows nothing about the sensor."""
     from planrunner.bench.specification import SENSES, grade_of
     from planrunner.gap.answer.parameters import nominal_values
     from planrunner.reporting.rounding import rounded
@@ -230,8 +232,8 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
 
 
 def _noise(found: Diagnosis) -> dict[Sense, float]:
-    """White noise of gyros and of accelerometers in the units of `Grade.quietest`: the median over the channels, each with its
-    declared noise or, without a declaration, the measured noise."""
+    """White noise of the gyros and of the accelerometers in the units of `Grade.quietest`: the median over the channels of the
+    declared noise or, for a channel without a declaration, of the measured noise."""
     import math
 
     from planrunner.bench.specification import Sense
@@ -250,8 +252,8 @@ def _noise(found: Diagnosis) -> dict[Sense, float]:
 
 
 def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptions) -> Diagnosed:
-    """The diagnosis of the same recording after effects were subtracted from its samples. The new diagnosis contains no proposal of
-    what to measure next. Raises `InputError`."""
+    """Diagnoses the same recording again after effects were subtracted from its samples. The new diagnosis proposes nothing to
+    measure next. Raises `InputError`."""
     from planrunner.gap.answer.diagnosis import diagnose
     from planrunner.observation.refusals import ObservationError
 
@@ -262,8 +264,8 @@ def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptio
 
 
 def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
-    """The proposal of what to measure next, for recordings with planned orientations. If no plan can be proposed, the log reports
-    this; the diagnosis stays valid."""
+    """Proposes what to measure next, for recordings with planned orientations. If no plan can be proposed, the log reports this,
+    and the diagnosis stays valid."""
     from planrunner.tasks.propose import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))
@@ -291,15 +293,15 @@ def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | No
 
 
 def _lasting(item: RecordedSegment) -> RecordedSegment:
-    """The segment, with its recorded length as the dwell if the plan states no dwell."""
+    """The segment; if the plan states no dwell, its dwell is the recorded length."""
     if item.segment.dwell is not None:
         return item
     return replace(item, segment=replace(item.segment, dwell=item.statistics.duration))
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
-    """The samples with their planned states, and warnings. Wrong declarations are corrected. nominal: the terms that the simulation
-    fits. Raises `InputError` with all obstacles to a diagnosis."""
+    """The samples with their planned states, ready for a diagnosis, and warnings about them. Wrong declarations are corrected.
+    nominal: the terms that the simulation fits. Raises `InputError` with all obstacles to a diagnosis."""
     seen, _, findings = corrected_observation(recorded, nominal)
     return seen, findings
 
@@ -307,7 +309,7 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
 def corrected_observation(
     recorded: Recorded, nominal: Sequence[str]
 ) -> tuple[Observed, tuple[WrongDeclaration, ...], Findings]:
-    """The same as `observe`, but also returns the wrong declarations that were corrected."""
+    """The same as `observe`, but also returns the corrected wrong declarations."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.hypotheses.declarations import corrected
     from planrunner.observation.poses import poses, unknown_orientations
@@ -367,7 +369,7 @@ def corrected_observation(
 
 
 def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
-    """Message and hint on a wrong declaration."""
+    """The message and the hint of the warning about a wrong declaration."""
     from planrunner.error_model.effects.about import about
     from planrunner.error_model.effects.interface import effect_named
 
@@ -405,7 +407,8 @@ def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> R
 
 
 def _name_outliers(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
-    """Adds a warning about errors of single samples that only the spectrum of the noise shows, and that the diagnosis leaves out."""
+    """Warns about errors of single samples that only the spectrum of the noise shows, and that the diagnosis does not take into
+    account."""
     import numpy as np
 
     weighing = found.grounds.weighing
@@ -424,7 +427,7 @@ def _name_outliers(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
 
 
 def _outputs(plan: Plan) -> tuple[str, ...]:
-    """The outputs to analyse; empty to analyse all. Raises `InputError` for an output that the plan's sensor does not have."""
+    """The outputs to analyse; empty means all. Raises `InputError` for an output that the plan's sensor does not have."""
     spec, known = plan.diagnosis, plan.sensor.outputs
     if spec is None or not spec.outputs:
         return known
@@ -436,8 +439,8 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
 
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
-    """The segments that the plan's `diagnosis` selects by their labels, or the still spans that are found in these segments, in the
-    order of time."""
+    """The segments that the plan's `diagnosis` selects by their labels, or the intervals at rest that are detected in these
+    segments, in the order of time."""
     return in_time_order(_meant(recorded))
 
 
@@ -469,7 +472,7 @@ def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
 
 
 def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
-    """The samples of a segment that lie within a span, as a separate segment."""
+    """The part of a segment's samples that lies within a span, as a separate segment."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         for block in item.blocks(channels):
@@ -493,7 +496,8 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 
 
 def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
-    """Reads the recording in a run folder. notice: receives the progress of reading. Raises `InputError` and `IntegrityError`."""
+    """Reads the recording in a run folder. notice: receives the progress of reading. Raises `InputError` if the folder is not a
+    run, and `IntegrityError` if it was changed."""
     from planrunner.observation.screening import watch_of
 
     reader = RunReader.open(run)
@@ -514,9 +518,9 @@ def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
 def recorded_file(
     plan: Path, bench: str | None, recording: Path, segments: Path | None = None, notice: Announce | None = None
 ) -> Recorded:
-    """Reads a recording in a file. bench: bench file that assigns the columns to channels; by default the bench of the plan.
-    segments: table with the label, the beginning and the end of each segment; by default the table that the bench file names,
-    beside the recording. notice: receives the progress of reading. Raises `InputError`."""
+    """Reads a recording in a file. bench: bench file that assigns the columns to channels; by default, the bench of the plan.
+    segments: table with the label, the beginning and the end of each segment; by default, the table that the bench file names, next
+    to the recording. notice: receives the progress of reading. Raises `InputError`."""
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     parameters = _parameters(sound.bench, sound.file)
     columns = parameters.segments
@@ -545,7 +549,7 @@ def recorded_file(
 
 
 def _bench_for_others(bench: str, plan: Path | None) -> str:
-    """A bench in the form in which a plan in another folder can name it. plan: plan file that names the bench; None if the command
+    """A bench in a form in which a plan in another folder can name it. plan: plan file that names the bench; None if the command
     line names it."""
     path = Path(bench) if plan is None else plan.parent / bench
     return bench if bench in shipped_benches() else str(path.resolve())
@@ -564,14 +568,14 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
 
 
 def _with_axis(outputs: Sequence[str]) -> tuple[str, ...] | None:
-    """The outputs of the plan whose names state an axis; None if there are none."""
+    """The outputs whose names state an axis; None if there are none."""
     from planrunner.error_model.observed import axis_of
 
     return tuple(name for name in outputs if axis_of(name) is not None) or None
 
 
 def only_channel(units: Mapping[str, str], dimension: str) -> str | None:
-    """The only channel of a dimension; None if the dimension has no channel or several channels."""
+    """The only channel of a dimension; None if there is no such channel or more than one."""
     found = [name for name, text in units.items() if unit(text).dimension == DIMENSIONS[dimension]]
     return found[0] if len(found) == 1 else None
 
@@ -579,9 +583,9 @@ def only_channel(units: Mapping[str, str], dimension: str) -> str | None:
 def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None) -> Recorded:
     """Joins a recording and later runs of the same sensor, which stayed switched on between the runs.
 
-    Times continue: a later run is delayed by the difference between the start times in the run folders, or by more if it would
-    otherwise begin before the end of the previous run. notice: receives the progress of reading. Raises `InputError` if a run has
-    other channels or cannot be read.
+    The time axis is continued: a later run is delayed by the difference between the start times in the run folders, or by more if
+    it would otherwise begin before the end of the previous run. notice: receives the progress of reading. Raises `InputError` if a
+    run has other channels or cannot be read.
     """
     whole, origin = first, first.created
     for run in runs:
@@ -603,7 +607,7 @@ def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None
 
 
 def _moved(item: RecordedSegment, seconds: float, before: str) -> RecordedSegment:
-    """The segment, delayed by the given time, with a label that occurs in no other run."""
+    """The segment, delayed by the given time, with a label that no other run contains."""
     segment = replace(item.segment, label=before + item.label, start=item.segment.start + seconds)
     known = item.statistics
     statistics = replace(known, start=known.start + seconds, end=known.end + seconds)

@@ -1,5 +1,5 @@
 """Diagnoses several runs together. First, each run is diagnosed alone. Then every effect that any run names is fitted in every run.
-Finally, every amplitude is attributed to the device, the bench or the occasion.
+Finally, each amplitude is attributed to the device, the bench or the occasion.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _LEAST = 1e-12  # probability with which a run counts that gives an effect none
 
 @dataclass(frozen=True, slots=True)
 class RunOrigin:
-    """A run with the labels of its device, bench and occasion. created: time when the run began, UTC, ISO 8601. lot: production lot
+    """A run, and the names of its device, bench and occasion. created: time when the run began, UTC, ISO 8601. lot: production lot
     of the device; empty if not stated. seal: SHA-256 of the seal; empty for a run that is not sealed."""
 
     run: Path
@@ -64,10 +64,10 @@ class RunOrigin:
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:
-    """The diagnosis of one run. plan: title of the plan; sensor: kind of the sensor. effects: the effects that the verdict names;
-    members: the effects that the plan cannot distinguish, with a set of effects as 'a+b'; probability: set of effects → its
-    probability. shapes: effect → its best shape in the unit of the shape, and the evidence for this shape in nats. origin: origin
-    of the samples."""
+    """The diagnosis of one run. plan: title of the plan. sensor: kind of the sensor. effects: the effects that the verdict names.
+    members: the effects that the plan cannot distinguish; a set of effects is written as 'a+b'. probability: maps each set of
+    effects to its probability. shapes: maps each effect to its best shape, in the unit of the shape, and the evidence for this
+    shape in nats. origin: whether the samples are measured, simulated or played back."""
 
     plan: str
     sensor: str
@@ -83,8 +83,8 @@ class RunVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Attributed:
-    """One amplitude with its attribution. runs: indices of the n runs that determine the amplitude; values, standard_uncertainties:
-    shape (n,), in the unit of `key`."""
+    """One amplitude, and the sources to which it is attributed. runs: indices of the n runs that determine the amplitude. values,
+    standard_uncertainties: shape (n,), in the unit of `key`."""
 
     key: AmplitudeKey
     runs: tuple[int, ...]
@@ -96,9 +96,9 @@ class Attributed:
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """The diagnosis of a fleet. effects: the effects that were fitted in every run in addition to the nominal terms;
-    not_attributed: effect that a run names → the reason why it is not attributed. shared: the lots whose devices have an amplitude
-    in common."""
+    """The diagnosis of several runs together. effects: the effects that were fitted in every run in addition to the nominal terms.
+    not_attributed: maps each effect that a run names but that is not attributed to the reason. shared: amplitudes that all devices
+    of a production lot have in common."""
 
     origins: tuple[RunOrigin, ...]
     verdicts: tuple[RunVerdict, ...]
@@ -110,7 +110,7 @@ class FleetDiagnosis:
 
     @property
     def origin(self) -> DataOrigin:
-        """Origin of the samples: simulated if the samples of at least one run are simulated."""
+        """The origin of the samples of all runs: simulated if those of at least one run are simulated."""
         found = {one.origin for one in self.verdicts}
         return next(one for one in ("simulated", "replayed", "measured") if one in found)
 
@@ -194,7 +194,7 @@ def _words(one: Contribution) -> tuple[str, ...]:
 
 
 def _plain(one: Contribution, devices: Sequence[str]) -> JsonObject:
-    """A contribution as plain JSON data. devices: the device of each run (n)."""
+    """A contribution as plain JSON data. devices: the device of each of the n runs."""
     return {
         "sources": list(_words(one)),
         "probability": one.probability,
@@ -232,10 +232,11 @@ def diagnose_fleet(
     skip: bool = False,
     kept: KeptDiagnoses | None = None,
 ) -> FleetDiagnosis:
-    """Diagnoses several runs together. nominal: terms that the simulations fit, by default those of the plans; origins: CSV table
-    that states the device, bench or occasion of runs; workers: processes that share the runs, by default on this computer. notice:
-    receives the progress. skip: True to omit runs that cannot be diagnosed, with a note; if it is False, such a run is an error.
-    kept: stored results of sealed runs from earlier diagnoses. They are used again, and new results are added to them.
+    """Diagnoses several runs together. nominal: terms that the simulations fit; by default, those in the plans. origins: CSV table
+    that states the device, bench or occasion of runs. workers: processes that share the runs; by default, processes on this
+    computer. notice: receives the progress. skip: True to omit runs that cannot be diagnosed and add a note about each; otherwise,
+    such a run is an error. kept: stored results of sealed runs from earlier diagnoses. These results are used again, and new
+    results are added to them.
 
     Raises `InputError` with all obstacles, and without `skip` also `IntegrityError`.
     """
@@ -299,7 +300,7 @@ def diagnose_fleet(
 
 
 def _key(origin: RunOrigin, kind: str, asked: Json) -> str:
-    """The key under which a result is stored; empty for a run that is not sealed, because it may change."""
+    """The key under which the result for a run is stored; empty for a run that is not sealed, because such a run may change."""
     return key_of(kind, origin.seal, asked) if origin.seal else ""
 
 
@@ -310,8 +311,9 @@ def _from_kept(
     plain: Callable[[T], Json],
     of_plain: Callable[[Json], T],
 ) -> list[T]:
-    """The result for each key: a stored result if there is one, otherwise the result of `compute`, which is then stored. plain:
-    converts a result to JSON data; it returns null for a result that must not be stored."""
+    """The result for each key: the stored result if there is one; otherwise a computed result, which is then stored. compute:
+    computes the results for the given positions in `keys`. plain: converts a result to JSON data; it returns null for a result that
+    must not be stored."""
     found: dict[int, T] = {}
     for place, key in enumerate(keys):
         held = kept.get(key) if key else None
@@ -328,8 +330,8 @@ def _from_kept(
 
 
 def _verdict_plain(one: RunVerdict | Obstacles) -> Json:
-    """The verdict on a run as JSON data. Null for obstacles, which are not stored because they may disappear, for example when a
-    package is installed."""
+    """Converts the verdict on a run to JSON data. Returns null for obstacles to a diagnosis, which are not stored because they may
+    disappear, for example when a package is installed."""
     if not isinstance(one, RunVerdict):
         return None
     made: JsonObject = {item.name: getattr(one, item.name) for item in fields(one)}
@@ -418,9 +420,9 @@ def _opened(run: Path) -> _Opened:
 
 
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
-    """Every run with its labels, or the obstacles. The labels come from the run folder and from the table, which takes precedence.
-    skip: see `_attempted`. Raises `InputError` for a run that is given twice and for a table with errors; without `skip`, also for
-    all obstacles."""
+    """Every run with the names of its device, bench and occasion; for a run without a result, the obstacles. The names come from
+    the run folder and from the user's table, which takes precedence. skip: see `_attempted`. Raises `InputError` for a run that is
+    given twice and for a table with errors; without `skip`, also for all obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):
@@ -447,8 +449,8 @@ def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[Ru
 
 
 def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several: Set[str]) -> RunOrigin | Obstacles:
-    """The run with its labels, or the obstacles. several: names of benches that have had different tables; their labels contain the
-    table."""
+    """The run with the names of its device, bench and occasion; or the obstacles to determining them. several: names of benches
+    that have had different tables; the name of the table is appended to these."""
     info = opened.run.get("info", {})
     table = f" (table {opened.table or 'without a number'})" if opened.bench in several else ""
     device = stated.get(Source.DEVICE) or device_of(info)
@@ -465,8 +467,8 @@ def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several:
 
 
 def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[Source, str]]:
-    """The labels in a table with the columns run, device, bench and occasion. The last three columns are optional, and so are their
-    entries."""
+    """Reads the names in a CSV table with the columns run, device, bench and occasion. The last three columns are optional, and so
+    are their entries."""
     text = read_text(path)
     reader = csv.DictReader(text.splitlines(), strict=True)
     by_name = {run.resolve().name: run for run in runs}
@@ -505,8 +507,8 @@ def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[
 
 
 def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obstacles:
-    """The result of an operation on a run, or the obstacles to it. A changed run folder is an obstacle if `skip` is True; otherwise
-    it raises an error."""
+    """The result of calling `make` for a run, or the obstacles that it reports. A changed run folder is an obstacle if `skip` is
+    True; otherwise it raises an error."""
     from planrunner.observation.refusals import ObservationError
 
     try:
@@ -523,7 +525,7 @@ def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obsta
 
 
 def _verdict(nominal: tuple[str, ...] | None, skip: bool, run: Path) -> RunVerdict | Obstacles:
-    """The verdict on a run, or the obstacles to its diagnosis."""
+    """The verdict on a run, or the obstacles to diagnosing it."""
     return _attempted(partial(_diagnosed, nominal), run, skip=skip)
 
 
@@ -564,7 +566,7 @@ def _shapes(made: Diagnosis) -> dict[str, tuple[float, float]]:
 def _fitted(
     nominal: tuple[str, ...], effects: tuple[tuple[str, float | None], ...], run: Path
 ) -> list[AmplitudeEstimate]:
-    """The amplitudes of the nominal terms and of the given effects, fitted in a run that has already been diagnosed."""
+    """The amplitudes of the nominal terms and of the given effects, fitted to a run that has already been diagnosed."""
     from threadpoolctl import threadpool_limits
 
     from planrunner.error_model.effects.interface import effect_named
@@ -586,7 +588,7 @@ def _require_all(obstacles: Iterable[Obstacles]) -> None:
 
 
 def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings) -> None:
-    """Raises `InputError` for runs that cannot be compared; the log reports that plans differ."""
+    """Raises `InputError` for runs that cannot be compared; adds a note to the log if their plans differ."""
     first, wrong = verdicts[0], Findings()
     for run, one in zip(runs, verdicts, strict=True):
         if one.sensor != first.sensor:
@@ -608,8 +610,8 @@ def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings
 
 
 def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
-    """The effects that any run names. If the plan of a run cannot distinguish several effects, one of them is used: the effect that
-    another run names with certainty, otherwise the effect with the highest probability over all runs together."""
+    """The effects that at least one run names. If the plan of a run cannot distinguish several effects, one of them is used: the
+    effect that another run names with certainty, otherwise the effect with the highest probability over all runs together."""
     certain = {name for one in verdicts if not one.members for name in one.effects}
     chosen = set(certain)
     for one in verdicts:
@@ -624,7 +626,7 @@ def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
 
 
 def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, str]]:
-    """The effects that have amplitudes, and the others with the reason why they are not attributed."""
+    """The effects that have amplitudes, and the other effects with the reason why they are not attributed."""
     from planrunner.error_model.effects.interface import OutsideCoefficients, effect_named
 
     kept, left = [], {}
@@ -639,7 +641,7 @@ def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, s
 
 
 def _shape(name: str, verdicts: Sequence[RunVerdict]) -> float | None:
-    """The shape of an effect in the run with the most evidence for this shape; None for an effect without a shape."""
+    """The shape of an effect, taken from the run with the most evidence for its shape; None for an effect without a shape."""
     found = [one.shapes[name] for one in verdicts if name in one.shapes]
     return max(found, key=lambda item: item[1])[0] if found else None
 
@@ -647,7 +649,7 @@ def _shape(name: str, verdicts: Sequence[RunVerdict]) -> float | None:
 def _attributed(
     fits: Sequence[Sequence[AmplitudeEstimate]], origins: Sequence[RunOrigin], workers: Workers
 ) -> tuple[Attributed, ...]:
-    """All amplitudes that two or more runs determine."""
+    """All amplitudes that at least two runs determine, with their attribution."""
     by_key: dict[AmplitudeKey, list[tuple[int, float, float]]] = {}
     for index, fit in enumerate(fits):
         for one in fit:
@@ -661,8 +663,8 @@ def _attributed(
 def _one_attributed(
     origins: Sequence[RunOrigin], amplitudes_: int, given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
 ) -> Attributed:
-    """The attribution of one amplitude. amplitudes_: number of all amplitudes that are examined, which the test for changes takes
-    into account. After a change, the device or the bench counts as another one."""
+    """Attributes one amplitude to its sources. amplitudes_: number of all amplitudes examined, which the test for changes takes
+    into account. After a change, a device or bench counts as a different one."""
     from threadpoolctl import threadpool_limits
 
     key, listed = given

@@ -1,4 +1,5 @@
-"""Diagnoses the runs of a night together with recent runs of the same plans. The diagnosis shows how device and bench have changed."""
+"""Diagnoses the runs of a night together with recent runs of the same plans. The result shows how the devices and the bench have
+changed."""
 
 from __future__ import annotations
 
@@ -25,8 +26,9 @@ LEAST = 4
 def diagnose_night(
     archive: Path, runs: Sequence[str], asked: NightDiagnosis, workers: Workers | None = None
 ) -> Iterator[tuple[JsonObject | None, str]]:
-    """For each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json) and a remark: why there is no diagnosis, or
-    which runs it omits. The last remarks name the runs of the night without a device, and the damaged runs in the archive.
+    """Yields, for each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json) and a remark that states why there
+    is no diagnosis, or which runs it omits. The last remarks name the runs of the night without a device, and the damaged runs in
+    the archive.
 
     runs: names of the run folders of the night. Raises `InputError` if the index cannot be used.
     """

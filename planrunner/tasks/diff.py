@@ -37,9 +37,9 @@ def compare(
 ) -> Compared:
     """The difference between two files or folders of one kind: plans, benches (also by their shipped names) or run folders.
 
-    bench: for plans, the bench on which both are checked instead of their own. foresee: True if both plans are checked on their
-    benches to find the consequences, which takes as long as two runs of `check`. Raises `InputError` if a file cannot be read or
-    has errors of form or meaning, and `IntegrityError` for a damaged run.
+    bench: the bench on which both plans are checked, instead of the benches that they name. foresee: True if both plans are checked
+    on their benches to find the consequences, which takes as long as two runs of `check`. Raises `InputError` if a file cannot be
+    read or has errors of form or meaning, and `IntegrityError` for a damaged run.
     """
     kinds = kind_of(before), kind_of(after)
     if kinds[0] != kinds[1]:
@@ -118,7 +118,7 @@ def _plan(data: bytes, shown: str) -> Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """One side of a comparison: a plan and its bench. missing: the reason why `bench` is None."""
+    """One side of the comparison: a plan and its bench. missing: the reason if `bench` is None."""
 
     plan: Plan
     bench: Bench | None
@@ -189,7 +189,7 @@ def _bench_in(reader: RunReader) -> Bench:
 
 
 def _facts(one: RunReader, other: RunReader) -> list[Fact]:
-    """Versions, run information and instruments that differ between two runs."""
+    """Versions, run information and instruments in which two runs differ."""
     pairs: dict[str, list[str]] = {}
     for k, reader in enumerate((one, other)):
         stated: JsonObject = {"created": reader.run["created"], "seed": reader.run.get("seed")}
@@ -203,8 +203,8 @@ def _facts(one: RunReader, other: RunReader) -> list[Fact]:
 
 
 def _conditions(one: Sequence[Mapping[str, object]], other: Sequence[Mapping[str, object]]) -> list[Fact]:
-    """Measured conditions that differ between two runs: for each kind of reading, the values in the segment with the largest
-    difference; also the lost data."""
+    """Measured conditions in which two runs differ. For each kind of reading, these are the values in the segment with the largest
+    difference; in addition, the lost data."""
     found = []
     pairs = {str(item["label"]): item for item in other}
     largest: dict[str, tuple[float, str, float, float]] = {}

@@ -1,5 +1,6 @@
-"""Checks whether approvals cover the evaluation of an analysis. The approvals of the run cover the evaluation by the run's own
-plan. For an amendment with other estimates or limits, the analysis keeps the approvals of the amended plan (`approvals.json`)."""
+"""Checks whether approvals cover the evaluation of an analysis. If the run's own plan was used for the evaluation, the approvals of
+the run cover it. If an amendment used other estimates or limits, the analysis contains the approvals of the amended plan
+(`approvals.json`)."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ from planrunner.tasks.approvals import ring_of
 
 @dataclass(frozen=True, slots=True)
 class EvaluationApproval:
-    """Whether approvals cover the evaluation of one analysis. analysis: number of the analysis; covered: True if approvals cover
-    its evaluation; words: who approved it, or why it is not covered; fault: what was changed, or empty."""
+    """Whether approvals cover the evaluation of one analysis. analysis: number of the analysis. covered: True if approvals cover
+    its evaluation. words: who approved it, or why it is not covered. fault: what was changed; empty if nothing was."""
 
     analysis: int
     covered: bool
@@ -36,8 +37,8 @@ class EvaluationApproval:
 
 
 def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path) -> bytes | None:
-    """The approval data that the analysis of an amended plan must keep. None if the bench requires no approvals, or if too few
-    approvals beside the plan file are valid.
+    """The approval data that the analysis with an amended plan must contain. None if the bench requires no approvals, or if too few
+    of the approvals next to the plan file are valid.
 
     Raises `InputError` if the approvals or the key ring cannot be read, and `IntegrityError`.
     """

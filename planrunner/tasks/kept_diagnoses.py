@@ -1,8 +1,9 @@
-"""Results of diagnoses of sealed runs, stored on this computer. The next night then computes only new diagnoses.
+"""Results of diagnoses of sealed runs, which are stored on this computer. After the next night, only the diagnoses of new runs must
+be computed.
 
 A diagnosis of a run is a function of the run, of the program with its libraries and plug-ins, and of the options. The name of the
-file with a result is a digest of all three, so any change gives another name. The files are in a folder that only the user can
-change, and can be deleted at any time.
+file with a result is a digest of all three, so any change of them leads to another file. The files are in a folder that only the
+user can change, and can be deleted at any time.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ _KEY = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True, slots=True)
 class KeptDiagnoses:
-    """The folder of stored results. None if there is no folder that only the user can change; then nothing is stored. Nothing is
-    then stored."""
+    """The folder of stored results. folder: None if there is no folder that only the user can change; in that case, no results are
+    stored."""
 
     folder: GuardedFolder | None
 
@@ -63,21 +64,21 @@ class KeptDiagnoses:
             return None
 
     def put(self, key: str, result: Json) -> None:
-        """Stores a result. If the result cannot be written, nothing is stored, and no error is raised."""
+        """Stores a result. If the result cannot be written, it is not stored, and no error is raised."""
         if self.folder is not None:
             with contextlib.suppress(OSError, ValueError):
                 Storage("flushed").write_whole(self.folder, key, to_bytes(result))
 
 
 def key_of(kind: str, run: str, asked: Json) -> str:
-    """The key under which a result is stored. run: SHA-256 of the seal of the run. asked: all options on which the result depends,
+    """The key under which a result is stored. run: SHA-256 of the seal of the run. asked: all options that the result depends on,
     as JSON data."""
     return hashlib.sha256(to_bytes([kind, run, asked, _program()])).hexdigest()
 
 
 @cache
 def _program() -> Json:
-    """A text that identifies the program, its libraries, and the packages with plug-ins."""
+    """A text that identifies the versions of the program, of its libraries, and of the packages with plug-ins."""
     found = dict(versions())
     for group in (plugins.EFFECTS, plugins.ESTIMATORS, plugins.INSTRUMENTS):
         for entry in entry_points(group=group):

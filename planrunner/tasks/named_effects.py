@@ -1,5 +1,5 @@
-"""Uses the effects that a diagnosis names: enters them as an estimate in the plan, with uncertainty and budget, or as effects of
-the simulated bench."""
+"""Uses the effects that a diagnosis names: enters them into the plan as an estimate, with uncertainty and budget, or into the
+simulated bench as its effects."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ESTIMATE = "diagnosed"
 
 
 def plan_with_estimate(made: Diagnosed) -> Checked:
-    """The plan of a diagnosis with one further estimate. For each output, this estimate has the terms that the simulation of the
+    """The plan of a diagnosis with one more estimate. This estimate contains, for each output, the terms that the simulation of the
     output fits, and the named effects.
 
     The result is a checked plan: its text is in `plan_bytes`, and the check shows whether its segments can separate the effects.
@@ -57,8 +57,8 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
 
 
 def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object]:
-    """The keys of an estimate that name the channels of supply voltage and pressure, if effects depend on these, as in the
-    diagnosis."""
+    """The keys of an estimate that name the channels of supply voltage and ambient pressure, if effects depend on these quantities.
+    The channels are those that the diagnosis used."""
     from planrunner.tasks.diagnose import only_channel
 
     followed = {effect.follows for effect in effects if isinstance(effect, FollowsSurroundings)}
@@ -74,8 +74,8 @@ def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object
 
 
 def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
-    """The text of a bench with the named effects, each with its estimated size. simulation: virtual bench, by name or file; by
-    default the bench of the recording. Raises `InputError` if the bench cannot simulate the effects."""
+    """The text of a bench file with the named effects added, each with its estimated size. simulation: the virtual bench, as a name
+    or a file; by default, the bench of the recording. Raises `InputError` if the bench cannot simulate the effects."""
     base = simulated_by(made.recorded, simulation)
     shown = base.bench.origin.mark.file
     observed = made.diagnosis.grounds.weighing.observed
@@ -84,8 +84,8 @@ def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
 
 
 def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
-    """The plan of a recording on a virtual bench. simulation: the virtual bench, by name or file; by default the bench of the
-    recording. Raises `InputError` if the bench cannot simulate or cannot run the plan."""
+    """The plan of a recording, checked on a virtual bench. simulation: the virtual bench, as a name or a file; by default, the
+    bench of the recording. Raises `InputError` if the bench cannot simulate or cannot run the plan."""
     sound = recorded.sound
     if simulation is not None:
         sound = check_plan(Document(sound.plan_bytes, sound.file), simulation).sound()
@@ -94,7 +94,7 @@ def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
 
 
 def stated_effects(made: Diagnosed) -> Stated:
-    """The named effects with their parameters, as texts. Orientations are numbered as in the diagnosis."""
+    """The named effects with their parameters as texts. Orientations are numbered as in the diagnosis."""
     return [
         (
             name,
@@ -122,7 +122,8 @@ def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) 
 
 
 def _renumbered(name: str, seen: Sequence[tuple[float, ...]], planned: Sequence[tuple[float, ...]]) -> str:
-    """A name such as `orientation_3_x` with the number that this orientation has among the planned ones."""
+    """A name such as `orientation_3_x`, in which the number is replaced by the number of the same orientation among the planned
+    ones."""
     word, number, axis = name.split("_")
     place = seen[int(number) - 1]
     return name if place not in planned else f"{word}_{planned.index(place) + 1}_{axis}"
@@ -142,7 +143,7 @@ def _why_not(effect: Effect, observed: Observed) -> str:
 
 
 def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, list[str]]:
-    """Output → the effects that act on it and that an estimate can contain."""
+    """Maps each output to the effects that act on it and that an estimate can contain."""
     found: dict[str, list[str]] = {channel.name: [] for channel in observed.channels}
     for name, effect in effects.items():
         if _why_not(effect, observed):
@@ -155,7 +156,7 @@ def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, lis
 
 
 def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
-    """The text of the plan with one further estimate after the others, in the same notation."""
+    """The text of the plan with one more estimate after the others, written in the same style."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a plan that was read
     nodes = {key.value: value for key, value in root.value}
@@ -171,7 +172,7 @@ def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
 
 
 def _block(name: str, entry: Mapping[str, object], column: int) -> str:
-    """A mapping in block style. Its first line begins at the given column."""
+    """A mapping as YAML text in block style. Its first line begins at the given column."""
     pad = "\n" + " " * (column + 2)
     lines = []
     for key, value in entry.items():

@@ -1,9 +1,9 @@
-"""Runs every test of a suite in a separate process at night, unattended. A night that was interrupted is continued where it
-stopped.
+"""Runs the tests of a suite at night, unattended, each in a separate process. A night that was interrupted can be continued where
+it stopped.
 
-The rules for what runs when are in `planrunner.night.timetable`. Each event is written to the journal of the night before the night
-continues. After a kill or a power failure, the journal and the run folders show where the night stopped. The id of a run folder is
-in the journal before its process starts, so that no run folder is lost.
+The rules that decide when each test runs are in `planrunner.night.timetable`. The night continues after an event only when the
+event has been written to the night's journal. After a kill or a power failure, the journal and the run folders show where the night
+stopped. The id of a run folder is in the journal before the process of the run starts, so that no run folder is lost.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ CONTINUED_WITHIN = 24 * 3600.0
 class NightClock:
     """The time of a night, which never goes back.
 
-    Simulated time advances only by `advance`. Real time is taken from the monotonic clock of the computer, from the beginning of
-    this session. If someone sets the computer's clock forward, the time of the night follows; if someone sets it back, it does not.
-    jump: called with the number of seconds by which the computer's clock was set.
+    Simulated time advances only by `advance`. Real time comes from the monotonic clock of the computer, from the beginning of this
+    process on. If someone sets the computer's clock forward, the time of the night follows; if someone sets it back, the time of
+    the night does not. jump: called with the number of seconds by which the computer's clock was set.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class _Child:
 
 
 def run_night(sound: SoundSuite, options: NightOptions, stop: StopRequest) -> NightResult:
-    """Runs the tests of a suite, or continues the unfinished night of this suite. Raises `InputError` if the night cannot begin."""
+    """Runs the tests of a suite, or continues an unfinished night of this suite. Raises `InputError` if the night cannot begin."""
     folder, storage = _archive(options), Storage("flushed" if options.flushed else "durable")
     digest = hashlib.sha256(sound.data).hexdigest()
     with _Lock(folder, f".{digest[:24]}.lock", sound.file):
@@ -265,8 +265,8 @@ def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: Nig
 def _unfinished(
     nights: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
 ) -> _Night | None:
-    """The newest night of this suite without an end in its journal; None if there is none that can be continued. Other unfinished
-    nights are closed."""
+    """The newest night of this suite whose journal has no end; None if no such night can be continued. Other unfinished nights are
+    closed."""
     found: _Night | None = None
     for name, entry in reversed(nights.entries().items()):
         if entry.kind != "folder":
@@ -289,7 +289,7 @@ def _unfinished(
 def _reopened(
     folder: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
 ) -> _Night | None:
-    """The night in a folder; None if it belongs to another suite or has an end."""
+    """Opens the night in a folder; returns None if the night belongs to another suite or has ended."""
     record = NightRecord(sound.zone)
     scan = JournalScan(folder, name=JOURNAL)
     for event in scan:
@@ -317,7 +317,7 @@ def _reopened(
 
 
 class _Night:
-    """A night in progress."""
+    """A night while it is running."""
 
     def __init__(
         self,
@@ -354,12 +354,12 @@ class _Night:
     # -- the whole night -------------------------------------------------------------------------------------------------
 
     def can_go_on(self) -> bool:
-        """Whether an interrupted night still has time left to continue."""
+        """Whether an interrupted night can still be continued in its time."""
         now = self._clock.now()
         return now < self._course.hours.closes and (self._sound.virtual or now - self._record.now < CONTINUED_WITHIN)
 
     def give_up(self) -> None:
-        """Closes a night that nobody continued."""
+        """Closes a night that has not been continued."""
         for index, test in enumerate(self._record.tests):
             if test.state in ("waiting", "running"):
                 self._log("not_run", {"test": index, "reason": "the night was interrupted and not continued"})
@@ -381,8 +381,8 @@ class _Night:
         return NightResult(self._folder.path, self._record.to_json(), code, self._trouble)
 
     def _diagnose(self) -> None:
-        """Diagnoses the runs of the night together with recent runs. The diagnosis is not a test: if it fails, the night still has
-        its results."""
+        """Diagnoses the runs of the night together with recent runs. The diagnosis is not a test: the results of the night stand
+        even if it fails."""
         asked = self._sound.suite.diagnosis
         if asked is None or self._trouble or self._record.fleet:
             return
@@ -404,7 +404,7 @@ class _Night:
             self._remark(f"the runs could not be diagnosed: {what}")
 
     def _tell_overrides(self) -> None:
-        """Records who lets tests run although a check standard is not in control, for the wall display and the report."""
+        """Records who permits tests although a check standard is not in control, for the wall display and the report."""
         for name, about in self._sound.suite.benches.items():
             given = about.override_check_standard
             if given is None:
@@ -436,7 +436,7 @@ class _Night:
             self._options.tell(f"waiting until {shown_time(self._course.hours.begins, self._sound.zone)}")
 
     def _replay(self) -> None:
-        """Restores the state of the timetable rules from the events in the journal."""
+        """Applies the events in the journal to the state of the timetable."""
         for index, test in enumerate(self._record.tests):
             for attempt in test.attempts:
                 self._course.begun(index, attempt.begins)
@@ -482,7 +482,7 @@ class _Night:
                 self._abandon(index, self._clock.now(), reason)
 
     def _abandon(self, index: int, now: float, reason: str) -> None:
-        """Records that a waiting test will not run. If the test waited to be repeated, its last attempt gives its result."""
+        """Records that a waiting test will not run. If the test was waiting for a repetition, its last attempt gives its result."""
         name, ending = self._sound.tests[index].name, self._course.abandon(index)
         if ending is None:
             self._log("not_run", {"test": index, "reason": reason})
@@ -495,7 +495,7 @@ class _Night:
         self._write_reports()
 
     def _result(self, index: int, now: float, ending: EndOfTest, reason: str) -> tuple[StateOfTest, str]:
-        """The state of a test that is not repeated, and the reason for this state."""
+        """The final state of a test, and the reason for it."""
         name, failures = self._sound.tests[index].name, self._sound.suite.known_failures
         known = known_failure(name, failures, ending.value, civil(now, self._sound.zone).date())
         if known is not None:
@@ -503,8 +503,7 @@ class _Night:
         return _RESULTS[ending], reason
 
     def _wait(self, moment: float, stop: StopRequest) -> None:
-        """Waits until a test ends, or until a given instant. In simulated time, the test with the earliest planned end is the next
-        to end."""
+        """Waits until a test ends, or until a given instant. In simulated time, tests end in the order of their planned ends."""
         first = min(self._children, key=lambda index: self._children[index].ends, default=None)
         if self._sound.virtual:
             if first is None or self._children[first].ends > moment:
@@ -569,8 +568,8 @@ class _Night:
         self._ended.put(index)
 
     def _command(self, test: PlannedTest, before: str | None) -> tuple[str, str, list[str]]:
-        """The id of the run, the kind of process, and the arguments of the command. before: id of the run to continue; None for a
-        new run."""
+        """The id of the run, the kind of process, and the arguments of the command for a test. before: id of the run to continue;
+        None to begin a new run."""
         common = ["--json", "--quiet"]
         data = [] if self._options.data is None else ["--data", str(self._options.data)]
         override = self._sound.suite.benches[test.bench].override_check_standard
@@ -599,7 +598,7 @@ class _Night:
         return next(self._options.runs.glob(f"*-{identity}"), None)
 
     def _end(self, index: int) -> None:
-        """Handles the end of the process that runs a test."""
+        """Handles the end of a process that has run a test."""
         child = self._children.pop(index)
         self._gone.discard(index)
         child.output.close()
@@ -622,7 +621,7 @@ class _Night:
         self._conclude(index, now, ending, code, reason, child.identity, document)
 
     def _answer(self, index: int) -> JsonObject:
-        """The JSON data that a process printed."""
+        """Reads the JSON data that a process has printed."""
         name = Path(self._record.tests[index].attempts[-1].log).stem + ".json"
         try:
             found = from_bytes(self._logs.read(name, MOST_RECORD))
@@ -692,8 +691,8 @@ class _Night:
     # -- stopping --------------------------------------------------------------------------------------------------------
 
     def _pass_on(self, stop: StopRequest) -> None:
-        """Forwards requests to stop to the processes of all tests. After the first request, each test ends after its segment; after
-        the second, it ends at once."""
+        """Forwards the operator's requests to stop to the processes of all tests. After the first request, each test ends after its
+        segment; after the second, it ends at once."""
         wanted_ = 2 if stop.at_once else 1 if stop.after_segment else 0
         if wanted_ > self._told_to_stop:
             self._told_to_stop = wanted_
@@ -799,10 +798,10 @@ class _Night:
 
 
 def judged(code: int, document: JsonObject, *, asked: bool, overdue: bool = False) -> tuple[EndOfTest | None, str]:
-    """The outcome of a test, from the exit code and the JSON output of its process; also the reason for this outcome, in words. The
-    outcome is None if the test was stopped on request.
+    """The outcome of a test, judged from the exit code and the JSON output of its process; also the reason in words. The outcome is
+    None if the test was stopped on request.
 
-    asked: True if the processes were asked to stop; overdue: True if this process was stopped because it took too long.
+    asked: True if the processes were asked to stop. overdue: True if this process was stopped because it took too long.
     """
     if overdue:
         return EndOfTest.FAULT, "it took much longer than planned and was stopped"
@@ -884,7 +883,7 @@ else:
 
 
 def lines_of(result: NightResult) -> Iterator[str]:
-    """The result of the night, in words, line by line."""
+    """Yields the lines of text that state the result of the night."""
     yield headline(result.record)
     if result.trouble:
         yield f"error: {result.trouble}"

@@ -1,9 +1,10 @@
-"""Makes the plan that settles the open questions of a diagnosis: determines the segments that the bench can execute, chooses among
+"""Makes a plan that can settle the open questions of a diagnosis: determines the segments that the bench can execute, chooses among
 them, and writes the text of the plan.
 
-A segment is an option if the plan language can express it and scheduling it on the bench gives no findings. The cost of an option
-is its scheduled time, including the transition. If the bench only plays recordings back, nothing but the recording is known.
-Options then stay within the rates and temperatures of the recording, and moves take as long as in the recording.
+A segment can be chosen if the plan language can express it and if scheduling it on the bench gives no findings. The cost of a
+segment is its scheduled time, including the transition. A bench that only plays recordings back shows nothing about the real table
+and chamber. The segments are therefore limited to the rates and temperatures of the recording, and moves are assumed to take as
+long as in the recording.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _NO_TEXT = ("null", "true", "false")  # words that YAML does not read as text
 class Frame:
     """Values that a proposed plan takes from the executed plan.
 
-    settle, soak: waits, s. before: time [s] from the beginning of the executed plan to its first sample.
+    settle, soak: waiting times, s. before: time [s] from the beginning of the executed plan to its first sample.
     """
 
     title: str
@@ -53,7 +54,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Next:
-    """A proposal and the text of the proposed plan, which is empty if no segment on the bench helps."""
+    """A proposal of what to measure next, and the text of the proposed plan. The text is empty if no segment that the bench can
+    execute helps."""
 
     proposal: SegmentProposal
     text: str
@@ -77,7 +79,7 @@ class Next:
 
 
 def words(found: SegmentProposal, planned: bool) -> str:
-    """The proposal in sentences."""
+    """States the proposal in sentences."""
     names = [name for name, _ in found.rivals]
     rivals = f"{', '.join(names[:-1])} and {names[-1]}"
     if planned:
@@ -145,7 +147,7 @@ def plan_text(frame: Frame, entries: Sequence[MenuEntry], description: str) -> s
 
 
 class _Options:
-    """What the bench can execute: segments of a schedule, each with its line in a plan."""
+    """The segments that the bench can execute, each with the line that states it in a plan."""
 
     def __init__(self, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame):
         self.models = models
@@ -163,7 +165,7 @@ class _Options:
         return self._of[segment.label][1]
 
     def seconds(self, before: Segment | None, segment: Segment) -> float:
-        """Time [s] that a segment takes after the segment `before`, or as the first segment if `before` is None."""
+        """Time [s] that a segment takes if it follows the segment `before`, or if it is the first one (`before` is None)."""
         key = ("" if before is None else before.label, segment.label)
         if key not in self._known:
             self._known[key] = self._following(before, segment)
@@ -179,7 +181,7 @@ class _Options:
         return both[-1].seconds
 
     def ordered(self, segments: Sequence[Segment]) -> list[Segment]:
-        """Those of the segments that the bench can execute one after the other."""
+        """Those of the given segments that the bench can execute in this order."""
         stated = [replace(self._of[item.label][0], label=f"{i}") for i, item in enumerate(segments)]
         kept = build_schedule(stated, self.models, Findings()).segments
         return [segments[int(item.label)] for item in kept]
@@ -192,7 +194,7 @@ class _Options:
 
 
 def _stated(text: str) -> list[StatedSegment]:
-    """The segments in the text of a proposed plan. Raises `InputError` if this plan has errors."""
+    """The segments that the text of a proposed plan contains. Raises `InputError` if this plan has errors."""
     plan, log = parse_plan(text, "<proposal>")
     stated = [] if plan is None or log.errors else expand(plan, log)
     if log.errors:
@@ -207,7 +209,7 @@ def _end(segment: Segment) -> float | None:
 
 
 def _pauses(recording: Sequence[RecordedSegment]) -> tuple[float, float]:
-    """Median time [s] between recorded segments at the same temperature, and the additional time [s] for a change of temperature."""
+    """Median time [s] between recorded segments at the same temperature, and the additional time [s] if the temperature changes."""
     moves, changes = list[float](), list[float]()
     for before, after in pairwise(recording):
         pause = after.statistics.start - (before.statistics.start + before.statistics.duration)

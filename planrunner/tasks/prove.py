@@ -1,4 +1,4 @@
-"""Recomputes the results of a stored analysis from the samples, and compares them bit by bit with the stored results."""
+"""Recomputes the results of a stored analysis from the samples, and compares them with the stored results bit by bit."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ two digits of the uncertainty, so that a hundredth of the last digit remains."""
 class Proof:
     """The comparison of recomputed results with the stored results of an analysis.
 
-    verdict: `identical` if every number has the same bits; `within tolerance` only if other versions computed the results. largest:
-    the largest change of a value or of a standard uncertainty, in units of the stored standard uncertainty (∞ if something is
-    missing), with the name of the coefficient. changed: the versions that differ, as (stored, now); `stored` is None if the
-    analysis does not contain the version.
+    verdict: `identical` if all bits of every number are equal; `within tolerance` is possible only if other versions computed the
+    stored results. largest: the largest change of a value or of a standard uncertainty, in units of the stored standard uncertainty
+    (∞ if something is missing), with the name of the coefficient. changed: the versions that differ, as (stored, now); `stored` is
+    None if the analysis does not state the version.
     """
 
     analysis: int
@@ -53,7 +53,7 @@ class Proof:
 
 
 def prove(run: Path, number: int | None = None, notice: Announce | None = None, workers: Workers = ALONE) -> Proof:
-    """Recomputes an analysis of a run with the settings of this analysis, by default the newest one. Nothing is written. workers:
+    """Recomputes an analysis of a run, by default the newest one, with the settings of the analysis. Nothing is written. workers:
     processes that share the Monte Carlo draws.
 
     Raises `InputError` if the run does not have this analysis, and `IntegrityError`.
@@ -73,8 +73,8 @@ def prove(run: Path, number: int | None = None, notice: Announce | None = None, 
 
 
 def _changes(stored: Results, now: Results) -> Iterator[tuple[float, str]]:
-    """For each coefficient, the larger of the changes of its value and of its standard uncertainty, in units of the stored standard
-    uncertainty."""
+    """Yields, for each coefficient, the change of its value or of its standard uncertainty, whichever is larger, in units of the
+    stored standard uncertainty; also the name of the coefficient."""
     for name, estimate in stored.estimates.items():
         again = {} if name not in now.estimates else {one.name: one for one in now.estimates[name].coefficients}
         for one in estimate.coefficients:
@@ -98,7 +98,7 @@ def _change(stored: float, now: float, uncertainty: float) -> float:
 
 
 def _outline(results: Results) -> Json:
-    """The names and verdicts in the results, which must be equal even if the last digits of numbers change."""
+    """The names and verdicts in the results. They must be equal even if the last digits of numbers differ."""
     return [
         [[name, [one.name for one in item.coefficients]] for name, item in results.estimates.items()],
         [[limit.quantity, limit.verdict] for limit in results.limits],

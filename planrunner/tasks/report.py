@@ -1,4 +1,4 @@
-"""Collects the data of a report from a run folder, its plan and bench, and its estimates."""
+"""Collects the data of a report from a run folder, its plan and bench, and the estimates."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def report_context(
     """All data that a report shows for one analysis. ring: key ring with the keys that the user knows; it verifies the signatures
     of the run.
 
-    amendment: who amends which analysis and why, in words.
+    amendment: a text that states who amends which analysis and why.
 
-    analysis: number of the analysis, if known; analysed: time of the analysis, UTC in ISO 8601, by default now.
+    analysis: number of the analysis, if known. analysed: time of the analysis, UTC in ISO 8601; by default, now.
     """
     segments = tuple(SegmentSummary.of(item) for item in recording)
     moment = analysed or datetime.now(UTC).isoformat(timespec="seconds")
@@ -84,7 +84,7 @@ _PRINTED: dict[SignatureStanding, Literal["valid", "unknown", "invalid"]] = {
 
 
 def _bench(sound: Sound) -> dict[str, str]:
-    """The bench as its file describes it, and the ambient conditions of the room if the file states them."""
+    """The bench as its file describes it, and the ambient conditions of the room if the file states any."""
     bench, room = sound.bench, sound.bench.ambient
     stated = (
         {} if room is None else {"temperature": room.temperature, "pressure": room.pressure, "humidity": room.humidity}
@@ -100,13 +100,13 @@ def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str
 
 
 def _seeded(sound: Sound) -> bool:
-    """Whether the seed of the run had any influence: this program simulated an instrument."""
+    """Whether the seed of the run had an effect, which is the case if this program simulated an instrument."""
     return sound.models.origin == "simulated" and sound.bench.simulation is None
 
 
 def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str) -> Iterator[tuple[str, str]]:
-    """The facts at the top of a report: item, operator, date, duration from the first sample to the last, and the number of the
-    analysis among those that existed when it was made."""
+    """The facts at the top of a report: item, operator, date, duration from the first sample to the last, the number of the
+    analysis, and how many analyses existed when it was made."""
     info = {name: _text(value) for name, value in reader.run["info"].items()}
     for name in ("device_serial", "item_identification"):
         if info.get(name):
@@ -130,14 +130,14 @@ def _approvals(reader: RunReader) -> dict[str, str]:
 
 
 def _minute(moment: str, before: str = "") -> str:
-    """An ISO time in the form `2026-03-01 08:11`, without the date if `before` has the same date."""
+    """A time in ISO 8601 in the form `2026-03-01 08:11`, without the date if `before` has the same date."""
     text = moment[:16].replace("T", " ")
     return text[11:] if before[:10] == moment[:10] else text
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
-    """The provenance of the results: times, digests and versions of the run, and those of the analysis if they differ. seeded: True
-    if the seed of the run had any influence."""
+    """The provenance of the results: times, digests and versions of the run; also those of the analysis where they differ. seeded:
+    True if the seed of the run had an effect."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}

@@ -1,6 +1,6 @@
 """Runs a plan from start to finish: check the plan → open the bench → execute → estimate → report.
 
-The layers are independent of one another; they are combined here, for the command line and for programs.
+The layers are independent of each other; this module combines them for the command line and for other programs.
 """
 
 from __future__ import annotations
@@ -70,9 +70,10 @@ RESULTS = NAME
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of a run: its folder and its results. withheld: reasons why certificates that the plan requests were not written;
-    remarks: notes on the run folder; before: number of the previous analysis, if any; same: True if its numbers are equal to those
-    of the previous analysis. unsigned: the reason why the bench did not sign the analysis although it should; empty otherwise."""
+    """An analysis of a run: its folder and its results. withheld: reasons why certificates that the plan requests were not written.
+    remarks: notes about the run folder. before: number of the previous analysis, if there is one. same: True if its numbers are
+    equal to those of the previous analysis. unsigned: the reason why the bench did not sign the analysis although it should have;
+    empty otherwise."""
 
     folder: Path
     results: Results
@@ -87,9 +88,9 @@ class Analysis:
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """An analysis that is not written yet. bench: the bench of the run, which signs the analysis if it signs its runs. basis: the
-    data from which the analysis was made; files: file name → contents; reports: names of the files that are reports. The other
-    fields are as in `Analysis`."""
+    """An analysis that has been computed but not written. bench: the bench of the run, which signs the analysis if it signs its
+    runs. basis: the state of journal and seal that the analysis is based on. files: maps the name of each file to its contents.
+    reports: names of the files that are reports. The other attributes are the same as in `Analysis`."""
 
     run: Path
     bench: Bench
@@ -140,10 +141,10 @@ def start(
 ) -> tuple[Path, Outcome]:
     """Executes a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
-    Before it makes the folder and anything moves, it checks the disk space and connects every instrument. operator: answers the
-    prompts of the plan; None for an unattended run. identity: hexadecimal digits at the end of the folder's name. admission:
-    permission from the check standard of the bench; by default determined from the runs in `runs`. Raises `InputError` or
-    `InstrumentError` if the run cannot start.
+    It checks the disk space and connects every instrument before it makes the folder and before anything moves. operator: answers
+    the prompts of the plan; None for an unattended run. identity: hexadecimal digits at the end of the folder's name. admission:
+    the permission to begin that depends on the bench's check standard; by default, it is determined from the runs in `runs`. Raises
+    `InputError` or `InstrumentError` if the run cannot start.
     """
     kept = _approved(sound, runs)
     operator = _attended(sound, operator)
@@ -185,11 +186,12 @@ def resume(
 ) -> Outcome:
     """Continues an interrupted run with its plan and bench, or repeats segments of a finished or unfinished run.
 
-    bench: the name of a shipped bench, or a file, that replaces the bench file in the run folder; it may differ from this file only
-    in the connections of instruments. A folder that was not made on this computer requires `bench`, or `trust_bench` to use the
-    bench file in the folder, because a bench file names the devices to connect to. override: override of the check standard of the
-    bench; the state of the check standard is checked again. An override with which the run began remains valid. approvals: plan
-    file beside which there are approvals that were given after the run began. The journal records these approvals.
+    bench: the name of a shipped bench, or a file, that replaces the bench file in the run folder; it may differ from that file only
+    in the addresses of instruments. For a folder that was not made on this computer, `bench` is required, because a bench file
+    names the devices to connect to; alternatively, `trust_bench` permits using the bench file in the folder. override: an override
+    of the check standard of the bench, whose state is checked again. An override with which the run began remains valid. approvals:
+    plan file next to which there are approvals that were given after the run began. The journal records the approvals that are
+    used.
 
     The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume a run, one
     of them is refused before it connects to any instrument.
@@ -220,9 +222,9 @@ def resume(
 
 
 def _approved(sound: Sound, runs: Path) -> bytes | None:
-    """The approval data that the run folder in `runs` will contain; None if the bench requires no approvals.
+    """The approval data that the new run folder will contain; None if the bench requires no approvals.
 
-    Raises `InputError` if approvals are missing. Every run passes this check, regardless of how its plan was checked.
+    Raises `InputError` if approvals are missing. Every run passes this check, however its plan was checked before.
     """
     bench = sound.bench
     if bench.approvals is None:
@@ -293,7 +295,8 @@ def _resume(
 
 
 def _stand_in(reader: RunReader, bench: str) -> Document:
-    """Reads a bench file that replaces that of the run. Raises `InputError` if the run would be different on this bench."""
+    """Reads the bench file that replaces the one of the run. Raises `InputError` if the two differ in more than the addresses of
+    instruments."""
     path, shown = locate(bench, Path())
     data = source.read_bytes(path, shown)
     other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))
@@ -309,8 +312,8 @@ def _stand_in(reader: RunReader, bench: str) -> Document:
 
 
 def _require_made_here(reader: RunReader, sound: Sound) -> None:
-    """Raises `InputError` for a run folder of unknown origin, because its bench file decides which devices are connected and
-    commanded."""
+    """Raises `InputError` for a run folder of unknown origin, because the bench file in it would decide which devices are connected
+    and commanded."""
     why = foreign(reader.folder, reader.first)
     if not why:
         return
@@ -332,8 +335,8 @@ def _carry_out(
     progress: ProgressCallback | None,
     operator: Operator | None,
 ) -> tuple[Path, Outcome]:
-    """Connects the bench, opens the run folder and executes everything that is not yet recorded. The outcome is recorded even if
-    the bench cannot be made safe."""
+    """Connects the bench, opens the run folder and executes everything that has not been recorded yet. The outcome is recorded even
+    if the bench cannot be made safe."""
     ended: tuple[Path, Outcome] | None = None
     try:
         with _ready(sound, data_root, seed, progress) as bench, open_writer() as writer:
@@ -363,8 +366,8 @@ def _carry_out(
 
 
 def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
-    """The operator who answers prompts; None on a simulated bench. Raises `InputError` if the plan needs an operator and none is
-    present."""
+    """The operator who answers the prompts; None on a simulated bench. Raises `InputError` if the plan needs an operator and none
+    is present."""
     if runs_on_virtual_clock(sound.bench):
         return None
     if operator is None:
@@ -376,7 +379,7 @@ def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
 
 
 def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
-    """The indices of the valid recorded segments with these labels."""
+    """The indices of the recorded segments with these labels."""
     known = {item.label: item.index for item in reader.acknowledged()}
     for label in labels:
         if label not in known:
@@ -387,8 +390,8 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
 
 @contextmanager
 def _ready(sound: Sound, data_root: Path | None, seed: int | None, notice: Announce | None) -> Iterator[OpenBench]:
-    """The bench, connected and ready for the schedule. If its recording is unsuitable, this raises `InputError` instead of
-    `InstrumentError`, because nothing can have moved."""
+    """Connects the bench and makes it ready for the schedule. If the recording that it plays back is unsuitable, `InputError` is
+    raised instead of `InstrumentError`, because nothing can have moved."""
     bench, file = sound.bench, sound.bench.origin.mark.file
     with ExitStack() as stack:
         try:
@@ -411,10 +414,10 @@ def _unfit(sound: Sound, error: InstrumentError) -> Exception:
 
 
 def sound_run(reader: RunReader, today: date | None = None, bench: Document | None = None) -> Sound:
-    """The plan and the bench of a run folder, checked in the same way as before the run. Raises `InputError` if they no longer
-    pass.
+    """The plan and the bench of a run folder, checked in the same way as before the run. Raises `InputError` if the plan and the
+    bench no longer pass the checks.
 
-    today: the day on which calibrations must be valid; by default the day of the run. bench: bench file to use instead of the one
+    today: the day on which calibrations must be valid; by default, the day of the run. bench: bench file to use instead of the one
     in the folder.
     """
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
@@ -430,17 +433,17 @@ def analyse_run(
     notice: Announce | None = None,
     amendment: Amendment | None = None,
 ) -> Analysis:
-    """Makes estimates only from the recording of a run, and writes the results and reports as a new analysis.
+    """Makes estimates from the recording of a run alone, and writes the results and reports as a new analysis.
 
-    checked: the checked plan of this run; the plan is not checked again if the folder contains the same plan and bench. notice:
-    receives the progress of reading.
+    checked: the checked plan of this run; it is not checked again if the folder contains the same plan and bench. notice: receives
+    the progress of reading.
 
-    issue: the reports to make, and run information for them; by default the reports that the plan requests. A certificate that the
-    plan requests is withheld if it cannot be issued. If `issue` requests the certificate, `InputError` with all obstacles is raised
-    instead.
+    issue: the reports to make, and run information for them; by default, the reports that the plan requests. A certificate that
+    only the plan requests is withheld if it cannot be issued. If `issue` requests a certificate that cannot be issued, `InputError`
+    with all obstacles is raised.
 
-    amendment: who makes the analysis and why, which is stored with it; the plan of the amendment, if any, replaces the estimates
-    and limits of the run's plan.
+    amendment: who makes the analysis and why, which is stored with it; if the amendment has a plan, its estimates and limits
+    replace those of the run's plan.
     """
     return keep(evaluate_run(run, issue, checked, notice, amendment))
 
@@ -453,8 +456,8 @@ def evaluate_run(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> Evaluated:
-    """The same as `analyse_run`, but nothing is written; `keep` then makes the result an analysis of the run. Another process may
-    compute it. workers: processes that share the Monte Carlo draws."""
+    """The same as `analyse_run`, but nothing is written; `keep` then makes the result an analysis of the run. It may be computed in
+    another process. workers: processes that share the Monte Carlo draws."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment, workers=workers)
@@ -490,8 +493,8 @@ def evaluate_run(
 
 
 def keep(made: Evaluated, *, elsewhere: bool = False) -> Analysis:
-    """Writes an evaluation to its run, as a new analysis. elsewhere: True if another computer made the evaluation, so that the
-    bench does not sign it."""
+    """Writes an evaluation to the folder of its run, as a new analysis. elsewhere: True if another computer made the evaluation;
+    the bench then does not sign it."""
     # Only a signature needs the run once more. Reading its journal takes most of the time that an analysis takes here.
     reader = None if key_of(made.bench) is None else RunReader.open(made.run)
     stored = add_analysis(open_run(made.run) if reader is None else reader.folder, made.files, made.basis)
@@ -514,7 +517,7 @@ def stored_results(analysis: StoredAnalysis) -> Results:
 
 
 def _read_results(analysis: StoredAnalysis) -> Json:
-    """The stored results of an analysis as JSON data. Results that older versions stored lack keys that the present schema
+    """The stored results of an analysis as JSON data. Results that older versions stored may lack keys that the present schema
     requires. Raises `IntegrityError`."""
     try:
         return from_bytes(analysis.read(RESULTS))
@@ -523,8 +526,8 @@ def _read_results(analysis: StoredAnalysis) -> Json:
 
 
 def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
-    """The stored results of an analysis as JSON data, and the versions of the software that computed them, if these are stored.
-    Raises `IntegrityError`."""
+    """The stored results of an analysis as JSON data, and the versions of the software that computed them, if these versions are
+    stored. Raises `IntegrityError`."""
     data = _read_results(analysis)
     stated = data.get("computed_with", {}) if isinstance(data, Mapping) else {}
     return data, {str(name): str(version) for name, version in stated.items()}
@@ -533,21 +536,21 @@ def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
 def recompute(
     reader: RunReader, analysis: StoredAnalysis, notice: Announce | None = None, workers: Workers = ALONE
 ) -> Results:
-    """The results recomputed from the samples with the plan that the analysis used; nothing is written. workers: processes that
-    share the Monte Carlo draws. Raises `IntegrityError`."""
+    """Recomputes the results from the samples, with the plan that the analysis used; writes nothing. workers: processes that share
+    the Monte Carlo draws. Raises `IntegrityError`."""
     return _estimated(reader, evaluated_as(reader, analysis), notice, workers)[1]
 
 
 def evaluated_as(reader: RunReader, analysis: StoredAnalysis) -> Sound:
-    """The checked plan and bench of a run, with the plan that an analysis used. Raises `InputError` if that plan no longer passes
-    its checks, and `IntegrityError`."""
+    """The checked plan and bench of a run; if the analysis used an amended plan, the plan is that one. Raises `InputError` if that
+    plan no longer passes its checks, and `IntegrityError`."""
     if EVALUATED_PLAN not in analysis.files:
         return sound_run(reader)
     return _evaluated(reader, Document(analysis.read(EVALUATED_PLAN), str(analysis.path / EVALUATED_PLAN)))
 
 
 def report_through(run: Path, template: Path, issue: Issue | None = None, notice: Announce | None = None) -> str:
-    """The results of a run in a user's template; nothing is written to the run folder."""
+    """Renders the results of a run with a user's template; writes nothing to the run folder."""
     made = _analyse(run, issue or Issue(), notice=notice)
     return render_report(made.context, template.name.removesuffix(".j2"), template.parent)
 
@@ -563,8 +566,8 @@ class _Made:
 
 
 def _evaluated(reader: RunReader, plan: Document) -> Sound:
-    """The checked plan and bench of a run, with a plan that has other estimates or limits. Raises `InputError` if this plan differs
-    from that of the run in anything else."""
+    """The checked plan and bench of a run, in which the plan is replaced by one with other estimates or limits. Raises `InputError`
+    if this plan differs from the plan of the run in anything else."""
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     bench = Document(reader.bench_bytes, str(reader.path / "bench.yaml"))
     sound = check_plan(plan, bench, made).sound()
@@ -575,8 +578,8 @@ def _evaluated(reader: RunReader, plan: Document) -> Sound:
 def _estimated(
     reader: RunReader, sound: Sound, notice: Announce | None, workers: Workers
 ) -> tuple[tuple[RecordedSegment, ...], Results]:
-    """The recording of a run and the results from it. Only one thread computes, because the last digits of sums may depend on the
-    number of threads."""
+    """Reads the recording of a run, and computes the results from it. Only one thread computes, because the last digits of sums may
+    depend on the number of threads."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1, user_api="blas"):
@@ -598,8 +601,8 @@ def _analyse(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> _Made:
-    """Analyses a run. kept: True if the result becomes the next analysis of the run; its reports then show the number of this
-    analysis."""
+    """Makes the analysis of a run without writing it. kept: True if it will be the next analysis of the run, so that its reports
+    show this number."""
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
     sound = checked if checked is not None and same else sound_run(reader)

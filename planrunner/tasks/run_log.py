@@ -1,4 +1,5 @@
-"""Compares the log of an archive with the runs in the archive: shows which runs were removed, added outside the log, or replaced."""
+"""Compares the log of an archive with the runs in the archive; shows which runs were removed, were added without an entry in the
+log, or were replaced."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ PROOF_FORMAT = 1
 
 @dataclass
 class LogVerification:
-    """The result of the verification of a log. content: entries of the log, None if the log cannot be read. signed: the signed tree
+    """The result of the verification of a log. content: entries of the log; None if the log cannot be read. signed: the signed tree
     head in the log, if any. findings: errors are changes; all other findings are remarks."""
 
     path: Path
@@ -85,7 +86,7 @@ def log_of(archive: Path) -> RunLog | None:
 
 
 def require_log(archive: Path) -> RunLog:
-    """Raises `InputError` if there is no log."""
+    """Raises `InputError` if the archive has no log; otherwise returns the log."""
     log = log_of(archive)
     if log is None:
         hint = f"begin one with `planrunner log new {archive}`"
@@ -116,8 +117,8 @@ def verify_log(
     ring: KeyRing | None = None,
     remembered: Mapping[str, RememberedHead] | None = None,
 ) -> LogVerification:
-    """Verifies a log against its own tree head; also against remembered tree heads (file name → head) and the runs of the archive,
-    if these are given."""
+    """Verifies a log against its own tree head. If they are given, also verifies it against tree heads that were noted earlier (by
+    the name of the file) and against the runs of the archive."""
     found = LogVerification(log.path)
     try:
         content = found.content = log.read()
@@ -157,8 +158,8 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
 
 @dataclass(slots=True)
 class _History:
-    """The entries of the log about one run. begun: True if the run was made in this archive. journals: number of events in the
-    journal when it was entered → digest of the last of these events. seals: SHA-256 of each seal of the run."""
+    """The entries of the log about one run. begun: True if the run was made in this archive. journals: maps each number of events
+    that the journal had when an entry was made to the digest of the last of these events. seals: SHA-256 of each seal of the run."""
 
     begun: bool = False
     journals: dict[int, str] = field(default_factory=dict)
@@ -183,9 +184,9 @@ def _histories(entries: Iterable[LogEntry]) -> dict[str, _History]:
 
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
-    """The data of a run that are compared with the log of its archive. name: name of the run from its journal, otherwise from
-    run.json, otherwise the name of the folder. told: the tree head that run.json contains. events: number of events in the journal,
-    None if the journal cannot be read; heads: number of events → digest of the last of these events."""
+    """The data of a run that are compared with the log of its archive. name: name of the run from its journal; if that cannot be
+    read, from run.json, or else the name of the folder. told: the tree head that run.json contains. events: number of events in the
+    journal; None if the journal cannot be read. heads: maps numbers of events to the digest of the last of these events."""
 
     name: str
     path: Path
@@ -270,8 +271,8 @@ def _unlogged(found: LogVerification, run: LoggedRun) -> None:
 
 
 def _contradiction(history: _History, run: LoggedRun) -> str:
-    """The contradiction between a run and the log in words; empty if there is none. The journal of the run must begin with the
-    events of each journal that the log has entered."""
+    """States the contradiction between a run and the log; empty if there is none. The run's journal must begin with the events that
+    it had at each entry in the log."""
     if run.events is None:
         return "its journal cannot be read"
     for events, head in history.journals.items():
@@ -286,8 +287,8 @@ def _contradiction(history: _History, run: LoggedRun) -> str:
 
 
 def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
-    """Makes a new log for the runs in the archive. Sealed runs are entered with their seals, all others as begun. Raises
-    `InputError`, and `IntegrityError` for a run that was changed."""
+    """Makes a new log for the runs in the archive. Sealed runs are entered with their seals, all others as runs that have begun.
+    Raises `InputError`, and `IntegrityError` for a run that was changed."""
     present = [_examined(run, *MENDED) for run in runs]
     log = RunLog.create(archive)
     try:
@@ -355,8 +356,8 @@ def _examined(run: Path, *but: str) -> Examined:
 
 
 def inclusion_proof(log: RunLog, run: str) -> JsonObject:
-    """Makes a proof that the log contains the newest seal of a run; see schemas/log-proof.schema.json. Raises `InputError`,
-    `IntegrityError`."""
+    """Makes a proof that the log contains the newest seal of a run; see schemas/log-proof.schema.json. Raises `InputError` if the
+    run or the log is missing, and `IntegrityError` if one of them was changed."""
     content = _whole(log)
     entry = next((one for one in reversed(content.entries) if one.run == run and one.event == "sealed"), None)
     if entry is None:
@@ -374,8 +375,8 @@ def inclusion_proof(log: RunLog, run: str) -> JsonObject:
 
 
 def growth_proof(log: RunLog, first: TreeHead) -> JsonObject:
-    """Makes a proof that the log begins with the entries that a remembered tree head covers. Raises `IntegrityError` if it does not
-    begin with them."""
+    """Makes a proof that the log begins with the entries that an earlier tree head covers. Raises `IntegrityError` if the log does
+    not begin with these entries."""
     content = _whole(log)
     for code, fault in head_faults(content, first, "the remembered tree head"):
         raise IntegrityError(f"{log.path}: {fault}", code)
@@ -395,9 +396,9 @@ def _whole(log: RunLog) -> LogContent:
 
 
 def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None = None) -> str:
-    """Verifies a proof without the log; returns a description of what it proves. proof: a proof that matches its schema. head: the
-    tree head that the verifier trusts, by default the one in the proof. seal: SHA-256 of the seal for which the proof must be.
-    Raises `IntegrityError`."""
+    """Verifies a proof without the log; returns a description of what it proves. proof: data that match the schema of proofs. head:
+    the tree head that the verifier trusts; by default, the one in the proof. seal: SHA-256 of the seal that the proof must concern.
+    Raises `IntegrityError` if the proof is not valid."""
     stated = TreeHead.from_json(proof["head"])
     if head is not None and (head.size, head.root) != (stated.size, stated.root):
         message = f"the proof is for a tree of size {stated.size} with another root than the given tree head"

@@ -1,4 +1,4 @@
-"""Validates this installation: reference recordings with known answers pass through the whole program on the user's computer.
+"""Validates this installation: reference recordings whose results are known pass through the whole program on the user's computer.
 
 Each reference plan in `plans/self_test` is checked, played back, recorded, estimated and compared with `answers.yaml`. Then one
 byte of a recorded file is changed, and the program must detect it.
@@ -23,7 +23,7 @@ from planrunner.tasks.run import analyse_run, start
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A known answer, and the value that this installation finds. difference: absolute value of the relative difference."""
+    """A known answer and the value that this installation computes. difference: absolute value of the relative difference."""
 
     case: str
     quantity: str
@@ -38,7 +38,7 @@ class Comparison:
 
 
 def validate(folder: Path) -> Iterator[Comparison]:
-    """Runs every reference plan in `folder`, which must be empty; yields each comparison as soon as it is made."""
+    """Runs every reference plan in `folder`, which must be empty; yields each comparison with a known answer as soon as it is made."""
     references = shipped("plans") / "self_test"
     answers: JsonObject = source.plain(source.load(references / "answers.yaml"))
     run = folder
@@ -71,7 +71,7 @@ def _compare(
 
 
 def _tamper(run: Path) -> Comparison:
-    """Changes a byte in a recorded file; the result shows whether the program detects the change."""
+    """Changes a byte in a recorded file; returns a comparison that shows whether the program detects the change."""
     file = sorted((run / "segments").glob("*.parquet"))[0]
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1

@@ -30,9 +30,9 @@ from planrunner.tasks.run import stored_results
 
 
 def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: str = "") -> RunSignature:
-    """Verifies a run with its samples, and signs it. Returns the signature as a reader without a key ring sees it.
+    """Verifies a run with its samples, and signs it. Returns the signature as a reader who has no key ring sees it.
 
-    Raises `InputError` for a run without a seal or an analysis and for a key that must not sign, and `IntegrityError` for a run
+    Raises `InputError` for a run without a seal or an analysis, or for a key that must not sign, and `IntegrityError` for a run
     that was changed.
     """
     folder = open_run(run)
@@ -56,8 +56,8 @@ def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, .
     signatures; empty if everything is already signed.
 
     The whole run is verified first. An analysis is signed only if its results can be recomputed from the samples. signer: the key
-    of the bench, if the user gives it. By default, the key is searched on this computer, which must be the one that made the run.
-    Raises `InputError` and `IntegrityError`.
+    of the bench, if the user gives it. By default, the key is searched for on this computer, which must be the computer that made
+    the run. Raises `InputError` and `IntegrityError`.
     """
     folder = open_run(run)
     with locked(folder):
@@ -93,7 +93,7 @@ def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, .
 
 
 def _verified(folder: GuardedFolder) -> Examined:
-    """Verifies that a sealed run was not changed. The signatures that its bench must make may be missing, but nothing else. Raises
+    """Verifies that a sealed run has not been changed. Signatures that its bench must make may still be missing. Raises
     `IntegrityError` and `InputError`."""
     found = examine(folder, samples="digests")
     run_approvals(found, None)

@@ -1,4 +1,5 @@
-"""Simulates a plan with added effects: the bench gets one more instrument, and everything else is as in any run.
+"""Simulates a plan with added effects: an instrument that adds the effects is inserted into the bench, and everything else is as in
+any run.
 
 The bench file of the run folder contains the added effects. Resuming, estimating and diagnosing therefore use these effects, and
 the bench file can reproduce them later.
@@ -33,13 +34,13 @@ INSTRUMENT = "added"
 
 @dataclass(frozen=True)
 class Simulation:
-    """A checked plan on a bench that has the added effects, and these effects."""
+    """A plan that was checked on a bench with added effects, and these effects."""
 
     sound: Sound
     additions: tuple[Addition, ...]
 
     def words(self) -> list[str]:
-        """A description of each effect in one line."""
+        """Describes each effect in one line."""
         return [
             f"{item.id}: " + ", ".join(f"{name} {value}" for name, value in stated(item).items())
             for item in self.additions
@@ -52,8 +53,8 @@ def simulation(
     effects: Sequence[str],
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Simulation:
-    """The plan on a virtual bench with added effects, each given as `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…`.
-    parameters: values for parameters of the plan.
+    """Checks the plan on a virtual bench with added effects, each given as `EFFECT`, `EFFECT=VALUE` or
+    `EFFECT=NAME:VALUE,NAME:VALUE…`. parameters: values for parameters of the plan.
 
     Raises `InputError` with all obstacles.
     """
@@ -77,7 +78,7 @@ def simulation(
 
 
 def stated(item: Addition) -> dict[str, str]:
-    """All parameters of an effect with their units, in the form of a bench file."""
+    """All parameters of an effect with their units, in the form in which a bench file states them."""
     units = {name: "" if text == "1" else f" {text}" for name, text in item.units.items()}
     return {name: f"{value:.12g}{units[name]}" for name, value in item.values.items()}
 
@@ -93,8 +94,8 @@ def check_virtual(sound: Sound) -> None:
 
 
 def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
-    """The effects to add, each with all its parameters. effects: name of each effect, and the stated values of its parameters.
-    mark: place where the effects are stated. Raises `InputError`."""
+    """The effects to add, each with all its parameters. effects: maps the name of each effect to the stated values of its
+    parameters. mark: place where the effects are stated. Raises `InputError`."""
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 
@@ -126,7 +127,7 @@ def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]],
 
 def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
     """Splits `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` into the name of the effect and its values. A value
-    without a name gets the key ''. option: name of the option on the command line, for messages."""
+    without a name gets the key ''. option: name of the command-line option, for messages."""
     name, equals, rest = (part.strip() for part in text.partition("="))
     values: dict[str, str] = {}
     for piece in rest.split(",") if equals else ():
@@ -142,7 +143,8 @@ def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
 
 
 def with_effects(text: str, additions: Sequence[Addition]) -> str:
-    """The text of a bench file with one more instrument, which adds the effects. This instrument is the last to be made safe."""
+    """The text of a bench file with one more instrument, which adds the effects. This instrument comes last in the order in which
+    instruments are made safe."""
     entry = {"driver": "added_effects", "effects": {item.id: stated(item) for item in additions}}
     return _with_instrument(text, INSTRUMENT, _flow(entry))
 
@@ -154,7 +156,7 @@ def _flow(value: object) -> str:
 
 
 def _with_instrument(text: str, name: str, entry: str) -> str:
-    """The text of a bench file with an instrument added after the others, in the same notation."""
+    """The text of a bench file with one more instrument after the others, written in the same style."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a bench file that was read
     nodes = {key.value: value for key, value in root.value}

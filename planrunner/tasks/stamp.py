@@ -1,4 +1,4 @@
-"""Time stamps of runs: makes the stamper for a bench, and stamps a seal when it is written or later."""
+"""Time stamps of runs: makes the object that obtains time stamps for a bench, and stamps a seal when it is written or later."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from planrunner.signing.time_stamps import StampAuthority, StampError, parse_aut
 
 
 def authority_of(spec: TimeStampsSpec) -> StampAuthority:
-    """The certificates of the authority that a bench names; they were checked together with the bench."""
+    """The certificates of the authority that a bench names; they were already checked with the bench."""
     return parse_authority(spec.certificate.encode())
 
 
 def stamper_of(bench: Bench) -> Stamper | None:
-    """The stamper for a run on a bench; None if the bench names no authority."""
+    """The object that obtains time stamps for a run on a bench; None if the bench names no authority."""
     spec = bench.time_stamps
     return None if spec is None else Stamper(spec.url, authority_of(spec), spec.every.value)
 
 
 def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, storage: Storage | None = None) -> str:
-    """Stamps the present seal of a run. The caller must hold the lock of the run. Returns the time that the stamp states. Raises
-    `StampError` and `OSError`."""
+    """Stamps the present seal of a run. The caller must hold the lock of the run folder. Returns the time that the stamp states.
+    Raises `StampError` and `OSError`."""
     seal = folder.read(seals.NAME, seals.MOST_BYTES)
     token, at = request_stamp(url, seal, digest(seal), authority)
     keep_stamp(folder, storage or Storage(), f"seal-{digest(token)[:DIGITS]}", token)
@@ -41,8 +41,8 @@ def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, stora
 
 
 def after_sealing(folder: GuardedFolder, bench: Bench, stamper: Stamper | None) -> tuple[Finding, ...]:
-    """Stamps the seal of a run that has just been sealed; returns messages for the user about missing stamps. An error in stamping
-    never damages the run."""
+    """Stamps the seal of a run that has just been sealed; returns messages to the user about missing time stamps. If stamping
+    fails, this never damages the run."""
     spec, mark = bench.time_stamps, Mark(str(folder.path))
     if spec is None:
         return ()
@@ -61,8 +61,8 @@ def after_sealing(folder: GuardedFolder, bench: Bench, stamper: Stamper | None) 
 
 
 def stamp_run(run: Path, url: str | None = None) -> str:
-    """Stamps the seal of a run if it has no stamp yet; returns the time of the new stamp, or an empty text if there was one
-    already.
+    """Stamps the seal of a run if it has no time stamp yet; returns the time of the new stamp, or an empty text if there was a
+    stamp already.
 
     url: address of the authority; it must be given for a folder that was not made on this computer. Raises `InputError`, and
     `IntegrityError` for a run that was changed.
@@ -98,7 +98,8 @@ def stamp_run(run: Path, url: str | None = None) -> str:
 
 
 def _require_origin(reader: RunReader, url: str) -> None:
-    """Raises `InputError` for a run folder of unknown origin, because its bench file must not choose the address to connect to."""
+    """Raises `InputError` for a run folder of unknown origin, because the bench file in it must not decide to which address
+    planrunner connects."""
     why = foreign(reader.folder, reader.first)
     if not why:
         return

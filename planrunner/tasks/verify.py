@@ -1,4 +1,4 @@
-"""Verifies runs for an auditor who has only the run folders: shows what was changed since they were written."""
+"""Verifies runs for an auditor who has only the run folders: shows what has been changed since the runs were written."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ FORMAT = 1
 @dataclass(frozen=True, slots=True)
 class Verification:
     """The result of the verification of a run folder. changes: each change, with the finding that describes it. remarks: findings
-    that are not changes, for example that the run is not sealed. amendments: number of an analysis → who amended which analysis,
-    and why. signatures: all electronic signatures. stamps: all time stamps. approvals: the approvals under which the plan ran. An
-    invalid signature, stamp or approval also appears in `changes`. evaluations: whether approvals cover the evaluation of each
-    analysis, if the bench requires approvals."""
+    that are not changes, for example that the run is not sealed. amendments: maps the number of each amended analysis to a text
+    that states who amended which analysis, and why. signatures: all electronic signatures. stamps: all time stamps. approvals: the
+    approvals under which the plan ran. An invalid signature, stamp or approval also appears in `changes`. evaluations: whether
+    approvals cover the evaluation of each analysis, if the bench requires approvals."""
 
     found: Examined
     changes: tuple[tuple[Change, Finding], ...]
@@ -94,7 +94,7 @@ class Verification:
 
 
 def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority | None = None) -> Verification:
-    """Verifies a run folder with all its samples, signatures and time stamps. ring: key ring with the keys that the user knows;
+    """Verifies a run folder with all its samples, signatures and time stamps. ring: key ring with the keys that the user knows.
     authority: the certificates that verify time stamps. Raises `InputError` if the folder is not a run folder."""
     found = examine(open_run(run), samples="digests")
     signatures = verify_signatures(found, ring)
@@ -109,7 +109,7 @@ def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority
 
 
 def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[EvaluationApproval, ...]:
-    """Whether approvals cover the evaluation of each analysis. Faults are added to the findings of `found`."""
+    """Whether approvals cover the evaluation of each analysis. Adds faults to the findings of `found`."""
     evaluations = tuple(evaluation_approvals(found, ring))
     for one in evaluations:
         if one.fault:
@@ -122,7 +122,7 @@ def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[Evaluatio
 
 
 def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
-    """The signatures of a run. Faults are added to the findings of `found`."""
+    """The signatures of a run, verified. Adds faults to the findings of `found`."""
     path = found.folder.path / SIGNATURES
     try:
         for fault in signature_faults(found.folder):
@@ -147,8 +147,8 @@ def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignatu
 def verification(
     found: Examined, signatures: tuple[RunSignature, ...] = (), approvals: tuple[RunApproval, ...] = ()
 ) -> Verification:
-    """The verification that follows from an examination. An error that belongs to no special kind of change counts as an
-    alteration."""
+    """The result of verifying a run, from the result of examining its folder. An error that is no special kind of change counts as
+    an alteration."""
     changes, remarks = [], []
     for finding in found.findings:
         change = CHANGES.get(finding.code, "altered" if finding.severity == "error" else None)
@@ -167,8 +167,8 @@ def verification(
 
 
 def runs_beneath(archive: Path) -> list[Path]:
-    """All run folders in a folder and its subfolders, in the order of their names; links are not followed. Raises `InputError` if
-    there is no run folder."""
+    """All run folders in a folder and its subfolders, sorted by name; links are not followed. Raises `InputError` if there is no
+    run folder."""
     found = runs_in(archive)
     if not found:
         message, hint = "there is no run folder in this folder", "give the folder that contains the runs, such as runs/"
@@ -177,7 +177,7 @@ def runs_beneath(archive: Path) -> list[Path]:
 
 
 def runs_in(archive: Path) -> list[Path]:
-    """The same as `runs_beneath`, but without an error if there is no run folder or if the folder itself does not exist."""
+    """The same as `runs_beneath`, except that there is no error if the folder contains no run or does not exist."""
     if not archive.exists():
         return []
     try:

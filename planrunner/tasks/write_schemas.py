@@ -43,7 +43,7 @@ def suite_schema() -> Schema:
 
 
 def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Schema:
-    """The whole schema of a kind of file. Parts that many keys use, such as a quantity of time, are defined once in `$defs`."""
+    """The complete schema of a kind of file. Parts that many keys use, such as a quantity of time, are defined once in `$defs`."""
     shared = _shared()
     names = {json.dumps(part, sort_keys=True): name for name, part in shared.items()}
     used: set[str] = set()
@@ -92,7 +92,7 @@ def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Jso
 
 
 def text(schema: JsonObject) -> str:
-    """A schema as the contents of a file."""
+    """A schema as text for a file."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
