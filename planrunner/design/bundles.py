@@ -81,8 +81,8 @@ def shares(
 ) -> tuple[Array, float]:
     """The fractions (N,) of a resource, such as the time, that each bundle should get, and the remaining excess. The fractions add
     up to 1. `bundles` (N, p, p) is the information of each bundle if that bundle gets the whole resource. The excess is the ratio
-    of the largest derivative of the criterion to the mean derivative, minus 1. It is 0 at the optimum (Kiefer and Wolfowitz;
-    multiplicative steps as in `continuous`).
+    of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at the optimum (Kiefer and
+    Wolfowitz; multiplicative steps as in `continuous`).
 
     fixed: (p, p), information that does not depend on the fractions. Raises ValueError if the bundles cannot determine all terms.
     """

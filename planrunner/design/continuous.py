@@ -28,7 +28,7 @@ class Continuous:
     """An optimal continuous design: the fraction of the observations for each candidate, not rounded to whole numbers of
     observations. shares: (N,), the fractions, which add up to 1. matrix: (p, p), the information matrix M per observation. excess:
     the ratio of the largest derivative to `mean`, minus 1; 1e-6 means that no design is better by more than one part in a million.
-    value: |M| (criterion D) or tr(W·M⁻¹). mean: mean of the derivative over the candidates, weighted by `shares`. It is p
+    value: |M| (criterion D) or tr(W·M⁻¹). mean: mean of the derivative over the candidates, weighted by `shares`. The mean is p
     (criterion D) or `value` (linear criterion) if there is no fixed information, and smaller if there is."""
 
     shares: Array

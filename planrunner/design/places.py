@@ -213,8 +213,8 @@ def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float
 
 
 def quick_order(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> list[int]:
-    """An order of the attitudes in which the table moves little. It always takes the nearest remaining attitude next, and then
-    exchanges pairs of attitudes if this shortens the path."""
+    """An order of the attitudes in which the table moves little. The search always takes the nearest remaining attitude next, and
+    then exchanges pairs of attitudes if this shortens the path."""
 
     def travel(order: Sequence[int]) -> float:
         joints, total = np.zeros(len(axes)), 0.0

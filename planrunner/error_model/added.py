@@ -135,8 +135,8 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
 def _optional(
     effect: Effect, known: Mapping[str, EffectParameter], observed: Observed, stated: Mapping[str, str]
 ) -> list[EffectParameter]:
-    """Further parameters that a diagnosis may find, but that have no default value. They change the simulation only if they are
-    stated."""
+    """Further parameters that a diagnosis may find, but that have no default value. These parameters change the simulation only if
+    they are stated."""
     if isinstance(effect, OutsideCoefficients) and effect.outside in BY_AXIS:
         (whole,) = known.values() or (None,)
         axes = sorted({observed.channels[index].axis for index in observed.of_kind(triad_of(effect))})

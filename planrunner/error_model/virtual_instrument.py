@@ -1,7 +1,7 @@
 """The virtual instrument that adds effects of the catalogue to a virtual sensor. A bench file lists this instrument with its
 effects, and so documents the simulation.
 
-It connects two independent parts of the code: the virtual sensor passes its outputs without noise to `World.added`, and
+The instrument connects two independent parts of the code: the virtual sensor passes its outputs without noise to `World.added`, and
 `planrunner.error_model.effects` contains the effects.
 
     added:

@@ -1,10 +1,10 @@
 """Computes how errors of declared inputs (latitude, gravity, and errors of the table) change the observations of a linear model.
 Each input is changed by a small amount, and the model is evaluated again.
 
-Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to the
-contribution of the data. Errors of positions, azimuth, right angles between the table's axes, and rates differ between segments and
-cause scatter, so they are included in the weights of a fit (`correlated_errors`). The sign of a change is the sign for an input
-that is stated too large. For positions, the sign is that of the rotation error itself.
+Latitude and gravity change the columns of the model. Errors of latitude and gravity cause no scatter between segments, so their
+contribution is added to the contribution of the data. Errors of positions, azimuth, right angles between the table's axes, and
+rates differ between segments and cause scatter, so they are included in the weights of a fit (`correlated_errors`). The sign of a
+change is the sign for an input that is stated too large. For positions, the sign is that of the rotation error itself.
 """
 
 from __future__ import annotations

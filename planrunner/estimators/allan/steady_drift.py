@@ -22,8 +22,8 @@ _CHANCE = 1e-3  # probability of differences at least this large by noise alone
 @dataclass(frozen=True, slots=True)
 class SteadyDrift:
     """The steady drift of a record. slope: the drift in the output's unit per second (weighted mean over the runs), with its
-    standard uncertainty. This uncertainty is computed for noise one standard uncertainty above its estimate. probability: chance
-    that noise alone causes differences this large between the halves of runs."""
+    standard uncertainty. The uncertainty is computed for noise that is one standard uncertainty larger than estimated. probability:
+    chance that noise alone causes differences this large between the halves of runs."""
 
     slope: float
     standard_uncertainty: float

@@ -356,7 +356,8 @@ def _fitted(
 ) -> list[FittedOutput]:
     """Fits all outputs of a group. shown: names of the drift functions that at least one output shows.
 
-    A first fit gives approximate amplitudes of each output. They determine how strongly errors of table and site affect the output.
+    A first fit gives approximate amplitudes of each output. These amplitudes are needed because they determine how strongly errors
+    of table and site affect the output.
     """
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]

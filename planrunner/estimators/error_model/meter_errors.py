@@ -1,8 +1,9 @@
-"""How errors of the meters for supply voltage and ambient pressure change the observations of a model.
+"""Computes how errors of the meters for supply voltage and ambient pressure change the observations of a model.
 
-Each meter may have two errors that are the same in all segments: a zero error, and a relative error of the reading. They cause no scatter
-between segments, so their contributions are added to those of the data (JCGM 100:2008, F.1.2.3). They also act if the plan states the
-voltage or the pressure, because a meter showed these values, too. The sign of a change is the sign for a reading that is too large.
+Each meter may have two errors that are the same in all segments: a zero error, and a relative error of the reading. These errors
+cause no scatter between segments, so their contributions are added to the contribution of the data (JCGM 100:2008, F.1.2.3). They
+also act if the plan states the voltage or the pressure, because a meter showed the stated value, too. The sign of a change is the
+sign for a meter whose reading is too large.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from planrunner.uncertainty.influences import InputQuantity
 def meter_errors(
     model: ErrorsAtSegments, estimate: str, parameters: ErrorModelParameters, nominal_supply: float, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """The errors of the meters for which the plan states an uncertainty.
+    """The errors of observations due to errors of the meters for which the plan states an uncertainty.
 
-    estimate: name of the estimate in the plan; nominal_supply: V. coefficients: (m, p), for m outputs and p columns of the model, in the
-    outputs' units per SI unit of each column.
+    estimate: name of the estimate in the plan; nominal_supply: nominal supply voltage, V. coefficients: (m, p), for m outputs and p
+    columns of the model, in the outputs' units per SI unit of each column.
     """
     found = []
     for quantity, low, high in _moved(model.states, estimate, parameters, nominal_supply):
@@ -42,7 +43,8 @@ def meter_errors(
 def _moved(
     states: SegmentStates, estimate: str, parameters: ErrorModelParameters, nominal_supply: float
 ) -> Iterator[tuple[InputQuantity, SegmentStates, SegmentStates]]:
-    """Each stated error, with the states for a reading that is too small and too large by the standard uncertainty."""
+    """Yields each stated error, with the states of the segments if the reading is too small, and if it is too large, by the
+    standard uncertainty of the error."""
     for field, unit, reference, errors in (
         ("overvoltage", "V", nominal_supply, ("supply_zero_uncertainty", "supply_reading_uncertainty")),
         ("overpressure", "Pa", STANDARD_PRESSURE, ("pressure_zero_uncertainty", "pressure_reading_uncertainty")),

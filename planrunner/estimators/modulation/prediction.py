@@ -4,7 +4,7 @@ error equations, the other uses harmonics.
 An alignment at rest adjusts tilt and azimuth so that they compensate those sensor errors which the alignment cannot observe
 (`ErrorEquations.levelled`). As long as the sensor then stays at rest, these sensor errors mostly cancel. An alignment through a
 cycle compensates only the residual of the cycle. After the alignment, the errors of gyros and accelerometers rotate with the table.
-They are the input of the equations.
+These errors are the input of the equations.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Checks a rocking test before it runs: its windows, timing, pattern of runs, caging and resolution, and axes that cannot be
 measured.
 
-A finding is an error if the drift under rocking could not be computed or would be wrong. It is a warning if the result would only
-be less accurate than the method promises.
+A finding is an error if the drift under rocking could not be computed or would be wrong. A finding is a warning if the result would
+only be less accurate than the method promises.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 The rocking drift of a quadruple is the mean of its dynamic runs minus the mean of its static runs (step 6). The quadruples of one
 state are repeats of each other. For an axis that is level in several states, the result is the mean over these states.
 
-The module also warns about implausible drifts of single runs. They reveal, for example, a reversed channel, which hardly changes
-the differences between runs.
+The module also warns about implausible drifts of single runs. Such drifts reveal, for example, a reversed channel, which hardly
+changes the differences between runs.
 """
 
 from __future__ import annotations

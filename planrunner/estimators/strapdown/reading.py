@@ -1,4 +1,4 @@
-"""Computes increments of angle and velocity from recorded samples, block by block. It converts units, fills short gaps, and
+"""Computes increments of angle and velocity from recorded samples, block by block. The module converts units, fills short gaps, and
 determines the time of each sample.
 
 A sample is the mean over the interval that ends at its time stamp, so an increment is the sample times the interval. Outputs that

@@ -1,9 +1,10 @@
 """Examines the readings of a navigating sensor at its stops: what they show about biases that change, and about gyros with the
 wrong sign.
 
-While the sensor stands still, it measures the Earth's rate and gravity. Both are constant in each position, so every change of the
-readings within a position is a change of the sensor (or a slow tilt of its base). The sensor counts as still while its rate,
-averaged over about a second, does not exceed a few Earth rates. Positions are distinguished by the navigated attitude.
+While the sensor stands still, it measures the Earth's rate and gravity. The Earth's rate and gravity are constant in each position,
+so every change of the readings within a position is a change of the sensor (or a slow tilt of its base). The sensor counts as still
+while its rate, averaged over about a second, does not exceed a few Earth rates. Positions are distinguished by the navigated
+attitude.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ class _Part:
 
 
 class StopReader:
-    """Collects the readings at stops, interval by interval of the navigator. It needs the same memory for recordings of any length."""
+    """Collects the readings at stops, interval by interval of the navigator. The memory needed does not depend on the length of the
+    recording."""
 
     def __init__(self, earth_rate: float, white: Array, seconds: float, begin: float):
         """earth_rate: Earth rate, rad/s; white: (6,), noise at rest, rad/√s and m/s/√s; seconds: total time of alignment and

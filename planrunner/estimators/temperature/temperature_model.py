@@ -399,8 +399,8 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
 def _influences(
     request: EstimateRequest[TemperatureModelParameters], models: Sequence[Modelled]
 ) -> tuple[Influence, ...]:
-    """The influences of an error of the chamber's temperature. It shifts every curve along the temperature axis and does not change
-    the difference between ramps. If the sensor's own thermometer is used, there is no such influence."""
+    """The influences of an error of the chamber's temperature. This error shifts every curve along the temperature axis and does
+    not change the difference between ramps. If the sensor's own thermometer is used, there is no such influence."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()
