@@ -9,7 +9,7 @@ import os
 import stat
 from pathlib import Path
 
-from planrunner.base.file_kind import open_flags
+from planrunner.base.regular_files import open_flags
 
 COMMAND = contextlib.ExitStack()
 """Locks that a command holds until it ends; `cli.main` closes it."""

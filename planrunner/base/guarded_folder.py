@@ -24,7 +24,7 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Literal
 
-from planrunner.base.file_kind import file_kind, open_flags
+from planrunner.base.regular_files import file_kind, open_flags
 
 RELATIVE = os.open in os.supports_dir_fd and os.rename in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
 """Whether this system opens names relative to an open folder."""
