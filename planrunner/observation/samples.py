@@ -67,7 +67,12 @@ def observed(
     recording = in_time_order(recording)
     channels = channels_of(recording[0], sensor, only) if measured is None else tuple(measured)
     if not channels:
-        raise ObservationError("the recording has no channel of angular rate or acceleration along an axis x, y or z")
+        units = ", ".join(f"'{name}' [{text}]" for name, text in recording[0].units.items())
+        raise ObservationError(
+            f"no channel has a unit of angular rate or acceleration and an axis x, y or z in its name: {units}",
+            "only outputs in such units can be simulated; state the nominal scale factor of other outputs by `per_unit` of a played "
+            "recording",
+        )
     size = sizes(recording)
     limits = {output.name: output.full_scale for output in sensor.outputs}
     monitors = Monitors(temperature_channel, supply_channel, pressure_channel, sensor.nominal_supply)

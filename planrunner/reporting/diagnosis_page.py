@@ -215,6 +215,8 @@ def _rest(found: Data) -> str:
         return ""
     channel, times = max(rest["times_noise"].items(), key=lambda item: item[1])
     size = f"{_percent(rest['share'])} of the gap (root mean square), {times:.3g} times the noise in {channel}"
+    if float(times) < 1:
+        return f" The rest is smaller than the noise, but it follows a pattern that noise does not have: {size}."
     return f" The rest is not noise: {size}."
 
 

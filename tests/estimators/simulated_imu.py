@@ -102,7 +102,7 @@ def named(truth: Mapping[str, np.ndarray]) -> dict[str, float]:
                 if i != j:
                     found[f"{kind}_misalignment_{a}_{b}"] = math.cos(math.acos(row[j] / math.hypot(*row))) / MRAD
                 if kind == "gyro":
-                    found[f"gyro_g_sensitivity_{a}_{b}"] = truth["G"][i, j] / DEG_H * 9.80665
+                    found[f"gyro_g_sensitivity_K_{b}_{a}"] = truth["G"][i, j] / DEG_H * 9.80665
     return found
 
 

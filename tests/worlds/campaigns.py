@@ -264,7 +264,7 @@ class Unit:
                     if i != j:
                         self.truth[f"{kind}_misalignment_{axis}_{other}"] = matrix[i, j] / length * 1e3
             for j, other in enumerate("xyz"):
-                self.truth[f"gyro_g_sensitivity_{axis}_{other}"] = self.sensitivity[i, j]
+                self.truth[f"gyro_g_sensitivity_K_{other}_{axis}"] = self.sensitivity[i, j]
 
     def outputs(self, felt: Felt) -> Array:
         gyro = felt.rate @ self.gyro.T + self.gyro_bias + felt.force / STANDARD_GRAVITY @ self.sensitivity.T

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import Column, Variant, on_stimulus, per_axis, single, whole
@@ -44,6 +46,7 @@ def towards_others(
     amplitudes, which is arcsec or arcsec per SI unit of the factor. inputs: True if the columns are the inputs of the sensor
     themselves (`Column.along`)."""
     columns = []
+    largest = 1.0 if isinstance(factor, float) else np.inf  # a component of the input axis, which is a unit vector
     for other in range(3):
         signature = felt(observed, kind)[:, other] * factor
         for column in per_axis(observed, kind, f"towards_{'xyz'[other]}", unit, DEG / 3600, magnitude, signature):
@@ -51,7 +54,7 @@ def towards_others(
             if own is None or own == other:
                 continue
             if observed.along is None:
-                columns.append(replace(column, along=other if inputs else None))
+                columns.append(replace(column, along=other if inputs else None, smallest=-largest, largest=largest))
             elif own < other:
                 columns.append(replace(column, name=f"gamma_{'xyz'[own]}{'xyz'[other]}", axis=None))
     return columns

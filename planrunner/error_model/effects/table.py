@@ -171,7 +171,17 @@ class TableWobble:
             delta = np.einsum("sij,j->si", observed.attitude, axis)[observed.owner]
             omega, force = -np.cross(delta, observed.omega), -np.cross(delta, observed.force)
             columns.append(
-                Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, force), moving, axis=None)
+                Column(
+                    name,
+                    "arcsec",
+                    ARCSEC,
+                    60 * ARCSEC,
+                    on_stimulus(observed, omega, force),
+                    moving,
+                    axis=None,
+                    smallest=-np.pi,
+                    largest=np.pi,
+                )
             )
         return single(columns)
 

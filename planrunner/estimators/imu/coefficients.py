@@ -235,7 +235,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     across_g = one.places("accel") if one.kind == "gyro" else {}
     for direction, k in across_g.items():
         words = said("Response of output {axis} to specific force along {along}", axis=letter, along=AXES[direction])
-        add(f"g_sensitivity_{letter}_{AXES[direction]}", f"{plain}/g", place(k), words)
+        add(f"g_sensitivity_K_{AXES[direction]}_{letter}", f"{plain}/g", place(k), words)
     for k, term in enumerate(one.model.terms):
         if term.name != "bias" and k not in sensed.values() and k not in across_g.values():
             column = _COLUMNS.get(term.unit, f"({term.unit})")

@@ -22,6 +22,7 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.evidence.noise_levels import excess_by_channel
+from planrunner.gap.evidence.spectrum import RESPONSE
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import TONE
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
@@ -151,6 +152,9 @@ def _masks(weighing: Weighing) -> Iterator[tuple[Factor, str, NDArray[np.bool_]]
             if 0 < mask.sum() < len(mask):
                 yield factor, level, mask[segment]
     yield Factor.BAND, "slow change within segments", (spectrum.frequency > 0) & (spectrum.harmonic == 0)
+    response = spectrum.harmonic == RESPONSE
+    if response.any():
+        yield Factor.BAND, "response to the motion of the encoder", response
     for h in sorted(set(spectrum.harmonic[spectrum.harmonic > 0])):
         yield Factor.TABLE_ANGLE, f"{h} per turn or period", spectrum.harmonic == h
 

@@ -2,9 +2,10 @@
 remainder in each frequency band.
 
 The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
-and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). Deterministic
-effects lie in the span of this basis. The remainder is noise or a tone; it is stored as energies in bands of the DCT-II. Outliers
-far outside the noise are replaced by the fit of the basis and counted, because a single one would affect all coefficients.
+and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If the motion is
+shown by an encoder, the angular rates take the place of the harmonics. Deterministic effects lie in the span of this
+basis. The remainder is noise or a tone; it is stored as energies in bands of the DCT-II. Outliers far outside the noise are
+replaced by the fit of the basis and counted, because a single one would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -19,19 +20,22 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.observation.bins import SPIKE
-from planrunner.plan.schedule import Rest, Rock, Spin
+from planrunner.plan.schedule import RecordedMotion, Rest, Rock, Spin
 
 LOW_ORDERS = 5
 OCTAVES = 12  # below half the sampling rate, down to which the remainder is divided into bands
 FINE = 5  # uppermost octaves, each of which has four bands
 UPPER = 0.999 / 8  # of the sampling rate: bands from here on define the white level, above all slow processes
+RESPONSE = -1
+"""Instead of the order of a harmonic: a coefficient of the response to a recorded motion."""
 _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the lower orders are removed
 
 
 @dataclass(frozen=True)
 class SpectralBasis:
     """The basis of one segment. vectors: (n, m), orthonormal columns, the first of which is constant. frequency: (m,), Hz, 0 for
-    the mean; harmonic: (m,), order of the motion's harmonic, 0 for a vector of the cosine transform."""
+    the mean; harmonic: (m,), order of the motion's harmonic, 0 for a vector of the cosine transform, `RESPONSE` for the response to a
+    recorded motion."""
 
     vectors: Array
     frequency: Array
@@ -109,6 +113,10 @@ def basis_of(observed: Observed, index: int) -> SpectralBasis:
     columns = [np.cos(np.pi * k * (np.arange(n) + 0.5) / n) for k in order]
     frequency, harmonic = list(order * rate / (2 * n)), [0] * len(order)
     motion = observed.motions[index]
+    for column, hertz in _responses(observed, part, motion, rate):
+        columns.append(column)
+        frequency.append(hertz)
+        harmonic.append(RESPONSE)
     for h, phase, hertz in _harmonics(observed, part, motion):
         if hertz < rate / 2:
             columns += [np.cos(phase), np.sin(phase)]
@@ -142,6 +150,23 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
         phase = 2 * np.pi * motion.frequency * since
         return [(h, h * phase, h * motion.frequency) for h in range(1, 6)]
     return []
+
+
+def _responses(observed: Observed, part: slice, motion: object, rate: float) -> list[tuple[Array, float]]:
+    """The angular rates that an encoder shows, (n,) each, with their mean frequency [Hz]: scale factors and misalignments act in
+    proportion to them. Empty for other motions: the reference of a free motion has delays and filters of its own, which act at the
+    same frequencies. rate: of the samples, Hz."""
+    if not isinstance(motion, RecordedMotion) or not motion.angle:
+        return []
+    omega = observed.omega[part]
+    omega = omega - omega.mean(axis=0)
+    size = np.linalg.norm(omega, axis=0)
+    found = []
+    for axis in np.flatnonzero(size > _DEPENDENT * size.max()):
+        changes = np.gradient(omega[:, axis])
+        hertz = float(np.linalg.norm(changes) / size[axis]) * rate / (2 * np.pi)
+        found.append((omega[:, axis], hertz))
+    return found
 
 
 def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | None = None) -> Spectrum:
