@@ -20,9 +20,16 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-from planrunner.error_model.effects.interface import ChangesWithinSegments, Column, Effect, Shaped
+from planrunner.error_model.effects.interface import ChangesWithinSegments, Column, Curved, Effect, Shaped
 from planrunner.error_model.observed import Observed
-from planrunner.error_model.segment_columns import TRIADS, Amplitude, EffectPart, OutputErrors, amplitudes_of
+from planrunner.error_model.segment_columns import (
+    TRIADS,
+    Amplitude,
+    EffectPart,
+    OutputErrors,
+    amplitudes_of,
+    without_axis,
+)
 
 _STEP = 1e-6  # of the largest output, for the slope of an effect on the output
 
@@ -124,8 +131,13 @@ class ErrorsAtSamples:
         change = np.zeros((len(TRIADS), len(observed.time)))
         for part in self.errors.chosen:
             if of_stimulus(part.effect):
-                for column in _columns(part.effect, self.observed, shapes):
-                    size = stimulus.get((part.effect.id, column.name), 0.0)
+                columns = _columns(part.effect, self.observed, shapes)
+                mine = [self.errors.channel in one.parts for one in columns]
+                keys = [(part.effect.id, without_axis(one)[0]) for one in columns]
+                sizes = [stimulus.get(key, 0.0) if own else 0.0 for key, own in zip(keys, mine, strict=True)]
+                if isinstance(part.effect, Curved) and any(sizes):
+                    columns = part.effect.around(self.observed, np.array(sizes))[0].columns
+                for column, size in zip(columns, sizes, strict=True):
                     here = 1.0 if column.segments is None else column.segments[observed.owner]
                     for channel, values in column.parts.items() if size else ():
                         change[channel] += size * here * values
@@ -141,8 +153,10 @@ class ErrorsAtSamples:
 
 
 def of_stimulus(effect: Effect) -> bool:
-    """Whether an effect changes the stimulus of the sensor in proportion to amplitudes."""
-    return effect.stage == "stimulus" and not _fixed(effect)
+    """Whether amplitudes of an effect change the stimulus of the sensor. A delay of the output is a delay of the stimulus, on which
+    scale factor and misalignments act."""
+    delays = effect.stage == "acquisition" and isinstance(effect, Curved)
+    return (effect.stage == "stimulus" or delays) and not _fixed(effect)
 
 
 def _fixed(effect: Effect) -> bool:

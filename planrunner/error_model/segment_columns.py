@@ -322,7 +322,7 @@ def amplitudes_of(
     several = len(here) > 1 or isinstance(part.effect, ShapedOverSegments | ChangesWithinSegments)
     amplitudes, rows = [], []
     for column in here:
-        name, alone = _without_axis(column)
+        name, alone = without_axis(column)
         if part.only and name not in part.only:
             continue
         alike = [values for other in columns if other.unit == column.unit for values in other.parts.values()]
@@ -331,7 +331,7 @@ def amplitudes_of(
         amplitudes.append(Amplitude(part.effect, name, several, alone, text, column.factor, column.along, size))
         values = column.parts[output.channel]
         rows.append(values if column.segments is None else values * column.segments[observed.owner])
-    return amplitudes, rows, tuple(_without_axis(column)[0] for column in here)
+    return amplitudes, rows, tuple(without_axis(column)[0] for column in here)
 
 
 def estimable(effect: Effect) -> str:
@@ -363,7 +363,7 @@ def _derivative(part: EffectPart, output: OutputErrors, above: Sequence[Column],
     found = np.zeros(len(next(iter(above[0].parts.values()))))
     for high, low in zip(above, below, strict=True):
         if output.channel in high.parts:
-            size = part.sizes.get(_without_axis(high)[0], 0.0)
+            size = part.sizes.get(without_axis(high)[0], 0.0)
             middle = (high.factor + low.factor) / 2
             found += size / middle * (high.factor * high.parts[output.channel] - low.factor * low.parts[output.channel])
     return np.asarray(found / (2 * _STEP * part.shape))
@@ -379,7 +379,7 @@ def _columns(effect: Effect, observed: Observed, shape: float | None = None) -> 
     return variants[0].columns if variants else ()
 
 
-def _without_axis(column: Column) -> tuple[str, bool]:
+def without_axis(column: Column) -> tuple[str, bool]:
     """The name of a column without the letter of its axis, and whether the column acts on a single channel."""
     if column.axis is None or len(column.parts) != 1:
         return column.name, False

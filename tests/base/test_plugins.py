@@ -9,6 +9,8 @@ import pytest
 
 from planrunner.base import plugins
 from planrunner.base.findings import InputError
+from planrunner.error_model.effects.interface import OutsideCoefficients, Variant, effect_named
+from planrunner.error_model.observed import Observed
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic
 
 OWN = "flexure_gyro_static"
@@ -18,8 +20,23 @@ FROM_ELSEWHERE = EntryPoints(
         EntryPoint("of_another_house", "planrunner.estimators.scale_factor:ScaleFactor", plugins.ESTIMATORS),
         EntryPoint("unfinished", "json:JSONDecoder", plugins.ESTIMATORS),
         EntryPoint("broken", "no_such_module:Estimator", plugins.ESTIMATORS),
+        EntryPoint("noise_of_old", "tests.base.test_plugins:NoiseOfOld", plugins.EFFECTS),
+        EntryPoint("noise_of_today", "tests.base.test_plugins:NoiseOfToday", plugins.EFFECTS),
     ]
 )
+
+
+class NoiseOfOld:
+    """An effect on the noise as development versions had it: it does not state what it changes."""
+
+    id, stage, noise = "noise_of_old", "covariance", "white"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
+
+
+class NoiseOfToday(NoiseOfOld):
+    id, outside = "noise_of_today", "white"
 
 
 @pytest.fixture(autouse=True)
@@ -38,6 +55,16 @@ def test_another_distribution_cannot_take_a_name_of_the_project(monkeypatch: pyt
     assert {OWN, "of_another_house"} <= set(plugins.names(plugins.ESTIMATORS))
     assert list(plugins.names(plugins.ESTIMATORS)) == sorted(plugins.names(plugins.ESTIMATORS))
     assert callable(plugins.load(plugins.ESTIMATORS, "of_another_house"))
+
+
+def test_an_effect_on_the_noise_that_does_not_state_its_kind_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plugins, "_installed", lambda: FROM_ELSEWHERE)
+    with pytest.raises(InputError) as refused:
+        effect_named("noise_of_old")
+    (finding,) = refused.value.findings
+    assert finding.code == "plugin-broken"
+    assert "'noise_of_old' has the stage covariance, but no attribute 'outside'" in finding.message
+    assert isinstance(effect_named("noise_of_today"), OutsideCoefficients)
 
 
 def test_a_plug_in_of_the_project_is_found_without_reading_other_distributions(monkeypatch: pytest.MonkeyPatch) -> None:

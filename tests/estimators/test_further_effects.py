@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from effects_within import GYRO, SITE, World, rates, rocks, single, statics, timed
+from effects_within import GYRO, SITE, World, rates, rocks, single, statics, timed, truth
 
 from planrunner.base import plugins
 from planrunner.error_model.segment_columns import estimable
@@ -115,6 +115,16 @@ def test_amplitudes_that_only_rocking_shows(
     found = world.estimate(1)
     assert away(found, amplitude, sizes[0] / unit) < 4
     assert found[amplitude].standard_uncertainty < 0.2 * sizes[0] / unit
+
+
+def test_a_large_delay_of_an_axis_leaves_its_scale_factor_alone() -> None:
+    """3 ms at 4 Hz weaken nothing, but the first two terms of the series in the delay differ by 0.3 %, which is not an error of the scale
+    factor. The device has errors of the scale factor and misalignments of some 0.3 %."""
+    outputs = {"gyro_x": (*GYRO, "gyro_axis_delay")}
+    world = World(ROCKED, single("gyro_axis_delay", 3e-3, -2e-3, 1e-3), outputs, basis="within_segment", noisy=0.1)
+    found, true = world.estimate(1), truth(world, 1)
+    assert away(found, "gyro_axis_delay_x", 3.0) < 4
+    assert away(found, "gyro_scale_factor_x", true["gyro_scale_factor_x"]) < 4
 
 
 def test_a_bias_behind_the_thermometer() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from recorded import from_means, segment, sensor
+from recorded import noisy, segment, sensor
 
 from planrunner.estimators import least_squares
 from planrunner.estimators.outputs_fit import fit_outputs
@@ -28,10 +28,9 @@ def test_correlated_weights_take_one_factorisation_each(monkeypatch: pytest.Monk
     monkeypatch.setattr(least_squares, "whitener", counted)
     n, draw = 20, np.random.default_rng(1)
     errors = np.where(np.arange(n) % 2, 1e-3, 2e-3)
-    values = 5.0 + np.linspace(-1, 1, n) + errors * draw.standard_normal(n)
     recorded = [
-        from_means(segment(f"R{k}"), {"gyro": float(value)}, "deg/s", float(errors[k]), start=200.0 * k)
-        for k, value in enumerate(values)
+        noisy(segment(f"R{k}"), {"gyro": float(value)}, "deg/s", float(errors[k]), draw, 200.0 * k)
+        for k, value in enumerate(5.0 + np.linspace(-1, 1, n))
     ]
     seen = observe(recorded, ["gyro"], sensor("gyro", unit="deg/s"))
     common = CorrelatedError(InputQuantity("common", 0.0, "deg/s", 1e-3), {0: np.ones((n, 1))})
