@@ -141,7 +141,8 @@ class Look:
         rates = self.windows.rates
         other = np.abs(rates / np.median(rates) - 1) > _OTHER_RATE if len(rates) else np.zeros(0, bool)
         own = float(np.median(rates[other])) if np.count_nonzero(other) > _OTHER_RATES * len(rates) else math.nan
-        steady = other & (np.abs(rates / own - 1) < _OTHER_RATE)  # pauses differ from each other
+        steady = other & (np.abs(rates / own - 1) < _OTHER_RATE)
+        steady[1:-1] &= steady[:-2] | steady[2:]  # a window that contains a pause stands alone
         if np.count_nonzero(steady) <= _OTHER_RATES * len(rates):
             return None
         return own, float(self.windows.begin[int(np.argmax(steady))])

@@ -130,6 +130,15 @@ def test_pauses_are_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "in 3 places. To make each piece a segment: pauses: 145 s" in (tmp_path / "begun.bench.yaml").read_text()
 
 
+def test_bursts_at_equal_intervals_have_one_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Bursts of 5 s: every tenth window contains a pause of the same length."""
+    time = np.concatenate([300.0 * k + np.arange(260) / 50 for k in range(25)])
+    omega = np.random.default_rng(4).normal(0.1, 0.02, len(time))
+    np.savez(tmp_path / "bursts.npz", time=time, omega_z=omega)
+    begun(tmp_path / "bursts.npz", capsys=capsys)
+    assert "The rate changes" not in (tmp_path / "begun.bench.yaml").read_text()
+
+
 def test_the_interval_of_a_slow_recording_is_no_pause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A sample every ten seconds, and one pause of five minutes."""
     time = 10.0 * np.arange(400) + 300.0 * (np.arange(400) >= 200)
