@@ -14,7 +14,8 @@ in the diagnosis.
 Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only half and
 twice its level. The level is therefore measured from the residuals that the most probable effects leave: separately for gyros and
 accelerometers, and for the segment means and the changes within segments. A level from few residuals is uncertain, so errors have
-Student's t distribution with their degrees of freedom.
+Student's t distribution with their degrees of freedom. The share of flicker in the noise is measured from the same residuals. It
+matters because flicker is correlated between segments: it hides slow effects, and cancels in the differences that fast effects make.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
 from planrunner.gap.evidence.weighing import DEPENDENT, ChannelWeights
-from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
 
 FOLDS = 4
 FEWEST = 6  # segments; three quarters of fewer carry too little information
@@ -38,10 +39,17 @@ DRAWS = 2000
 LEVELS = 40  # random levels of the noise, among which the draws for an unknown composition are shared
 SEED = 21
 WIDEST = 0.5  # width of an interval above which the closure is not resolvable
-TOLD = 0.5  # information on an effect that the other segments must have, relative to the held-out ones
+TOLD = 0.5
+"""Least share t of the energy of an effect that the other segments must determine. If t is smaller, the effect shrinks the gap of the
+held-out segments by 1 − √(1 − t) even if it is the whole cause, by 0.29 at this limit. The closure then describes the plan, not the
+effect."""
+KINDS = ("gyro", "accel")
+FLICKER_LEVELS = (0.0, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)  # relative to the declared level
 SMALLEST = 1e-4  # of the measured variance of the noise, relative to its model
 SHAPES = 6  # number of shapes of an effect besides the best one
-UNLIKELY = 8.0  # nats below the most probable shape at which a shape is left out
+UNLIKELY = 8.0
+"""Nats below the most probable shape at which a shape is left out. n such shapes have a probability of less than n·exp(−8) together,
+0.7 % for the 20 shapes of a refined grid."""
 WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 
 
@@ -264,25 +272,81 @@ def measured_noise(
     flicker = weighing.settings["gyro"][gyro].flicker
     still = next(k for k, one in enumerate(weighing.settings["gyro"]) if one.flicker == flicker and one.walk == 0)
     channels = weighing.observed.channels
-    weights = tuple(
+    weights = [
         own[{"gyro": still, "accel": accel}[channel.kind]]
         for own, channel in zip(weighing.weights, channels, strict=True)
-    )
+    ]
     within = (weighing.spectrum.frequency > 0).astype(np.int64)
-    kinds = ("gyro", "accel")
-    group = tuple(2 * kinds.index(channel.kind) + within for channel in channels)
-    unit = MeasuredNoise(weights, tuple(np.ones(len(within)) for _ in channels), group, np.full(2 * len(kinds), np.inf))
-    (fit,) = _fits(weighing, unit, [choice])
+    group = tuple(2 * KINDS.index(channel.kind) + within for channel in channels)
+    if explained and not walking:
+        for kind in KINDS:
+            weights = _with_measured_flicker(weighing, choice, weights, group, kind)
+    left = _left(weighing, choice, weights, group)
+    scale = np.sqrt(np.maximum(left.ratio if explained else np.minimum(left.ratio, 1.0), SMALLEST))
+    return MeasuredNoise(tuple(weights), tuple(scale[own] for own in group), group, left.degrees)
+
+
+@dataclass(frozen=True)
+class _Left:
+    """The residuals of a choice that is fitted to all segments. squares, degrees, ratio: (groups,), sum of squares, degrees of
+    freedom, and the first divided by the second; ratio is 1 for a group without residuals. evidence: restricted log likelihood, up
+    to a constant, with the measured level in each group."""
+
+    squares: Array
+    degrees: Array
+    ratio: Array
+    evidence: float
+
+
+def _left(
+    weighing: Weighing, choice: FoldChoice, weights: Sequence[ChannelWeights], group: tuple[NDArray[np.int64], ...]
+) -> _Left:
+    """group: as in `MeasuredNoise`."""
+    count = 2 * len(KINDS)
+    one = tuple(np.ones(len(own)) for own in group)
+    (fit,) = _fits(weighing, MeasuredNoise(tuple(weights), one, group, np.full(count, np.inf)), [choice])
     covariance = np.sum([root @ root.T for root in fit.amplitudes.roots], axis=0)
-    squares, degrees = np.zeros(2 * len(kinds)), np.zeros(2 * len(kinds))
+    squares, degrees = np.zeros(count), np.zeros(count)
     for rows, columns, own in zip(fit.rows, fit.columns, group, strict=True):
         free = 1 - (rows.basis**2).sum(1) - np.einsum("ij,jk,ik->i", columns, covariance, columns)
         np.add.at(squares, own, (rows.residual - columns @ fit.amplitudes.mean) ** 2)
         np.add.at(degrees, own, free)
     degrees = np.maximum(degrees, 1.0)
     ratio = np.where(degrees > 1, squares / degrees, 1.0)
-    scale = np.sqrt(np.maximum(ratio if explained else np.minimum(ratio, 1.0), SMALLEST))
-    return MeasuredNoise(weights, tuple(scale[own] for own in group), group, degrees)
+    evidence = -0.5 * sum(weight.log_det for weight in weights)
+    evidence -= 0.5 * float(degrees @ np.log(np.maximum(ratio, SMALLEST)))
+    if covariance.any():
+        evidence += 0.5 * float(np.linalg.slogdet(covariance)[1])
+    return _Left(squares, degrees, ratio, float(evidence))
+
+
+def _with_measured_flicker(
+    weighing: Weighing,
+    choice: FoldChoice,
+    weights: list[ChannelWeights],
+    group: tuple[NDArray[np.int64], ...],
+    kind: str,
+) -> list[ChannelWeights]:
+    """The weights after the level of flicker of one triad has been measured: the mean of its square over the levels
+    `FLICKER_LEVELS`, weighted by their restricted likelihood. The weights are unchanged if no flicker is declared."""
+    settings = {
+        one.flicker: index for index, one in reversed(list(enumerate(weighing.settings[kind]))) if one.walk == 0
+    }
+    low, high = min(settings), max(settings)
+    if low == high:
+        return weights
+
+    def at(squared: float) -> list[ChannelWeights]:
+        share, out = (squared - low**2) / (high**2 - low**2), list(weights)
+        for index in weighing.observed.of_kind(kind):
+            own, values = weighing.weights[index], weighing.spectrum.values[:, index]
+            out[index] = own[settings[low]].towards(own[settings[high]], share, weighing.nominal[index], values)
+        return out
+
+    squared = np.array(FLICKER_LEVELS) ** 2
+    evidence = np.array([_left(weighing, choice, at(float(level)), group).evidence for level in squared])
+    likely = np.exp(evidence - evidence.max())
+    return at(float(squared @ likely / likely.sum()))
 
 
 @dataclass(frozen=True)
@@ -508,19 +572,28 @@ def _fold(
     columns = [rows.project(table[~held]) for rows, table in zip(used, raw, strict=True)]
     score = np.sum([block.T @ rows.residual for block, rows in zip(columns, used, strict=True)], axis=0)
     told = [np.sum([block[:, part].T @ block[:, part] for block in columns], axis=0) for part in parts]
+    predicted = [rows.predict(table, held) for rows, table in zip(used, raw, strict=True)]
+    signatures = np.concatenate([s for _, s in predicted])
     best, amplitudes, highest = None, np.zeros(0), worth
     for choice, part, gram in zip(choices, parts, told, strict=True):
-        value = choice.log_bayes(gram, score[part]) if np.trace(gram) > 0 else -np.inf
+        shown = _all_shown(choice.widths, np.diag(gram), (signatures[:, part] ** 2).sum(0))
+        value = choice.log_bayes(gram, score[part]) if shown else -np.inf
         if value > highest:
             highest, best = value, part
             amplitudes, _ = choice.amplitudes(gram, score[part])
-    predicted = [rows.predict(table, held) for rows, table in zip(used, raw, strict=True)]
     residual = np.concatenate([r for r, _ in predicted])
-    signatures = np.concatenate([s for _, s in predicted])
     difference = np.zeros(len(residual)) if best is None else signatures[:, best] @ amplitudes
     channel = np.repeat(np.arange(len(predicted)), [len(r) for r, _ in predicted])
     group = np.concatenate([own[held] for own in noise.group])
     return _Fold(channel, group, residual, difference, [signatures[:, part] for part in parts], told)
+
+
+def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
+    """Whether the used segments show every effect of a choice. Otherwise rounding errors would determine an amplitude. used, held:
+    (p,), energy of each column in the used and in the held-out segments, without the part that the nominal parameters absorb."""
+    starts = np.concatenate(([0], np.cumsum(widths)[:-1])).astype(int)
+    shown, whole = np.add.reduceat(used, starts), np.add.reduceat(used + held, starts)
+    return bool(np.all(shown > ABSORBED * whole))
 
 
 class _Rows:

@@ -131,9 +131,9 @@ class ChannelWeights:
     `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
 
     relative: (M,), variance of the noise of each coefficient, divided by white². undithered: variance of the rounding error of a
-    segment mean. log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal basis of the whitened nominal
-    columns. scale: (M,), factors that whiten coefficients one by one: all coefficients if there is no slow noise, otherwise those
-    above order 0.
+    segment mean. log_likelihood: REML of the data without any effect. log_det: −2·log_likelihood without the squared residuals.
+    basis: (M, q), orthonormal basis of the whitened nominal columns. scale: (M,), factors that whiten coefficients one by one: all
+    coefficients if there is no slow noise, otherwise those above order 0.
     """
 
     def __init__(
@@ -174,21 +174,37 @@ class ChannelWeights:
         self._root = np.sqrt(counts)
         self.scale = 1 / np.sqrt(fast + tail)
         self._inverse: Array | None = None
-        if level > 0 or walk > 0:
-            factor = np.linalg.cholesky(covariance)
+        if level == 0 and walk == 0:
+            self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
+        self._fit(nominal, spectrum.values[:, channel], jointly=level > 0 or walk > 0)
+
+    def _fit(self, nominal: Array, values: Array, jointly: bool) -> None:
+        """Projects the nominal columns (M, q) out of the coefficients (M,). jointly: whether the means are whitened jointly."""
+        if jointly:
+            factor = np.linalg.cholesky(self._covariance)
             self._inverse = np.asarray(np.linalg.inv(factor))
             self.scale[self._means] = 1.0
-            log_det = 2 * float(np.log(np.diag(factor)).sum())
+            self.log_det = 2 * float(np.log(np.diag(factor)).sum())
         else:
-            self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
-            log_det = -2 * float(np.log(self._root).sum())
+            self.log_det = -2 * float(np.log(self._root).sum())
         whitened = self.whiten(nominal)
         self.basis: Array
         self.basis, upper = np.linalg.qr(whitened) if nominal.shape[1] else (whitened, np.zeros((0, 0)))
-        log_det -= 2 * float(np.log(self.scale).sum())
-        log_det += 2 * float(np.log(np.abs(np.diag(upper)) + 1e-300).sum())
-        self.residual = self.project(spectrum.values[:, [channel]])[:, 0]
-        self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
+        self.log_det -= 2 * float(np.log(self.scale).sum())
+        self.log_det += 2 * float(np.log(np.abs(np.diag(upper)) + 1e-300).sum())
+        self.residual: Array = self.project(values[:, None])[:, 0]
+        self.log_likelihood = -0.5 * (self.log_det + float(self.residual @ self.residual))
+
+    def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
+        """The weights for the covariance C + share·(C' − C), where C is the covariance of these weights, and C' that of `other`, which
+        also contain slow noise. The share may be negative or above 1, as long as the result is a covariance. The covariance is linear in
+        the squared level of flicker, so this gives the weights at any level. nominal: (M, q), and values: (M,), SI."""
+        made = copy(self)
+        made._covariance = self._covariance + share * (other._covariance - self._covariance)
+        variance = 1 / self.scale**2
+        made.scale = 1 / np.sqrt(variance + share * (1 / other.scale**2 - variance))
+        made._fit(nominal, values, jointly=True)
+        return made
 
     def beside(self, columns: Array) -> ChannelWeights:
         """A copy in which further columns (M, p), SI, have been added to the nominal columns. `log_likelihood` changes only because
