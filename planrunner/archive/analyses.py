@@ -155,7 +155,7 @@ def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
 
 
 def chosen_analysis(run: Path, analyses: Iterable[StoredAnalysis], number: int | None = None) -> StoredAnalysis:
-    """The analysis of a run with this number, by default the newest. Raises `InputError` if the run does not have it."""
+    """The analysis of a run that has this number; by default, the newest analysis. Raises `InputError` if the run does not have it."""
     known = {one.number: one for one in analyses}
     number = max(known, default=0) if number is None else number
     if number not in known:

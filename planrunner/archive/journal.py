@@ -61,7 +61,7 @@ def finite(readings: Mapping[str, float]) -> dict[str, float | None]:
 
 
 class Journal:
-    """Writer of a journal. If `append` raises, the event does not count and its line is removed."""
+    """Writes a journal event by event. If `append` raises, the event does not count and its line is removed."""
 
     def __init__(self, storage: Storage, file: FileIO, *, head: str = FIRST, count: int = 0, size: int = 0):
         self._storage = storage
@@ -73,7 +73,7 @@ class Journal:
 
     @property
     def head(self) -> str:
-        """SHA-256 of the last line."""
+        """SHA-256 of the last line of the journal."""
         return self._state[0]
 
     @property
@@ -122,8 +122,8 @@ class Journal:
 
 
 class JournalScan:
-    """Reader of a journal. Iterate once over the events; `head`, `count`, `size`, `torn`, `heads` and `digests` are known
-    afterwards.
+    """Reads a journal and checks the chain of its lines. Iterate once over the events; `head`, `count`, `size`, `torn`, `heads` and
+    `digests` are known afterwards.
 
     size: number of bytes in complete lines. torn: number of bytes in an incomplete last line. marks: numbers of events after which
     a state of the chain is to be stored. After each of these numbers of events, `heads` receives the head of the chain, and

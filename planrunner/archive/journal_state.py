@@ -61,8 +61,8 @@ class JournalState:
     time. turning_times: number and time of the first and of the last event, and of the two events at each place where the time goes
     back. planned: number of segments in the schedule; 0 if the run never started. stamped, unstamped: the events about time stamps
     that were obtained, and about those that were not. unstamped_ends: numbers of the events `finished` at which a part of the
-    journal had neither a time stamp nor an event that explains why it has none. renewals: for each event that reopened the run with
-    further approvals, its time and the entries of these approvals. standards: for each event that reopened the run on a bench with
+    journal had neither a time stamp nor an event that explains why it has none. renewals: the time of each event that reopened the
+    run with further approvals, and the entries of these approvals. standards: for each event that reopened the run on a bench with
     a check standard, its time and the state of the check standard at that time."""
 
     created: JsonObject = field(default_factory=dict)

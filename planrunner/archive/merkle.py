@@ -1,6 +1,6 @@
 """Merkle trees of a log that only grows: tree heads, inclusion proofs and consistency proofs (RFC 9162, section 2.1).
 
-The symbols are those of the RFC: MTH is the hash of a tree, PATH an inclusion proof, PROOF a consistency proof. Hashes are SHA-256.
+The symbols of RFC 9162 are used: MTH is the hash of a tree, PATH an inclusion proof, PROOF a consistency proof. Hashes are SHA-256.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class ProofError(ValueError):
 
 
 def leaf_hash(entry: bytes) -> bytes:
-    """Hash of a leaf; its prefix 00 distinguishes leaves from nodes (2.1.1)."""
+    """The hash of a leaf of a Merkle tree; its prefix 00 distinguishes leaves from nodes (RFC 9162, 2.1.1)."""
     return hashlib.sha256(b"\0" + entry).digest()
 
 
@@ -27,7 +27,7 @@ def node_hash(left: bytes, right: bytes) -> bytes:
 
 
 def tree_hash(leaves: Hashes) -> bytes:
-    """MTH of a tree whose leaves have these hashes (2.1.1)."""
+    """The hash MTH of a Merkle tree whose leaves have these hashes (RFC 9162, 2.1.1)."""
     if not leaves:
         return EMPTY
     level = list(leaves)
@@ -46,7 +46,8 @@ def complete_nodes(leaves: Hashes) -> list[list[bytes]]:
 
 
 def root_of(levels: Sequence[Hashes], size: int) -> bytes:
-    """MTH of the tree of the first `size` leaves, from `complete_nodes`. The time grows with the logarithm of the size."""
+    """The hash MTH of the tree of the first `size` leaves, computed from `complete_nodes`. The time grows with the logarithm of the
+    size."""
     root, end = None, size
     for height, level in enumerate(
         levels
@@ -59,7 +60,7 @@ def root_of(levels: Sequence[Hashes], size: int) -> bytes:
 
 
 def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
-    """PATH(index, leaves): the hashes that lead from a leaf, counted from 0, to the root (2.1.3.1)."""
+    """The inclusion proof PATH(index, leaves): the hashes that lead from a leaf, counted from 0, to the root (RFC 9162, 2.1.3.1)."""
     if not 0 <= index < len(leaves):
         raise ProofError(f"the tree has no leaf {index}")
     n = len(leaves)
@@ -72,15 +73,16 @@ def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
 
 
 def consistency_proof(size: int, leaves: Hashes) -> list[bytes]:
-    """PROOF(size, leaves): shows that the tree of the first `size` leaves is a part of the tree of all leaves (2.1.4.1). The proof
-    is empty for size 0."""
+    """The consistency proof PROOF(size, leaves), which shows that the tree of the first `size` leaves is a part of the tree of all
+    leaves (RFC 9162, 2.1.4.1). The proof is empty for size 0."""
     if not 0 <= size <= len(leaves):
         raise ProofError(f"the tree has fewer than {size} leaves")
     return _subproof(size, leaves, whole=True) if 0 < size < len(leaves) else []
 
 
 def _subproof(m: int, leaves: Hashes, *, whole: bool) -> list[bytes]:
-    """SUBPROOF(m, leaves, b) of the RFC. whole: b, which is True if the verifier knows the hash of the tree of the first m leaves."""
+    """The list SUBPROOF(m, leaves, b) of RFC 9162, 2.1.4.1. whole: the argument b, which is True if the verifier knows the hash of
+    the tree of the first m leaves."""
     n = len(leaves)
     if m == n:
         return [] if whole else [tree_hash(leaves)]

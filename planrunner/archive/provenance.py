@@ -25,7 +25,7 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def computed_with() -> dict[str, str]:
-    """Everything on which the last digits of a result may depend: planrunner, Python, the processor, the libraries and the BLAS."""
+    """Everything that can affect the last digits of a result: planrunner, Python, the processor, the libraries and the BLAS."""
     from threadpoolctl import threadpool_info
 
     blas = [item for item in threadpool_info() if item.get("user_api") == "blas"]

@@ -153,8 +153,8 @@ class RecordedSegment:
 
 
 def expected_segment(segment: Segment, units: dict[str, str], statistics: Statistics) -> RecordedSegment:
-    """A segment that is not recorded yet. It has its expected statistics and a few samples with the same mean and scatter; the
-    number of these samples does not grow with the dwell."""
+    """A segment that is not recorded yet. It has its expected statistics and a few samples with this mean and scatter; the number
+    of these samples does not grow with the dwell."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         count = min(statistics.count, _SHOWN)

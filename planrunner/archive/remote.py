@@ -68,8 +68,8 @@ _Place = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Pushed:
-    """Result of `push_run`. written: number of files that were written. present: number of files that already existed with the same
-    content."""
+    """The result of `push_run`. written: number of files that were written. present: number of files that already existed with the
+    same content."""
 
     written: int
     present: int
@@ -290,7 +290,7 @@ def _refused(url: str, what: str) -> InputError:
 
 @dataclass(frozen=True, slots=True)
 class Pulled:
-    """Result of `pull_runs`. runs: the runs that were copied. present: number of runs that already existed."""
+    """The result of `pull_runs`. runs: the runs that were copied. present: number of runs that already existed."""
 
     runs: tuple[Path, ...]
     present: int

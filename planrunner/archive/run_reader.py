@@ -145,8 +145,8 @@ class RunReader:
     ) -> tuple[RecordedSegment, ...]:
         """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
-        schedule: the schedule made from the plan and the bench in the run folder. watch: screens the samples in the same pass.
-        notice: receives the progress. Raises `IntegrityError` if the schedule does not match the recording.
+        schedule: the schedule made from the plan and the bench in the run folder. watch: screens the samples while they are read
+        for the statistics. notice: receives the progress. Raises `IntegrityError` if the schedule does not match the recording.
         """
         segments = []
         whole = sum(part.rows for item in self.acknowledged() for part in item.parts)

@@ -208,7 +208,7 @@ class SegmentWriter:
 
 
 class _HashedSink:
-    """Output for pyarrow: hashes the bytes and passes them on."""
+    """An output for pyarrow that hashes the bytes and passes them on."""
 
     def __init__(self, storage: Storage, folder: GuardedFolder, name: str):
         self.storage = storage

@@ -118,7 +118,7 @@ def statistics_of(
     the files before they are read.
 
     A row with a non-finite value in any channel is omitted and counted in `rejected`. With one sample, covariance and standard
-    error are NaN; without samples, the mean is NaN too. watcher: examines the blocks in the same pass.
+    error are NaN; without samples, the mean is NaN too. watcher: examines the samples while they are read for the statistics.
     """
     gathered = _Gathered(len(channels), rows, motion)
     for block in blocks:

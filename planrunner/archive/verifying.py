@@ -392,8 +392,8 @@ def _follows_seal(found: Examined, basis: Basis) -> bool:
 def _check_times(found: Examined) -> None:
     """Checks that no time is earlier than the times of the data before it, and that no time is in the future.
 
-    A clock that was set back causes the same findings as an altered time. Therefore only `verify` treats them as a change; other
-    commands warn, because the data themselves are unchanged.
+    A clock that was set back causes the same findings as an altered time. Therefore only `verify` treats these findings as a
+    change; other commands warn, because the data themselves are unchanged.
     """
     assert found.state is not None and found.scan is not None
     path = found.folder.path

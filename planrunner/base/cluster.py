@@ -59,7 +59,8 @@ _SCHEDULER = "--scheduler"
 
 @dataclass(frozen=True, slots=True)
 class _Terms:
-    """What every task of a computation is sent with: the versions that the worker must have, and the directory that it must use.
+    """The conditions that are sent to a worker with every task of a computation: the versions that the worker must have, and the
+    directory that it must use.
 
     versions: the versions of the program and of the libraries. directory: the working directory of this process."""
 

@@ -26,7 +26,7 @@ KNOWN = {"frozen", "slots", "eq", "kw_only"}
 
 
 def _dataclass(given: type | None = None, /, **options: bool) -> Any:
-    """See `dataclasses.dataclass`."""
+    """A decorator with the same effect as `dataclasses.dataclass`."""
     if given is None:
         return lambda cls: _dataclass(cls, **options)
     bases: list[Any] = [base for base in given.__mro__[1:] if "__dataclass_fields__" in base.__dict__]

@@ -53,7 +53,7 @@ def _own(group: str) -> dict[str, str]:
 
 @cache
 def _entries() -> tuple[tuple[str, str, str], ...]:
-    """Group, name and place of each of the project's own plug-ins; empty if the project is not installed."""
+    """Group, name and place (`module:attribute`) of each of the project's own plug-ins; empty if the project is not installed."""
     for folder in sys.path:
         try:
             for name in filter(_INFO.fullmatch, os.listdir(folder or ".")):

@@ -1,9 +1,9 @@
 """Opens files that the user names: a regular file within a size limit, or a refusal with the reason.
 
-Everything that planrunner reads (plans, benches, templates, recordings, run folders) is opened here. A pipe without a writer would block
-the program for ever, `/dev/zero` would fill the memory, and opening a device can move an instrument. The kind of a file is therefore
-checked before it is opened and again afterwards. Windows can neither open without waiting nor refuse a link while opening; there the first
-check protects, and the second applies the same rule to the open file.
+Everything that planrunner reads (plans, benches, templates, recordings, run folders) is opened here. A pipe without a writer would
+block the program for ever, `/dev/zero` would fill the memory, and opening a device can move an instrument. The kind of a file is
+therefore checked before it is opened and again afterwards. Windows can neither open without waiting nor refuse a link while
+opening. There, the check before opening protects, and the check afterwards applies the same rule to the open file.
 """
 
 from __future__ import annotations

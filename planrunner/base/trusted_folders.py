@@ -48,8 +48,8 @@ def trusted(folder: Path, user: int | None = None) -> Path:
 
 
 def trusted_within(folder: Path, user: int | None = None) -> None:
-    """Checks every entry in a trusted folder by the same rule as the folder: only folders and files of the user or the
-    administrator, no links. Raises `UntrustedFolderError` and `OSError`."""
+    """Checks every entry in a trusted folder: it must be a folder or file of the user or the administrator, and no link. Raises
+    `UntrustedFolderError` and `OSError`."""
     user = this_user() if user is None else user
     reachable = bool(folder.lstat().st_mode & OTHERS_ENTER)
     for place, folders, files in os.walk(folder, onerror=_raise):
@@ -95,8 +95,8 @@ def user_data() -> Path:
 
 
 def user_cache(variable: str, name: str) -> Path:
-    """The folder for cached data of this user: the folder that the environment variable names, otherwise the folder `name` below
-    planrunner's folder among the system's caches."""
+    """The folder for this user's cached data: the folder that the environment variable names or, if it names none, the folder
+    `name` below planrunner's folder in the system's folder for caches."""
     stated = os.environ.get(variable)
     if stated:
         return Path(stated)

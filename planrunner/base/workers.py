@@ -19,9 +19,9 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where to compute. jobs: number of processes on this machine, including this one; if it is None, the number depends on the
-    work. scheduler: address of a Dask scheduler to use instead of processes, such as `tcp://10.0.0.5:8786`. Every worker of the
-    cluster must see the paths among the items under the same names."""
+    """States where work is computed. jobs: number of processes on this machine, including this one; if it is None, the number
+    depends on the work. scheduler: address of a Dask scheduler to use instead of processes, such as `tcp://10.0.0.5:8786`. Every
+    worker of the cluster must see the paths among the items under the same names."""
 
     jobs: int | None = None
     scheduler: str | None = None
@@ -54,8 +54,8 @@ def results_of(
 def results_in_order(
     work: Callable[[T], R], items: Sequence[T], workers: Workers, tell: Callable[[float], None] | None = None
 ) -> Iterator[R]:
-    """The same as `results_of`, but each result is passed on as soon as all earlier ones are available, so that not all of them are
-    in memory."""
+    """The same as `results_of`, except that each result is yielded as soon as all earlier results are available, so that not all
+    results are in memory."""
     if workers.scheduler is not None:
         from planrunner.base.cluster import computed_on_cluster
 

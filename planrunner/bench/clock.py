@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class VirtualClock:
-    """Simulated time. It advances only by sleeping, which returns at once."""
+    """A clock of simulated time. It advances only when something sleeps, and a sleep takes no real time."""
 
     def __init__(self, start: float = 0.0):
         self._now = start

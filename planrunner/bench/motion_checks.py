@@ -30,9 +30,9 @@ WHOLE_TURN_TOLERANCE = 100e-6
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """How long a motion is held. settle: planned settling time [s]. dwell: s; None if the dwell lasts as long as the recording.
-    sampled: sample rate, Hz; None if the sensor is not known. sooner: if measurements can end the settling early, the time [s] that
-    this can save; otherwise 0."""
+    """States how long a motion is held. settle: planned settling time [s]. dwell: s; None if the dwell lasts as long as the
+    recording. sampled: sample rate, Hz; None if the sensor is not known. sooner: if measurements can end the settling early, the
+    time [s] that this can save; otherwise 0."""
 
     settle: float
     dwell: float | None

@@ -60,7 +60,7 @@ PROTECTION = RecordOf(Protection, _check)
 
 
 def kept_table(table: TableModel, protection: Protection) -> TableModel:
-    """The table with its limits lowered to those of the protection, which plans must observe."""
+    """The table with the limits that plans must observe: its own limits, or those of the protection where these are lower."""
     rate = math.inf if protection.rate is None else protection.rate.value
     acceleration = math.inf if protection.acceleration is None else protection.acceleration.value
     axes = tuple(
@@ -75,7 +75,8 @@ def kept_table(table: TableModel, protection: Protection) -> TableModel:
 
 
 def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
-    """The chamber with its temperature range narrowed to that of the protection, which plans must observe."""
+    """The chamber with the temperature range that plans must observe: its own range, narrowed to the range that the protection
+    permits."""
     coldest, hottest = protection.coldest, protection.hottest
     return replace(
         chamber,

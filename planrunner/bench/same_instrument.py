@@ -24,8 +24,9 @@ _HOST_AND_PORT = re.compile(r"\[?([^\]/]+)\]?:(\d+)/?")
 
 
 def names_of(address: str) -> frozenset[str]:
-    """All names of the instrument at `address`. An address is a VISA resource, a serial port as pyserial names it, or a text that
-    only its driver understands, which is then the only name. Never empty; an unknown host keeps its name."""
+    """All names under which the instrument at `address` can be addressed on this computer. An address is a VISA resource, a serial
+    port as pyserial names it, or a text that only its driver understands, which is then the only name. Never empty; an unknown host
+    keeps its name."""
     text = address.strip()
     if found := _SOCKET.fullmatch(text):
         return _of_host(found[1], f"port {int(found[2])}")
@@ -67,7 +68,7 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """All names of a serial port. numbered: True if a plain number is the number of a Windows port."""
+    """All names that this computer has for a serial port. numbered: True if a plain number is the number of a Windows port."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":
@@ -93,7 +94,8 @@ def windows_port(name: str, numbered: bool = False) -> frozenset[str]:
 
 
 def _calling_out(path: str) -> str:
-    """The macOS device for outgoing calls of the same port. macOS has two devices for each port; the other one waits for a carrier."""
+    """The device of macOS for outgoing calls that belongs to a serial port. macOS has two devices for each port; the other one
+    waits for a carrier."""
     return path.replace("/dev/tty.", "/dev/cu.", 1)
 
 

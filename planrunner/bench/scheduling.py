@@ -228,7 +228,7 @@ class _Planner:
 
     def report_missing(self) -> None:
         """Adds one finding for each missing key, however many segments lack it: a key that is missing in `defaults` is missing in
-        all of them."""
+        every segment."""
         if self._without_orientation:
             hint = "add for example `orientation: {x: up, y: north, z: west}` there or to `defaults`, or `orientation: unknown`"
             self.log.error("meaning-no-orientation", *_lacking(self._without_orientation, "orientation"), hint)

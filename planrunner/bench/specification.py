@@ -46,8 +46,9 @@ SENSES: Mapping[str, Sense] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Grade:
-    """Usual limits of one grade. quietest: smallest usual white noise; for a gyro, the angle random walk in deg/√h, and for an
-    accelerometer, the one-sided density in µg/√Hz. usual: usual limit of each term in `SENSES`, in the order of `SENSES`."""
+    """The usual limits of one grade of sensors. quietest: smallest usual white noise; for a gyro, the angle random walk in deg/√h,
+    and for an accelerometer, the one-sided density in µg/√Hz. usual: usual limit of each term in `SENSES`, in the order of
+    `SENSES`."""
 
     name: str
     quietest: Mapping[Sense, float]

@@ -76,7 +76,7 @@ def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
 
 def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
     """Refuses a certificate and the options that apply to a single run (--set, --info, --before, --template) if several runs are
-    given. Raises `InputError` in this case."""
+    given. Raises `InputError` if such an option is given."""
     from planrunner.reporting.certificate_requirements import is_certificate
 
     given = {"--set": args.set, "--info": args.info, "--before": args.before, "--template": args.template}

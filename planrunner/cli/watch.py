@@ -62,7 +62,8 @@ def _draw(monitor: Monitor, output: Console, *, until_idle: bool) -> None:
 
 
 def _log(monitor: Monitor, *, until_idle: bool) -> None:
-    """For each active run, prints a line whenever the run begins, waits or ends, and at least every ten seconds."""
+    """Prints lines about the active runs: one whenever a run begins, waits or ends, and at least one for each run every ten
+    seconds."""
     from planrunner.live.terminal import NONE, log_line
 
     shown: dict[str, tuple[float, object]] = {}

@@ -16,8 +16,8 @@ from planrunner.instruments.interfaces import Resumable
 
 
 class Continuity:
-    """Reads and restores the states from which a run can continue: those of the bench's simulated instruments, and that of the
-    executor in `reaching`."""
+    """Reads and restores the states from which a run can continue: the states of the bench's simulated instruments, and the state
+    of the executor (held in `reaching`)."""
 
     def __init__(self, bench: ConnectedBench, reaching: Reaching):
         self._bench = bench

@@ -113,7 +113,7 @@ class Lookout:
                 self._notice(name, text)
 
     def tick(self) -> bool:
-        """Called by a real clock while it sleeps, also within a driver; returns whether the sleep must end."""
+        """A callback that a clock of real time calls while it sleeps, even within a driver; returns whether the sleep must end."""
         try:
             self._sign_of_life()
         except InstrumentError as error:

@@ -56,7 +56,7 @@ class PlannedTest:
 
     @property
     def values(self) -> dict[str, str]:
-        """The values that distinguish the test from other tests of the same plan, device and bench."""
+        """The values that distinguish the test from other tests of its plan with this device on this bench."""
         return {**self.matrix, **self.parameter_values}
 
     @property

@@ -7,7 +7,7 @@
       junit.xml  summary.md
       logs/           output of the process of each attempt
 
-Everything in `night.json` follows from the journal, so that a night that was killed is continued from the journal alone.
+Everything in `night.json` follows from the journal, so that a killed night can be continued from the journal alone.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ FORMAT = 1
 
 
 def holds_nights(folder: Path) -> bool:
-    """Whether a folder is the one in which an archive keeps the records of its nights. This folder lies beside the run folders, so
-    `runs/*` includes it."""
+    """Whether a folder is the one in which an archive keeps the records of its nights. An archive keeps this folder next to the run
+    folders, so the pattern `runs/*` matches it too."""
     return folder.name == FOLDER and folder.is_dir() and not (folder / RUN).exists()
 
 

@@ -35,7 +35,7 @@ _OPENINGS = 60
 
 
 class EndOfTest(Enum):
-    """How a test ended."""
+    """The ways in which a test can end."""
 
     PASSED = "passed"
     LIMIT = "limit"

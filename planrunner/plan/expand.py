@@ -41,8 +41,8 @@ class StatedSegment:
 
 
 def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
-    """All segments in order, except those with errors of their own. Adds findings about too many segments, repeated or empty
-    labels, and contradictory keys."""
+    """Makes all segments of the plan in order, without those that contain errors themselves. Adds findings about too many segments,
+    repeated or empty labels, and contradictory keys."""
     count = sum(_count(spec) for spec in plan.segments)
     if count > MAX_SEGMENTS:
         longest = max(plan.segments, key=_count)

@@ -641,7 +641,7 @@ class Plugin(Protocol):
 class Plugged:
     """A record whose additional keys belong to the plug-in that `selector` names.
 
-    The keys of the plug-in are in the same mapping as the common ones and are read into the field `parameters` of the record.
+    The keys of the plug-in stand in the same mapping as the common keys, and are read into the field `parameters` of the record.
     """
 
     record: type[Record]

@@ -16,7 +16,7 @@ from planrunner.base.findings import Mark
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """No motion."""
+    """The motion of a segment at rest."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,5 @@
-"""`for_each`: sweeps over states. Several keys give all combinations of their values; the first key changes slowest.
+"""Reads `for_each`, which states sweeps over states. Several keys give all combinations of their values; the first key changes
+slowest.
 
 for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
 for_each: {temperature: [-40 degC, 20 degC]}
@@ -97,9 +98,9 @@ class StateTraits:
 
     swept: True if the key may be swept with `for_each`. directed: True if the sign of the quantity is a direction, so that labels
     show + as well as −. decisive: True if a value that could not be read prevents the checks of the rest of the segment. replaces:
-    another key that states the same thing in another form. A segment has only one of these two keys: setting this key removes an
-    inherited value of the other key. sweep_example: an example of a sweep, if the example of one value does not show how to write a
-    sweep.
+    another key by which the plan can state the same property in another form. A segment has only one of these two keys: setting
+    this key removes an inherited value of the other key. sweep_example: an example of a sweep, if the example of one value does not
+    show how to write a sweep.
     """
 
     swept: bool = False

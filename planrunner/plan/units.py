@@ -285,7 +285,8 @@ def _registry() -> Any:
 
 
 def convert(value: float, from_unit: str, to_unit: str) -> float:
-    """`value` in another unit of the same dimension. Raises `UnknownUnitError` if a unit is unknown or has another dimension."""
+    """Converts `value` to another unit of the same dimension. Raises `UnknownUnitError` if a unit is unknown or has another
+    dimension."""
     source, target = unit(from_unit), unit(to_unit)
     if source.dimension != target.dimension:
         raise UnknownUnitError(f"{from_unit} cannot be expressed in {to_unit}")

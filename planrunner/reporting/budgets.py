@@ -13,7 +13,7 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 
 
 def budget_views(estimate: Estimate) -> list[JsonObject]:
-    """The budgets that contain more than the contribution of the data; those of the headline coefficients come first.
+    """The budgets that contain more than the contribution of the data; budgets of the headline coefficients come first.
 
     Each budget has the keys {coefficient, unit, headline, lines, standard, freedom, factor, expanded}; each of its lines has
     {quantity, kind, value, standard, unit, distribution, freedom, sensitivity, contribution, share, source, added}. All values

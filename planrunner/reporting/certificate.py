@@ -24,9 +24,9 @@ from planrunner.uncertainty.decision import coverage_factor
 
 
 def certificate_view(context: ReportContext) -> JsonObject:
-    """Data with these keys: number, number_css (a CSS string), laboratory, told, corrected, references, conditions, events,
-    performed, issued, plan_digest, approvals, run, analysis, duration, before_run, simulated, replayed, results, has_before, rules,
-    conformity, warnings."""
+    """The data for the template of a certificate, with these keys: number, number_css (a CSS string), laboratory, told, corrected,
+    references, conditions, events, performed, issued, plan_digest, approvals, run, analysis, duration, before_run, simulated,
+    replayed, results, has_before, rules, conformity, warnings."""
     facts = context.certificate
     if facts is None:
         facts = CertificateFacts("")

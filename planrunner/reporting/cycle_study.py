@@ -1,4 +1,4 @@
-"""Output of a design study of a rotation cycle: residuals and moves of the cycles, the searches, and plots over time."""
+"""Makes the output of a design study of a rotation cycle: residuals and moves of the cycles, the searches, and plots over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Output of a diagnosis: sentences and tables for the terminal, and one page with plots.
+"""Makes the output of a diagnosis: sentences and tables for the terminal, and one page with plots.
 
 The input is plain data according to `schemas/diagnosis.schema.json`. Only fractions and rounded numbers are computed here.
 """
@@ -44,8 +44,8 @@ Data = Mapping[str, Json]
 
 @dataclass(frozen=True)
 class DiagnosisContext:
-    """Input of the page of a diagnosis. title: title of the plan. diagnosis: the diagnosis as plain data. facts: facts about the
-    diagnosed recording. remarks: warnings about the recording. next_plan: text of the proposed plan, empty if there is none.
+    """The input of the page of a diagnosis. title: title of the plan. diagnosis: the diagnosis as plain data. facts: facts about
+    the diagnosed recording. remarks: warnings about the recording. next_plan: text of the proposed plan, empty if there is none.
     origin: whether the samples are measured, simulated or played back."""
 
     title: str

@@ -138,8 +138,8 @@ def _spectrum(name: str, one: Data) -> Plot:
 
 
 def heat_svg(heat: Data, key: str) -> str:
-    """A heat map of the gap, with one row for each channel and one column for each segment. White stands for noise alone; a darker
-    field stands for a larger gap, on a logarithmic scale."""
+    """A heat map of the gap, with one row for each channel and one column for each segment. White means that there is only noise; a
+    darker field is a larger gap, on a logarithmic scale."""
     from matplotlib.colors import LinearSegmentedColormap
 
     channels, segments = list(heat["channels"]), list(heat["segments"])

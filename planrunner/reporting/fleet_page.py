@@ -1,4 +1,4 @@
-"""Output of a diagnosis of several runs: sentences and tables for the terminal, and one page.
+"""Makes the output of a diagnosis of several runs: sentences and tables for the terminal, and one page.
 
 The input is plain data according to `schemas/fleet.schema.json`. Only rounded numbers are computed here.
 """
@@ -235,7 +235,7 @@ def _runs(found: Data) -> Table:
 
 
 def plots(found: Data) -> list[Plot]:
-    """Plots of the estimated effects other than the nominal terms, and of amplitudes that a device, bench or occasion changes."""
+    """Plots of the estimated effects, without the nominal terms, and of amplitudes that a device, bench or occasion changes."""
     fitted = set(found["effects"])
     chosen = [
         one

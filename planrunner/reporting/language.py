@@ -4,8 +4,9 @@ Catalogues are read as gettext PO text. Pages therefore show exactly the texts t
 A placeholder of a page template can only have the form `%(name)s`, so that no template can request a width that would fill the
 memory.
 
-Texts of estimators are `planrunner.base.said.Said`: "{output}: offset at zero rate" with its values is a message of the catalogue, in which
-the translation has the same names. The format of a number is that of the English template, with the decimal sign of the language.
+Texts of estimators are `planrunner.base.said.Said`: "{output}: offset at zero rate" with its values is a message of the catalogue,
+in which the translation has the same names. A number is formatted as in the English template, with the decimal sign of the
+language.
 """
 
 from __future__ import annotations

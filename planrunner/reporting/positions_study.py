@@ -1,4 +1,4 @@
-"""Output of a design study of positions: criteria, efficiencies, and the positions before and after the design."""
+"""Makes the output of a design study of positions: criteria, efficiencies, and the positions before and after the design."""
 
 from __future__ import annotations
 

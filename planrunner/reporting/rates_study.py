@@ -1,4 +1,4 @@
-"""Output of a design study of rates: efficiencies, expected results, and the variance as a function of the rate."""
+"""Makes the output of a design study of rates: efficiencies, expected results, and the variance as a function of the rate."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ _MEANS = "means; the digits in parentheses are the standard uncertainty u in uni
 
 
 def segment_table(segments: Sequence[SegmentSummary]) -> Table:
-    """One table with all columns; columns that no segment needs are omitted."""
+    """The table of segments with all its columns; columns that no segment needs are omitted."""
     return table_of(f"Segments: {_MEANS}", [*NAMED, *HELD, *_channels(segments), *REMARKS], segments)
 
 

@@ -99,7 +99,8 @@ def stamped(origin: DataOrigin | None) -> JsonObject:
 
 
 def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObject:
-    """One estimate with its pictures. index: number of the estimate, from which ids that are unique in the page are made."""
+    """One estimate as data for templates, with its pictures. index: number of the estimate, from which ids that are unique in the
+    page are made."""
     from planrunner.reporting.plots import correlation, correlation_svg, plot_svg, strong
 
     key = f"e{index + 1}"

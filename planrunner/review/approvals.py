@@ -64,8 +64,8 @@ class ApprovedBench:
 
 @dataclass(frozen=True, slots=True)
 class Approved:
-    """What an approval covers. plan: digest of the meaning of the plan without its bench. title, author: as the plan states them.
-    until: last day on which the approval is valid; None if there is no such day."""
+    """The plan and the benches that an approval covers. plan: digest of the meaning of the plan without its bench. title, author:
+    as the plan states them. until: last day on which the approval is valid; None if there is no such day."""
 
     plan: str
     title: str

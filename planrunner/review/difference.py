@@ -179,8 +179,8 @@ def _content(segment: Segment_) -> str:
 
 
 def _match_in_gaps(a: Sequence[Segment_], b: Sequence[Segment_], partner: dict[int, int], taken: set[int]) -> None:
-    """Matches further segments if they lie between the same matched neighbours in both plans and few of their keys differ. The
-    order of the segments is preserved."""
+    """Matches further segments if they lie between the same matched neighbours in the two plans and if few of their keys differ.
+    The order of the segments is preserved."""
     before_b: dict[int, deque[int]] = defaultdict(deque)  # unmatched of b by their matched predecessor, -1 for none
     last = -1
     for j in range(len(b)):

@@ -354,8 +354,8 @@ def _of(value: object) -> Branch:
 
 
 def _record(record: Record) -> dict[str, Branch]:
-    """The meaning of a record: every key with its value. The keys of a plug-in are at the same level as the common keys, as in the
-    file."""
+    """The meaning of a record: every key with its value. The keys of a plug-in stand at the same level as the common keys, as they
+    do in the file."""
     parts: dict[str, Branch] = {}
     for name, item in keys_of(type(record)).items():
         value = getattr(record, item.name)

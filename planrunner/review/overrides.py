@@ -25,8 +25,8 @@ OVERRIDE = "urn:planrunner:check-standard-override:v1"
 
 @dataclass(frozen=True, slots=True)
 class Overridden:
-    """What an override covers. bench: digest of the meaning of the bench. device: the check standard. why: the reason for the
-    override. until: last day on which the override is valid."""
+    """The bench, the check standard and the reason that an override covers. bench: digest of the meaning of the bench. device: the
+    check standard. why: the reason for the override. until: last day on which the override is valid."""
 
     bench: str
     device: str

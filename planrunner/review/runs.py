@@ -1,9 +1,9 @@
 """The difference between the results of two runs: for every coefficient, the difference and its significance.
 
-The two results of a coefficient have independent random errors. On the same bench, they also have common errors. For example, an
-azimuth of the site that is wrong by an arc minute is wrong in both runs. A common input contributes to the difference in proportion
-to the difference between its two sensitivity coefficients. Let c₁ᵢuᵢ and c₂ᵢuᵢ be the contributions of the common input i in runs 1
-and 2. The standard uncertainty of the difference is then
+The two results of a coefficient have independent random errors. On the same bench, they also have common errors, which do not
+change between the runs. For example, an azimuth of the site that is wrong by an arc minute is wrong in both runs. A common input
+contributes to the difference in proportion to the difference between its two sensitivity coefficients. Let c₁ᵢuᵢ and c₂ᵢuᵢ be the
+contributions of the common input i in runs 1 and 2. The standard uncertainty of the difference is then
 
     u² = u₁² + u₂² − 2·Σ (c₁ᵢuᵢ)(c₂ᵢuᵢ)                 (JCGM 100:2008, 5.2.2, equation 16, with r = 1)
 

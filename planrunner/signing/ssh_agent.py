@@ -1,5 +1,5 @@
-"""Signing with an Ed25519 key of a running ssh-agent (draft-ietf-sshm-ssh-agent, sections 3.5 and 3.6). The private key stays in
-the agent."""
+"""Signs with an Ed25519 key of a running ssh-agent (draft-ietf-sshm-ssh-agent, sections 3.5 and 3.6). The private key stays in the
+agent."""
 
 from __future__ import annotations
 

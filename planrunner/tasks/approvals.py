@@ -127,8 +127,8 @@ def required_approvals(
     """The approval data that the run folder must keep. Returns None if the bench requires no approvals, or if approvals are
     missing; in the second case, findings give the reasons.
 
-    The approvals are read beside the plan file, and the key ring beside the bench file. moment: time at which the plan is to run,
-    with a time zone.
+    The approvals are read from the folder next to the plan file, and the key ring from its place next to the bench file. moment:
+    time at which the plan is to run, with a time zone.
     """
     rule = bench.approvals
     if rule is None:

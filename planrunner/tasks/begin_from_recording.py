@@ -23,7 +23,7 @@ _DOUBTS = {
 
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
-    """What it means that gyros x, y, z turn about these axes of the accelerometers."""
+    """The message and the hint of the finding that gyros x, y, z turn about the given axes of the accelerometers."""
     turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in zip("xyz", axes, strict=True))
     return (
         f"Gyros and accelerometers have different axes. In the axes of the accelerometers: {turns}.",

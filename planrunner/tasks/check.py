@@ -88,7 +88,7 @@ class Checked:
 
     @property
     def portable(self) -> bool:
-        """Whether another computer would get the same result of the check today. Another computer has no signing key, may have
+        """Whether the check would give the same result on another computer today. Another computer has no signing key, may have
         other runs and another time, and may lack files. The result is therefore not portable if the bench signs its runs, has a
         check standard or requires approvals, or if the check found an error."""
         bench = self.bench

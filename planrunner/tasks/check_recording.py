@@ -1,6 +1,6 @@
 """Checks the recording that a plan plays back, before the run: reads the whole file, then tries every estimate.
 
-Findings are added to those of the plan. No results are kept. The check shows only whether a run would be completed.
+The findings are added to the findings about the plan. No results are kept. The check shows only whether a run would be completed.
 """
 
 from __future__ import annotations

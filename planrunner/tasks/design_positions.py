@@ -61,7 +61,7 @@ def design_positions(
 
 
 def _rows_of(rows: direction_cosines.RowsAt, axes: tuple[TableAxis, ...], azimuth: float, settings: Array) -> Array:
-    """The design rows for m settings of the table's k axes."""
+    """The design rows for m settings of the table's k axes. settings: angles of the axes, shape (m, k)."""
     return rows(positions.attitudes(axes, settings, azimuth))
 
 
@@ -177,8 +177,8 @@ class _Designer:
         self._left(others, "the other segments take")
 
     def _left(self, spent: float, what: str) -> float:
-        """Time [s] that the budget leaves for recording once at all positions together. Raises `EstimationError` if this time is
-        too short."""
+        """Time [s] that the budget leaves for the recordings at all positions together, if each position is recorded once. Raises
+        `EstimationError` if this time is too short."""
         assert self.asked.time is not None
         left = (self.asked.time - spent) / len(self.places[0].segments)
         if left < 10 * self.count:

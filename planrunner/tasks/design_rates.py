@@ -1,9 +1,9 @@
 """Designs the rates of a plan: finds the pairs of rates that give the most information about a scale factor, and the recording time
 of each pair within a time budget.
 
-The estimator gives the information of each rate. The design changes only one sweep of the plan. For a straight line alone, only the
-largest rates would be chosen. By default, the columns |rate| and rate³ are therefore added to the estimator's terms. They stand for
-asymmetry and nonlinearity, which a scale-factor test also reports.
+The estimator gives the information of each rate. The design changes only one sweep of the plan. If only the terms of a straight
+line were used, the design would choose only the largest rates. By default, the columns |rate| and rate³ are therefore added to the
+estimator's terms. They stand for asymmetry and nonlinearity, which a scale-factor test also reports.
 """
 
 from __future__ import annotations

@@ -581,7 +581,7 @@ def only_channel(units: Mapping[str, str], dimension: str) -> str | None:
 
 
 def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None) -> Recorded:
-    """Joins a recording and later runs of the same sensor, which stayed switched on between the runs.
+    """Joins a recording and later runs of the same sensor, if the sensor stayed switched on between the runs.
 
     The time axis is continued: a later run is delayed by the difference between the start times in the run folders, or by more if
     it would otherwise begin before the end of the previous run. notice: receives the progress of reading. Raises `InputError` if a

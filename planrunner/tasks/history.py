@@ -40,8 +40,8 @@ class RunList:
 
 @dataclass(frozen=True, slots=True)
 class Freshness:
-    """How an index is updated before it is queried. refresh: True to read new and changed runs. rebuild: True to read all runs
-    again. workers: processes that share the reading."""
+    """States how an index is updated before it is queried. refresh: True to read new and changed runs. rebuild: True to read all
+    runs again. workers: processes that share the reading."""
 
     refresh: bool = True
     rebuild: bool = False

@@ -709,7 +709,7 @@ class _Night:
                 _tell(child.process, at_once=True)
 
     def _end_children(self) -> None:
-        """Ends all processes after an unexpected error, so that none of them continues without the night."""
+        """Ends all processes after an unexpected error, so that none of them continues unsupervised."""
         for child in self._children.values():
             _tell(child.process, at_once=True)
         for child in self._children.values():

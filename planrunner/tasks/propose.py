@@ -209,7 +209,8 @@ def _end(segment: Segment) -> float | None:
 
 
 def _pauses(recording: Sequence[RecordedSegment]) -> tuple[float, float]:
-    """Median time [s] between recorded segments at the same temperature, and the additional time [s] if the temperature changes."""
+    """Median time [s] between consecutive recorded segments at the same temperature, and the additional time [s] if the temperature
+    changes."""
     moves, changes = list[float](), list[float]()
     for before, after in pairwise(recording):
         pause = after.statistics.start - (before.statistics.start + before.statistics.duration)

@@ -115,9 +115,9 @@ class Retake:
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """A request for reports after a run: the names of the reports, run information that is given with the request, and the folder
-    of a run of the same item before its adjustment. ring: key ring with the keys that the user knows; it verifies the signatures
-    that a report prints."""
+    """A request for reports after a run: the names of the reports, run information given with the request, and the folder of an
+    earlier run of the same item, made before its adjustment. ring: key ring with the keys that the user knows; it verifies the
+    signatures that a report prints."""
 
     reports: tuple[str, ...] = ()
     given: Mapping[str, str] = field(default_factory=dict)
@@ -193,8 +193,8 @@ def resume(
     plan file next to which there are approvals that were given after the run began. The journal records the approvals that are
     used.
 
-    The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume a run, one
-    of them is refused before it connects to any instrument.
+    The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume the same
+    run, one of them is refused before it connects to an instrument.
     """
     folder = open_run(run)  # no lock is left in what is no run folder
     lock = _lock(folder)

@@ -1,7 +1,7 @@
 """Finds changes in the level of a coefficient, and other circumstances that changed at the same time.
 
-Model: x_i ~ N(μ of its stretch, σ_i²), where σ_i is known. For a change between values k and k + 1, the likelihood ratio is that of
-two means,
+Model: x_i ~ N(μ of its stretch, σ_i²), where σ_i is known. For a change between values k and k + 1, the likelihood ratio compares
+two means:
 
     T_k = (m₂ − m₁)² / (1/W₁ + 1/W₂),    W = Σ 1/σ_i²,  m = Σ x_i/σ_i² / W
 

@@ -44,7 +44,7 @@ CHECK_STANDARD_FORMAT = 1
 
 
 class ControlStanding(Enum):
-    """Possible results of the control of a check standard."""
+    """The possible states of a check standard, such as in control and out of control."""
 
     IN_CONTROL = "in control"
     OUT_OF_CONTROL = "out of control"

@@ -7,10 +7,10 @@ the expectation
     E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
 
 with r repetitions and a_f levels of factor f. The variance components follow from these expectations; a negative component counts
-as zero, also in sums of components. Reproducibility is all variance except that of the device and repeatability. Confidence
-intervals come from the modified large-sample method: Graybill and Wang (Journal of the American Statistical Association 75, 1980)
-for sums of mean squares, and Ting et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as Burdick,
-Borror and Montgomery (Design and Analysis of Gauge R&R Studies, 2005) apply them.
+as zero, also in sums of components. Reproducibility is all variance that is attributed neither to the device nor to repeatability.
+Confidence intervals come from the modified large-sample method: Graybill and Wang (Journal of the American Statistical Association
+75, 1980) for sums of mean squares, and Ting et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as
+Burdick, Borror and Montgomery (Design and Analysis of Gauge R&R Studies, 2005) apply them.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 The run folders are the record; the index is a copy for quick answers. It can be made again from the folders at any time. Each run
 is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is refreshed or rebuilt.
-Several processes may refresh an index at the same time: each writes the runs that it has read. If a folder changed in the meantime,
-the next refresh reads it again.
+Several processes may refresh an index at the same time; each of them writes the runs that it has read. If a folder changed in the
+meantime, the next refresh reads it again.
 """
 
 from __future__ import annotations
