@@ -1,9 +1,9 @@
 """Control charts of a coefficient over time; every value has its own standard uncertainty.
 
 The variance of value i about the mean is σ_i² = u_i² + τ². u_i is the stated standard uncertainty of the value. τ is the scatter
-from run to run that the stated uncertainties do not include, for example the
-scatter of mounting and switch-on. τ² is the part of the variance from run to run that the u_i do not explain. The variance is estimated
-from the mean moving range, so that a shift or a drift of the mean hardly affects it:
+from run to run that the stated uncertainties do not include, for example the scatter of mounting and switch-on. τ² is the part of
+the variance from run to run that the u_i do not explain. The variance is estimated from the mean moving range, so that a shift or a
+drift of the mean hardly affects it:
 
     τ² = max(0, (mean |x_i − x_{i−1}| / d₂)² − mean u_i²),    d₂ = 2/√π
 
