@@ -152,7 +152,8 @@ THREE_WAYS: tuple[Axes, ...] = (
     *(("north", "west", "up"), ("west", "south", "up"), ("south", "east", "up")),
 )
 """Each axis up, the table's zero in three directions of the others: shows both parts of a wobble to each output."""
-ROCKED = [*places(TWELVE[:6], 4.0), *turns(50, seconds=3.6), *rocks((8, 0.5), (2, 4), seconds=4.3)]
+ROCKED = [*places(TWELVE[:6], 4.0), *turns(50, seconds=7.2), *rocks((8, 0.5), (2, 4), seconds=4.3)]
+"""Whole turns: here each turn begins at angle zero, which no channel shows. The mean over another part of a turn would depend on it."""
 WARM = [*places(), *turns(50, 150)]
 WORLDS = {
     "rates and temperatures": world(
