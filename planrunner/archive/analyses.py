@@ -33,8 +33,8 @@ MOST_RESULTS = 2**27
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """The data from which an analysis is made: the first `events` events of the journal, the last of which has the digest `head`,
-    and the digest of the seal if the run had one."""
+    """The state of a run from which an analysis is made: the first `events` events of the journal, where `head` is the digest of
+    the last of them, and the digest of the seal if the run had one."""
 
     events: int
     head: str

@@ -120,7 +120,7 @@ class LiveState:
 
     @classmethod
     def from_json(cls, data: JsonObject) -> LiveState:
-        """Reads data that match the schema."""
+        """Reads a live state from data that match the schema."""
         segment, question = data["segment"], data["question"]
         return cls(
             data["at"],
@@ -216,7 +216,7 @@ def write_answer(run: GuardedFolder, answer: Answer) -> None:
 
 
 def take_answer(run: GuardedFolder, question: str) -> Answer | None:
-    """The answer to a question, if there is one. An answer to another question is discarded."""
+    """The answer to a question in the run folder; None if there is none. An answer to another question is discarded."""
     try:
         if run.entry(ANSWER) is None:
             return None

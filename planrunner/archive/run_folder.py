@@ -53,8 +53,8 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """A time stamp of the journal after `events` events, to be kept in the run folder. token: the reply of the authority in DER;
-    None if there is no time stamp. why: the reason why there is no time stamp. at: the time that the stamp states, UTC."""
+    """A time stamp of the first `events` events of the journal, to be kept in the run folder. token: the reply of the authority in
+    DER; None if there is no time stamp. why: the reason why there is no time stamp. at: the time that the stamp states, UTC."""
 
     events: int
     token: bytes | None
@@ -216,8 +216,8 @@ class RunWriter:
     ) -> RunWriter:
         """Continues an interrupted run: removes an incomplete last line and settles the segment in progress.
 
-        run: path of the run folder, or the result of `examine` with samples, made under the given lock, so that nothing is verified
-        twice.
+        run: path of the run folder; or what `examine` returned for it, with samples and under the given lock, so that nothing is
+        verified twice.
 
         reason: reason for reopening a finished, sealed run; required for such a run. lock: lock of the folder, if the caller
         already holds it; the writer then becomes responsible for it. bench: a bench file that replaces the one in the folder; the

@@ -156,7 +156,7 @@ class RunLog:
 
     @classmethod
     def of(cls, archive: Path, storage: Storage | None = None) -> RunLog | None:
-        """The log of a folder with runs; None if the folder has no log. Raises `OSError`."""
+        """The log of a folder that contains runs; None if the folder has no log. Raises `OSError`."""
         try:
             above = GuardedFolder.open(archive)
         except FileNotFoundError:

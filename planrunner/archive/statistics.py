@@ -303,7 +303,7 @@ class _Gathered:
         )
 
     def _course(self) -> MotionCourse | None:
-        """The course that the motion causes, as far as the short means show it."""
+        """The course that the motion causes, determined from the short means."""
         if not self.follows or self.count < 3:
             return None
         interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)

@@ -1,10 +1,10 @@
 """Functions compiled by numba, with a cache of their machine code in a folder that no other user can change.
 
 Importing numba takes longer than checking a plan, so only modules with kernels import this module, and they are imported only where
-a kernel is needed. Reading the cache executes code: numba's index and data files are pickles. The cache is therefore used only if
-every folder of its path, and everything in it, belongs to the user or the administrator and is writable by no one else. Otherwise
-each process compiles the functions again. On Windows only the system's folder for the user's data qualifies. Nothing is ever cached
-next to the source.
+a kernel is needed. Reading the cache executes code, because numba's index and data files are pickles. The cache is therefore used
+only if every folder of its path, and everything in it, belongs to the user or the administrator and is writable by no one else.
+Otherwise each process compiles the functions again. On Windows only the system's folder for the user's data qualifies. Nothing is
+ever cached next to the source.
 """
 
 from __future__ import annotations

@@ -32,11 +32,11 @@ _PAYS = {"fork": 4, "spawn": 64}
 
 
 class ProcessEndedError(Exception):
-    """A process that shared the work ended before it had finished, for example because the memory was exhausted."""
+    """The error for a process that ended before it had finished its part of the work, for example because the memory was exhausted."""
 
 
 class ClusterError(InputError):
-    """The cluster cannot be used, for example because no scheduler answers."""
+    """The error for a cluster that cannot be used to share the work, for example because no scheduler answers."""
 
 
 def processors() -> int:

@@ -1,7 +1,7 @@
 """Checks a motion against the table and the sensor's sampling, and computes the time to start the motion and to come to rest.
 
-Spins and rocking are checked here; cycles of turns and stops in `planrunner.bench.cycle_checks`. The limits of the axes are checked by
-`planrunner.physics.table_motion`, which the tables use too.
+Spins and rocking are checked here; cycles of turns and stops are checked in `planrunner.bench.cycle_checks`. The limits of the axes
+are checked by `planrunner.physics.table_motion`, which the tables use too.
 """
 
 from __future__ import annotations

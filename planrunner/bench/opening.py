@@ -1,8 +1,8 @@
 """The connected bench: its instruments by role and name, its clock, and the way to make it safe.
 
 Only the instruments that this process took control of are made safe. Connecting to an instrument does not count as commanding it:
-an instrument that someone else started must not be stopped. Making safe tries each instrument in the bench's order, even if others
-fail. Connecting stops at the first instrument that fails and releases those already connected.
+an instrument that someone else started must not be stopped. When the bench is made safe, each instrument is tried in the bench's
+order, even if others fail. Connecting stops at the first instrument that fails and releases those already connected.
 
 For a run the bench is locked against other runs, guarded by a watchdog, connected, and finally made safe, in this order. Without
 real instruments the bench needs neither lock nor watchdog.
@@ -175,9 +175,9 @@ def open_bench(
     """Connects the instruments of a bench in the order of its file.
 
     data_root: folder that must contain the recordings. seed: seed of all random numbers of a simulated bench; by default the seed
-    in the bench file. clock: replaces the clock that the bench names. notice: receives the progress of work before the run. Raises
-    `InstrumentError` with the name of the instrument that could not be connected; the instruments connected before it are closed
-    without being commanded.
+    in the bench file. clock: a clock to use instead of the one that the bench names. notice: receives the progress of work before
+    the run. Raises `InstrumentError` with the name of the instrument that could not be connected; the instruments connected before
+    it are closed without being commanded.
     """
     virtual = runs_on_virtual_clock(bench)
     clock = clock or (VirtualClock() if virtual else real_clock(bench))

@@ -46,7 +46,7 @@ class TableState:
     others: tuple[Array, ...] = ()
 
     def still(self) -> TableState:
-        """This state with the table at rest."""
+        """The same state of the table, except that the table is at rest."""
         return replace(self, stopping=0.0) if self.stopping else self
 
     def starts(self) -> list[Array]:

@@ -124,6 +124,7 @@ class Meter:
 
 
 def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
-    """Planned time [s] of the completed segments, or their number if no segment of the schedule has a planned time."""
+    """Planned time [s] of the completed segments. If no segment of the schedule has a planned time, the number of completed
+    segments."""
     times = [segment.seconds for segment in schedule.segments if done(segment.index)]
     return sum(times) if any(segment.seconds for segment in schedule.segments) else float(len(times))

@@ -283,8 +283,8 @@ class Readings:
 
 
 def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Readings:
-    """The readings that apply to the state of a segment. If the temperature follows a profile, its deviation and its drift are not
-    read."""
+    """The readings that apply to the state of a segment. If the temperature follows a profile, its deviation from a setpoint and
+    its drift are not read."""
     if segment.ramp_to is not None:
         return Readings(over)
     names = {id(item): name for name, item in bench.instruments.items()}

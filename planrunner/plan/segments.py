@@ -274,7 +274,7 @@ class State(Record):
     """A state to reach and hold. Nested steps inherit the keys that they do not set.
 
     A new key is declared only here, with its traits; the schema, reading, inheritance, sweeps, labels and the reference of keys
-    follow from this. The behaviour of the bench is defined in the schedule.
+    follow from this. What the bench does for a key is defined in the schedule.
     """
 
     orientation: Orientation | None = optional(

@@ -24,8 +24,8 @@ Templates have access to nothing else: they can lay out a report but cannot read
     certificate                       as `certificate.certificate_view` gives it
     warnings, notes                   lists of text; the estimates' own are with the estimates
 
-Cells of a table are rounded and aligned by the roles of its columns (`planrunner.estimators.tables.Role`): an uncertainty is shown with
-two digits, and values to its left are rounded to its last digit."""
+Cells of a table are rounded and aligned according to the roles of its columns (`planrunner.estimators.tables.Role`): an uncertainty
+is shown with two digits, and values to its left are rounded to the last digit of the uncertainty."""
 
 from __future__ import annotations
 

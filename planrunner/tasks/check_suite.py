@@ -281,7 +281,7 @@ def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
 
 
 def _plan_of(test: PlannedTest) -> Mark:
-    """The place where the suite names the plan of a test."""
+    """The place where the suite file names the plan of a test."""
     return test.mark if test.standard else test.plan.at("plan")
 
 

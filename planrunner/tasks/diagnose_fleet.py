@@ -84,7 +84,7 @@ class RunVerdict:
 @dataclass(frozen=True, slots=True)
 class Attributed:
     """One amplitude, and the sources to which it is attributed. runs: indices of the n runs that determine the amplitude. values,
-    standard_uncertainties: shape (n,), in the unit of `key`."""
+    standard_uncertainties: shape (n,), the amplitude and its standard uncertainty in each of these runs, in the unit of `key`."""
 
     key: AmplitudeKey
     runs: tuple[int, ...]

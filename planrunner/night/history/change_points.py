@@ -119,8 +119,8 @@ def _misfit(values: Array, weight: Array, design: Array) -> float:
 
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
-    """Circumstances that changed when the level changed. The circumstances that distinguish the two stretches best come first.
-    circumstances: the circumstances of every run, in the order of the values."""
+    """Circumstances that changed when the level changed. Circumstances that best distinguish the runs before the change from those
+    after it come first. circumstances: the circumstances of every run, in the order of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin
     before, after = known[split - 1], known[split]
