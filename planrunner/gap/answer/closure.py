@@ -14,8 +14,9 @@ in the diagnosis.
 Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only half and
 twice its level. The level is therefore measured from the residuals that the most probable effects leave: separately for gyros and
 accelerometers, and for the segment means and the changes within segments. A level from few residuals is uncertain, so errors have
-Student's t distribution with their degrees of freedom. The share of flicker in the noise is measured from the same residuals. It
-matters because flicker is correlated between segments: it hides slow effects, and cancels in the differences that fast effects make.
+Student's t distribution with their degrees of freedom. The level of flicker relative to the other noise is measured from the same
+residuals. This matters because flicker is correlated between segments: it hides slow effects, and it cancels in differences between
+neighbouring segments, which show fast effects.
 """
 
 from __future__ import annotations
@@ -288,9 +289,11 @@ def measured_noise(
 
 @dataclass(frozen=True)
 class _Left:
-    """The residuals of a choice that is fitted to all segments. squares, degrees, ratio: (groups,), sum of squares, degrees of
-    freedom, and the first divided by the second; ratio is 1 for a group without residuals. evidence: restricted log likelihood, up
-    to a constant, with the measured level in each group."""
+    """The residuals that remain after a choice has been fitted to all segments.
+
+    squares: (groups,), sum of squares of the residuals in each noise group; degrees: (groups,), their degrees of freedom; ratio:
+    (groups,), `squares` divided by `degrees`, 1 for a group without residuals. evidence: restricted log likelihood, up to a
+    constant, with the measured noise level in each group."""
 
     squares: Array
     degrees: Array
@@ -301,7 +304,9 @@ class _Left:
 def _left(
     weighing: Weighing, choice: FoldChoice, weights: Sequence[ChannelWeights], group: tuple[NDArray[np.int64], ...]
 ) -> _Left:
-    """group: as in `MeasuredNoise`."""
+    """Fits a choice to all segments and returns its residuals.
+
+    group: as in `MeasuredNoise`."""
     count = 2 * len(KINDS)
     one = tuple(np.ones(len(own)) for own in group)
     (fit,) = _fits(weighing, MeasuredNoise(tuple(weights), one, group, np.full(count, np.inf)), [choice])
@@ -327,8 +332,8 @@ def _with_measured_flicker(
     group: tuple[NDArray[np.int64], ...],
     kind: str,
 ) -> list[ChannelWeights]:
-    """The weights after the level of flicker of one triad has been measured: the mean of its square over the levels
-    `FLICKER_LEVELS`, weighted by their restricted likelihood. The weights are unchanged if no flicker is declared."""
+    """Measures the level of flicker of one triad, and returns the weights of all channels with this level. The square of the level
+    is averaged over `FLICKER_LEVELS`, weighted by their restricted likelihood. The weights are unchanged if no flicker is declared."""
     settings = {
         one.flicker: index for index, one in reversed(list(enumerate(weighing.settings[kind]))) if one.walk == 0
     }
@@ -589,8 +594,11 @@ def _fold(
 
 
 def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
-    """Whether the used segments show every effect of a choice. Otherwise rounding errors would determine an amplitude. used, held:
-    (p,), energy of each column in the used and in the held-out segments, without the part that the nominal parameters absorb."""
+    """True if the segments that are used for the fit show every effect of a choice; otherwise rounding errors would determine an
+    amplitude.
+
+    used, held: (p,), energy of each column in the used and in the held-out segments, without the part that the nominal parameters
+    absorb."""
     starts = np.concatenate(([0], np.cumsum(widths)[:-1])).astype(int)
     shown, whole = np.add.reduceat(used, starts), np.add.reduceat(used + held, starts)
     return bool(np.all(shown > ABSORBED * whole))

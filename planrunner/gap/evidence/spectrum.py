@@ -2,10 +2,10 @@
 remainder in each frequency band.
 
 The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
-and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If the motion is
-shown by an encoder, the angular rates take the place of the harmonics. Deterministic effects lie in the span of this
-basis. The remainder is noise or a tone; it is stored as energies in bands of the DCT-II. Outliers far outside the noise are
-replaced by the fit of the basis and counted, because a single one would affect all coefficients.
+and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If an encoder
+shows the motion, the angular rates take the place of the harmonics. Deterministic effects lie in the span of this basis. The
+remainder is noise or a tone; it is stored as energies in bands of the DCT-II. Outliers far outside the noise are replaced by the
+fit of the basis and counted, because a single one would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the low
 @dataclass(frozen=True)
 class SpectralBasis:
     """The basis of one segment. vectors: (n, m), orthonormal columns, the first of which is constant. frequency: (m,), Hz, 0 for
-    the mean; harmonic: (m,), order of the motion's harmonic, 0 for a vector of the cosine transform, `RESPONSE` for the response to a
-    recorded motion."""
+    the mean. harmonic: (m,), order of the motion's harmonic; 0 for a vector of the cosine transform; `RESPONSE` for the response to
+    a recorded motion."""
 
     vectors: Array
     frequency: Array
@@ -153,9 +153,9 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 
 def _responses(observed: Observed, part: slice, motion: object, rate: float) -> list[tuple[Array, float]]:
-    """The angular rates that an encoder shows, (n,) each, with their mean frequency [Hz]: scale factors and misalignments act in
-    proportion to them. Empty for other motions: the reference of a free motion has delays and filters of its own, which act at the
-    same frequencies. rate: of the samples, Hz."""
+    """The angular rates (n,) that an encoder shows, each with its mean frequency [Hz]. Scale factors and misalignments act in
+    proportion to these rates. The result is empty for other motions: the reference of a free motion has its own delays and filters,
+    which act at the same frequencies. rate: sample rate, Hz."""
     if not isinstance(motion, RecordedMotion) or not motion.angle:
         return []
     omega = observed.omega[part]

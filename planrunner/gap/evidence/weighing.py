@@ -131,9 +131,9 @@ class ChannelWeights:
     `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
 
     relative: (M,), variance of the noise of each coefficient, divided by white². undithered: variance of the rounding error of a
-    segment mean. log_likelihood: REML of the data without any effect. log_det: −2·log_likelihood without the squared residuals.
-    basis: (M, q), orthonormal basis of the whitened nominal columns. scale: (M,), factors that whiten coefficients one by one: all
-    coefficients if there is no slow noise, otherwise those above order 0.
+    segment mean. log_likelihood: REML of the data without any effect. log_det: −2·log_likelihood, without the sum of the squared
+    residuals. basis: (M, q), orthonormal basis of the whitened nominal columns. scale: (M,), factors that whiten coefficients one
+    by one: all coefficients if there is no slow noise, otherwise those above order 0.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class ChannelWeights:
         self._fit(nominal, spectrum.values[:, channel], jointly=level > 0 or walk > 0)
 
     def _fit(self, nominal: Array, values: Array, jointly: bool) -> None:
-        """Projects the nominal columns (M, q) out of the coefficients (M,). jointly: whether the means are whitened jointly."""
+        """Projects the nominal columns (M, q) out of the coefficients (M,). jointly: True if the means are whitened jointly."""
         if jointly:
             factor = np.linalg.cholesky(self._covariance)
             self._inverse = np.asarray(np.linalg.inv(factor))
@@ -196,9 +196,10 @@ class ChannelWeights:
         self.log_likelihood = -0.5 * (self.log_det + float(self.residual @ self.residual))
 
     def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
-        """The weights for the covariance C + share·(C' − C), where C is the covariance of these weights, and C' that of `other`, which
-        also contain slow noise. The share may be negative or above 1, as long as the result is a covariance. The covariance is linear in
-        the squared level of flicker, so this gives the weights at any level. nominal: (M, q), and values: (M,), SI."""
+        """The weights for the covariance C + share·(C′ − C), where C is the covariance of these weights, and C′ is the covariance
+        of `other`, which must contain slow noise. `share` may be negative or above 1, as long as the result is a covariance. As the
+        covariance is linear in the square of the flicker level, this gives the weights for any level of flicker. nominal: (M, q),
+        nominal columns; values: (M,), SI, coefficients of the channel."""
         made = copy(self)
         made._covariance = self._covariance + share * (other._covariance - self._covariance)
         variance = 1 / self.scale**2
