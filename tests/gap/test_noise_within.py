@@ -41,6 +41,7 @@ def test_a_line_of_the_noise_at_a_harmonic_of_the_motion_counts() -> None:
     weighing = Weighing(noisy(noise))
     at = (weighing.spectrum.harmonic == 1) & (weighing.spectrum.frequency == 0.5)
     expected = 1 + 0.3**2 * weighing.observed.counts[0] / 2
-    found = weighing.noise.of_coefficients(weighing.observed, weighing.spectrum)[at]
+    blocks = weighing.noise.of_coefficients(weighing.observed, weighing.spectrum)
+    found = np.column_stack([own.variances for own in blocks])[at]
     assert at.sum() == 6
     assert found.mean() > 0.3 * expected

@@ -20,12 +20,15 @@ from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.spectrum import UPPER, Spectrum
+from planrunner.gap.evidence.correlation import Blocks
+from planrunner.gap.evidence.spectrum import UPPER, SpectralBasis, Spectrum
 from planrunner.plan.schedule import Rest
 
 CARRIED = 4.0  # coefficients' worth of the next higher band that every band of a common spectrum counts in addition
 OWN = 16.0  # the same for the spectrum of one segment
 _ROUNDS = 2  # alternations of levels and spectra
+_LEAKAGE_ROUNDS = 10  # steps that remove the leakage of the cosine transform from a spectrum
+_KEPT = 0.3  # share of a density that they leave at least, because noise that is not stationary leaks differently
 _WINDOWS = 16  # of a segment, whose median energy is its level, so that a burst in some of them does not raise it
 _EFFICIENCY = 2 / np.pi  # of a median, relative to a mean
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
@@ -38,7 +41,8 @@ _SMALLEST = (
 @dataclass(frozen=True)
 class NoiseWithin:
     """Variance of the noise of each channel, relative to its white level. frequency: (B,), Hz, centres of the bands; weight: (B,),
-    number of coefficients in each band. spectrum: (2, B, K), spectra of the segments at rest and of those in motion. level: (S, K),
+    number of coefficients in each band. spectrum: (2, B, K), spectra of the segments at rest and of those in motion, as the cosine
+    transform of a segment shows them. density: (2, B, K), the same spectra without the leakage of the transform. level: (S, K),
     level of each segment; own: (S, B, K), variance in each band of a segment, divided by the product of spectrum and level. moving:
     (S,), index of the spectrum that applies to each segment: 0 at rest, 1 in motion. coloured: (2, K), True if a spectrum is not
     white; differing: (K,), True if the level differs between segments."""
@@ -46,6 +50,7 @@ class NoiseWithin:
     frequency: Array
     weight: Array
     spectrum: Array
+    density: Array
     level: Array
     own: Array
     moving: NDArray[np.int64]
@@ -64,39 +69,51 @@ class NoiseWithin:
             (self.weight @ self.spectrum**2 * self.weight.sum() / (self.weight @ self.spectrum) ** 2).max(0)
         )
 
-    def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> Array:
-        """Variance (M, K) of the coefficients, relative to the white level. For a coefficient of the cosine transform, the variance
-        is the value of the spectrum at the frequency of the coefficient. For a harmonic of the motion, it is the mean of the
-        spectrum over all frequencies that the harmonic contains, ∫ S(f)·|V(f)|² df for stationary noise. Harmonics are made
-        orthogonal to the lower orders. A harmonic close to these orders then consists mostly of the ends of the segment, which
-        contain all frequencies."""
+    def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> list[Blocks]:
+        """Covariances of the coefficients within each segment, by channel.
+
+        The covariance of two coefficients with the vectors u and v of the basis is ∫ S(f)·U*(f)·V(f) df for stationary noise. It is
+        not zero if the noise is strong at high frequencies: at both ends of a segment, the vectors of all even orders, and of all odd
+        orders, are alike. The variance of a coefficient of the cosine transform is at least the measured spectrum at its frequency.
+        Means count as independent of the other coefficients, because slow noise determines them.
+        """
+        size = [len(basis.frequency) for basis in spectrum.bases]
+        found = [Blocks.diagonal(size, self.level[:, channel]) for channel in range(self.level.shape[1])]
+        coloured = np.flatnonzero(self.coloured.any(0) | self.differing)
+        known: dict[tuple[int, int], Array] = {}
+        for index, basis in enumerate(spectrum.bases if len(coloured) else ()):
+            key = id(basis), int(self.moving[index])
+            if key not in known or self.differing.any():
+                half = observed.sample_rate / int(observed.bin_size[index]) / 2
+                known[key] = self._covariance(index, basis, half)
+            for channel in coloured.tolist():
+                found[channel].of_segment(index)[:] = self.level[index, channel] * known[key][channel]
+        return found
+
+    def _covariance(self, segment: int, basis: SpectralBasis, half: float) -> Array:
+        """Covariance (K, m, m) of the coefficients of a segment, relative to its level. half: half of the sampling rate, Hz.
+
+        The harmonics of the motion take up all coefficients near their frequencies, so that a segment in motion does not show a line
+        of the noise there. The spectrum at rest shows such a line. Where it is larger, the difference is added to the variance.
+        """
         from scipy.fft import rfft
 
-        out = self.level[spectrum.segment]
-        first = 0
-        for index, basis in enumerate(spectrum.bases):
-            rows = slice(first, first := first + len(basis.frequency))
-            if not (self.coloured.any() or self.differing.any()):
-                continue
-            factor = self._relative(index, basis.frequency)
-            harmonics = np.flatnonzero(basis.harmonic > 0)
-            if len(harmonics):
-                shares = np.abs(rfft(basis.vectors[:, harmonics], 2 * len(basis.vectors), axis=0)) ** 2
-                half = observed.sample_rate / int(observed.bin_size[index]) / 2
-                shares[[0, -1]] /= 2
-                shares /= shares.sum(0)
-                factor[harmonics] = shares.T @ self._at_harmonics(index, np.linspace(0.0, half, len(shares)))
-            out[rows] *= factor
-        return out
-
-    def _at_harmonics(self, segment: int, frequency: Array) -> Array:
-        """The spectrum as in `_relative`, for use with harmonics of the motion. The harmonics take up all coefficients near their
-        frequencies, so the segments in motion do not show a line of the noise there. The spectrum at rest shows such a line; it is
-        used where it is larger."""
-        found = self._relative(segment, frequency)
+        count = len(basis.vectors)
+        waves = rfft(basis.vectors, 2 * count, axis=0) / np.sqrt(count)
+        waves[[0, -1]] /= np.sqrt(2)
+        frequency = np.linspace(0.0, half, len(waves))
+        kind = int(self.moving[segment])
+        density = self._of_kind(self.density, kind, segment, frequency)
+        found = np.array([((waves.conj().T * own) @ waves).real for own in density.T])
+        found[:, 0] = found[:, :, 0] = 0.0
+        orders = np.flatnonzero(basis.harmonic == 0)
+        seen = self._of_kind(self.spectrum, kind, segment, basis.frequency[orders])
+        found[:, orders, orders] = np.maximum(found[:, orders, orders], seen.T)
         at_rest = self.coloured[0] & (self.moving == 0).any()
-        if self.moving[segment] and at_rest.any():
-            found[:, at_rest] = np.maximum(found, self._of_kind(0, segment, frequency))[:, at_rest]
+        harmonics = np.flatnonzero(basis.harmonic > 0)
+        if kind and at_rest.any() and len(harmonics):
+            more = np.maximum(self._of_kind(self.density, 0, segment, frequency) - density, 0.0) * at_rest
+            found[:, harmonics, harmonics] += (np.abs(waves[:, harmonics]) ** 2).T.dot(more).T
         return found
 
     def of_segment(self, segment: int, frequency: Array) -> Array:
@@ -104,15 +121,14 @@ class NoiseWithin:
         return np.asarray(self.level[segment] * self._relative(segment, frequency))
 
     def _relative(self, segment: int, frequency: Array) -> Array:
-        """The spectrum (n, K) of a segment at frequencies (n,), Hz, without the factor for the level of the segment. It is constant
-        beyond the outermost bands."""
-        return self._of_kind(int(self.moving[segment]), segment, frequency)
+        """The spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz. It is constant beyond the outermost bands."""
+        return self._of_kind(self.spectrum, int(self.moving[segment]), segment, frequency)
 
-    def _of_kind(self, kind: int, segment: int, frequency: Array) -> Array:
-        """The spectrum as in `_relative`, but measured at rest (kind 0) or in motion (kind 1)."""
+    def _of_kind(self, spectra: Array, kind: int, segment: int, frequency: Array) -> Array:
+        """The values (n, K) of `spectrum` or `density` at frequencies (n,), as measured at rest (kind 0) or in motion (kind 1)."""
         place = np.log(np.maximum(frequency, self.frequency[0]))
-        spectra = np.log(self.spectrum[kind] * self.own[segment])
-        return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in spectra.T])))
+        logs = np.log(spectra[kind] * self.own[segment])
+        return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in logs.T])))
 
 
 def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Array) -> NoiseWithin:
@@ -158,7 +174,41 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
     for channel in np.flatnonzero(differing).tolist():
         for index, (seen, size) in enumerate(zip(energy[:, :, channel] / predicted[:, :, channel], count, strict=True)):
             own[index, :, channel] = _carried(seen, size, 1.0, OWN)
-    return NoiseWithin(centre, count.sum(0), spectra, level, own, moving, coloured, differing)
+    turns = np.pi * np.array([spectrum.edges[:-1][used], spectrum.edges[1:][used], centre]) / (observed.sample_rate / 2)
+    density = spectra.copy()
+    for state in np.unique(moving).tolist():
+        here = moving == state
+        samples = np.diff(observed.bounds)[here]
+        sampled = np.minimum(turns * float(np.median(observed.bin_size[here])), np.pi)
+        leakage = _leakage(sampled, float(here.sum() / np.sum(1 / samples)))
+        for channel in np.flatnonzero(coloured[state]).tolist():
+            density[state, :, channel] = _without_leakage(spectra[state, :, channel], leakage)
+    return NoiseWithin(centre, count.sum(0), spectra, density, level, own, moving, coloured, differing)
+
+
+def _leakage(turns: Array, count: float) -> Array:
+    """Matrix (B, B): the part of the density of each band (second index) that the cosine transform of `count` samples shows in another
+    band (first index). turns: (3, B), edges and centres of the bands, rad per sample.
+
+    A vector of the transform with the frequency θ contains other frequencies ω with the density
+    sin²(ω/2)·cos²(θ/2)/(n·(sin²(ω/2) − sin²(θ/2))²), averaged over the phase of the ends of the segment.
+    """
+    low, high, centre = turns
+    power = np.sin(centre / 2) ** 2
+    away = power[None, :] - power[:, None]
+    np.fill_diagonal(away, 1.0)
+    found = (high - low) / np.pi * power * np.cos(centre / 2)[:, None] ** 2 / (count * away**2)
+    np.fill_diagonal(found, 0.0)
+    return np.asarray(np.minimum(found, 1.0))
+
+
+def _without_leakage(seen: Array, leakage: Array) -> Array:
+    """The densities (B,) whose cosine transform has the variances `seen` (B,), by iterations of expectation maximisation (Richardson,
+    J. Opt. Soc. Am. 62, 1972)."""
+    found = seen.copy()
+    for _ in range(_LEAKAGE_ROUNDS):
+        found = np.maximum(found * seen / (found + leakage @ found), _KEPT * seen)
+    return found
 
 
 def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) -> Array:

@@ -28,6 +28,7 @@ from planrunner.error_model.effects.interface import Column
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence import slow_noise
 from planrunner.gap.evidence.bayes_factors import RANGE, STRONGEST, WEAKEST
+from planrunner.gap.evidence.correlation import Blocks, Correlation
 from planrunner.gap.evidence.noise_within import NoiseWithin
 from planrunner.gap.evidence.spectrum import Spectrum
 
@@ -147,12 +148,12 @@ class ChannelWeights:
         walk: float,
         nominal: Array,
         noise: NoiseWithin,
-        relative: Array,
+        relative: Blocks,
         undithered: float,
     ):
         declared = observed.channels[channel]
         counts = observed.counts.astype(float)
-        fast = white**2 * relative
+        fast = white**2 * relative.variances
         covariance = np.diag(fast[spectrum.means] / counts)
         if undithered > 0:
             covariance += np.diag(undithered * _sharing(spectrum.readings[:, channel], declared.resolution))
@@ -176,6 +177,8 @@ class ChannelWeights:
         self._inverse: Array | None = None
         if level == 0 and walk == 0:
             self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
+        self._within = relative.times(white**2).plus(tail) if relative.correlated else None
+        self._correlation = None if self._within is None else Correlation(self._within)
         self._fit(nominal, spectrum.values[:, channel], jointly=level > 0 or walk > 0)
 
     def _fit(self, nominal: Array, values: Array, jointly: bool) -> None:
@@ -187,6 +190,8 @@ class ChannelWeights:
             self.log_det = 2 * float(np.log(np.diag(factor)).sum())
         else:
             self.log_det = -2 * float(np.log(self._root).sum())
+        if self._correlation is not None:
+            self.log_det += self._correlation.log_det
         whitened = self.whiten(nominal)
         self.basis: Array
         self.basis, upper = np.linalg.qr(whitened) if nominal.shape[1] else (whitened, np.zeros((0, 0)))
@@ -203,7 +208,11 @@ class ChannelWeights:
         made = copy(self)
         made._covariance = self._covariance + share * (other._covariance - self._covariance)
         variance = 1 / self.scale**2
-        made.scale = 1 / np.sqrt(variance + share * (1 / other.scale**2 - variance))
+        change = share * (1 / other.scale**2 - variance)
+        made.scale = 1 / np.sqrt(variance + change)
+        if self._within is not None:
+            made._within = self._within.plus(change)
+            made._correlation = Correlation(made._within)
         made._fit(nominal, values, jointly=True)
         return made
 
@@ -236,6 +245,8 @@ class ChannelWeights:
         """Covariance of the coefficients in the rows that a mask (M,) selects, SI²·samples."""
         chosen = np.flatnonzero(rows)
         out = np.diag(1 / self.scale[chosen] ** 2)
+        if self._correlation is not None:
+            out = self._correlation.whole()[np.ix_(chosen, chosen)] / np.outer(self.scale[chosen], self.scale[chosen])
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
         out[np.ix_(at, at)] = self._covariance[np.ix_(owners, owners)] * np.outer(
@@ -251,9 +262,14 @@ class ChannelWeights:
         owners = self._segment[chosen[at]]
         inverse = np.linalg.inv(np.linalg.cholesky(self._covariance[np.ix_(owners, owners)])) / self._root[owners]
         scale = self.scale[chosen]
+        among = None if self._correlation is None else self._correlation.among(rows)
 
         def whiten(columns: Array) -> Array:
             out = (columns.T * scale).T
+            if among is not None:
+                full = np.zeros((len(rows), *columns.shape[1:]))
+                full[chosen] = out
+                out = among.apart(full)[chosen]
             out[at] = inverse @ columns[at]
             return out
 
@@ -261,13 +277,16 @@ class ChannelWeights:
 
     def whiten(self, columns: Array) -> Array:
         out = columns * self.scale[:, None]
+        if self._correlation is not None:
+            out = self._correlation.apart(out)
         if self._inverse is not None:
             out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
         return out
 
     def unwhiten(self, whitened: Array) -> Array:
         """The inverse of `whiten`, for an array (M, n)."""
-        out = whitened / self.scale[:, None]
+        joined = whitened if self._correlation is None else self._correlation.joined(whitened)
+        out = joined / self.scale[:, None]
         if self._inverse is not None:
             out[self._means] = np.linalg.solve(self._inverse, whitened[self._means]) * self._root[:, None]
         return out
@@ -285,6 +304,12 @@ class ChannelWeights:
         Returns the rows in which the whitened columns are not zero, and the whitened values in these rows. Means are whitened
         jointly, so each mean affects all later means.
         """
+        if self._correlation is not None:
+            whole = np.zeros((len(self.scale), columns.shape[1]))
+            whole[rows] = columns
+            whitened = self.whiten(whole)
+            acting = np.flatnonzero(whitened.any(axis=1))
+            return acting, whitened[acting]
         own = self._order_0[rows]
         if self._inverse is None or not own.any():
             return rows, columns * self.scale[rows, None]

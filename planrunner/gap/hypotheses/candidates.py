@@ -190,7 +190,7 @@ class Weighing:
         }
         self.observed = self.seen()
         relative = self.noise.of_coefficients(observed, self.spectrum)
-        relative = relative + of_unknown_phase(observed, self.spectrum) / self.white**2
+        phase = of_unknown_phase(observed, self.spectrum) / self.white**2
         rounding = undithered(observed, self.white, self.coarse)
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
@@ -206,7 +206,7 @@ class Weighing:
                     *level,
                     fitted,
                     self.noise,
-                    relative[:, index],
+                    relative[index].plus(phase[:, index]),
                     float(rounding[index]),
                 )
                 for level in dict.fromkeys((setting.flicker, setting.walk) for setting in settings)

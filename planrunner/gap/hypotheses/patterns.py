@@ -100,6 +100,9 @@ def designs(weighing: Weighing) -> Iterator[PatternDesign]:
     )
     states = _levels([_state(observed, s) for s in range(len(observed))])
     yield _offset("offset by motion", Factor.RATE), [at_means(states)] * everywhere
+    moving = _levels([not isinstance(motion, Rest) for motion in observed.motions])
+    if not np.array_equal(moving, states):
+        yield _offset("offset while the table moves", Factor.RATE), [at_means(moving)] * everywhere
     turned = _orientations(observed)
     for factor in (Factor.TEMPERATURE, Factor.TIME):
         both = (turned[:, :, None] * smooth[factor][:, None, :2]).reshape(len(turned), -1)
