@@ -141,7 +141,7 @@ def test_it_gives_what_imu_multi_position_gives(basis: str, setup: Setup) -> Non
             assert one.standard_uncertainty * factor == pytest.approx(same.standard_uncertainty, rel=1e-9)
             assert one.degrees_of_freedom == pytest.approx(same.degrees_of_freedom, rel=1e-9)
         for b in "xyz":
-            one, same = found[f"gyro_g_sensitivity_K_{b}_{a}"], named[f"gyro_g_sensitivity_{a}_{b}"]
+            one, same = found[f"gyro_g_sensitivity_K_{b}_{a}"], named[f"gyro_g_sensitivity_K_{b}_{a}"]
             assert one.value * 3600 == pytest.approx(same.value, rel=1e-9, abs=1e-9 * same.standard_uncertainty)
             assert one.standard_uncertainty * 3600 == pytest.approx(same.standard_uncertainty, rel=1e-9)
 
