@@ -95,7 +95,7 @@ def _print(look: Look) -> None:
     )
     if look.time is not None:
         unit = look.time.unit if look.time.per_second is None else f"{look.time.per_second:.12g} counts per second"
-        doubt = "" if look.time.sure else "; this unit is guessed from the size of the steps"
+        doubt = f"; {look.time.doubt}" if look.time.doubt else ""
         time = f"time in '{look.time.column}' [{unit}]{doubt}"
     seconds = look.rows / look.rate if look.time is None or not len(look.windows.end) else look.windows.end[-1]
     print(f"{look.file}: {look.rows} rows at {look.rate:.6g} Hz, {seconds:.4g} s; {time}")

@@ -16,6 +16,8 @@ from planrunner.base.findings import InputError, Mark
 from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.formats.choice import Format
 from planrunner.instruments.formats.guessing import (
+    GRAVITY_ALIKE,
+    LONGEST_STEP,
     Guess,
     LikelyTime,
     columns_of_numbers,
@@ -23,7 +25,7 @@ from planrunner.instruments.formats.guessing import (
     guessed_format,
     guessed_time,
     opened,
-    stated_rate,
+    stated_rates,
     usual_unit,
     wrap_of,
 )
@@ -90,7 +92,7 @@ class WindowLevels:
     """Mean and standard deviation (scatter) of each column in successive windows.
 
     begin, end: (n,), start and end times of the windows, s; size: number of rows in a window; mean, scatter: for each column, the
-    values (n,); the mean is NaN if a window contains fewer than two numbers."""
+    values (n,); both are NaN if a window contains fewer than two numbers."""
 
     begin: Array
     end: Array
@@ -142,7 +144,9 @@ class Look:
         other = np.abs(rates / np.median(rates) - 1) > _OTHER_RATE if len(rates) else np.zeros(0, bool)
         own = float(np.median(rates[other])) if np.count_nonzero(other) > _OTHER_RATES * len(rates) else math.nan
         steady = other & (np.abs(rates / own - 1) < _OTHER_RATE)
-        steady[1:-1] &= steady[:-2] | steady[2:]  # a window that contains a pause stands alone
+        steady &= np.append(steady[1:], False) | np.append(
+            False, steady[:-1]
+        )  # a window that contains a pause stands alone
         if np.count_nonzero(steady) <= _OTHER_RATES * len(rates):
             return None
         return own, float(self.windows.begin[int(np.argmax(steady))])
@@ -167,7 +171,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         columns = columns_of_numbers(path, path.name, given)
         file = opened(path, path.name, columns, given)
         first = next(values for _, values in file.rows())
-        time = guessed_time(first, stated_rate(path, path.name, given))
+        time = guessed_time(first, stated_rates(path, path.name, given))
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
             hint = "state the sample rate, such as --sample-rate '100 Hz'; a date or a time of day as text is not read as a time"
@@ -221,7 +225,8 @@ class _Clock:
     @property
     def backwards(self) -> int:
         """Number of rows whose time does not increase."""
-        return 0 if self._stamp is None or self._wraps is not None else len(self._falls)
+        late = self._stamp is not None and self._stamp.wraps is None and self._wraps is not None
+        return 0 if late else len(self._falls)
 
     @property
     def _wraps(self) -> float | None:
@@ -257,10 +262,14 @@ class _Clock:
 
     def _take(self, raw: Array, stamp: LikelyTime) -> None:
         steps = np.diff(raw, prepend=raw[0] if math.isnan(self._raw) else self._raw)
-        falls = steps < 0 if stamp.wraps is not None else steps <= 0
+        falls, returns = steps <= 0, np.zeros(len(raw), bool)
         falls[0] &= not math.isnan(self._raw)  # the first row follows no other
-        self._falls += steps[falls & ~(steps + (stamp.wraps or 0.0) > 0)].tolist()
-        turns = self._turns + np.cumsum(falls if stamp.wraps is not None else np.zeros(len(raw), bool))
+        if stamp.wraps is not None:
+            longest = LONGEST_STEP / (stamp.rate * stamp.scale)
+            returns = (steps + stamp.wraps > 0) & (steps + stamp.wraps <= longest)
+            falls |= steps >= stamp.wraps - longest  # back across the return to zero
+        self._falls += steps[falls & ~returns].tolist()
+        turns = self._turns + np.cumsum(returns)
         own = (raw + turns * (stamp.wraps or 0.0)) * stamp.scale
         advance = np.diff(own, prepend=self._last)
         self.steps += advance[advance > self._pause].tolist()
@@ -288,7 +297,7 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
         three = guesses[begin : begin + 3]
         norm = np.sqrt(sum(first[one.column] ** 2 for one in three))
         level = _median(norm)
-        if not (abs(math.log(max(level, 1e-9) / STANDARD_GRAVITY)) < 0.1 or abs(math.log(max(level, 1e-9))) < 0.1):
+        if not any(abs(math.log(max(level, 1e-9) / one_g)) < GRAVITY_ALIKE for one_g in (STANDARD_GRAVITY, 1.0)):
             continue
         others = guesses[begin + 3 : begin + 6] if len(guesses) >= begin + 6 else guesses[max(begin - 3, 0) : begin]
         sensed = _axes("accel", three)
@@ -356,7 +365,7 @@ def _windows(
 def _levels(table: Array) -> tuple[Array, Array]:
     """Mean and standard deviation (n,) of each row of a table (n, k), without missing numbers.
 
-    The mean is NaN if a row contains fewer than two numbers."""
+    Both are NaN if a row contains fewer than two numbers."""
     if np.isfinite(table).all():
         return table.mean(axis=1), table.std(axis=1, ddof=1)
     known = np.isfinite(table)
@@ -364,7 +373,7 @@ def _levels(table: Array) -> tuple[Array, Array]:
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(known, table, 0.0).sum(axis=1) / np.where(count < 2, np.nan, count)
         squares = np.where(known, (table - mean[:, np.newaxis]) ** 2, 0.0).sum(axis=1)
-        return mean, np.sqrt(squares / (count - 1))
+        return mean, np.sqrt(squares / np.where(count < 2, np.nan, count - 1))
 
 
 def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
@@ -428,12 +437,15 @@ def _channels(
     guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[Span], motion: TurnComparison | None
 ) -> tuple[LikelyChannel, ...]:
     accels = [one.column for one in guesses if one.sensed == "accel"]
-    norm = math.nan
-    if len(accels) >= 3:
+    norm = largest = math.nan
+    if len(accels) < 3:
+        means = [abs(_median(_at_rest(windows, still, windows.mean[column]))) for column in accels]
+        largest = max(means, default=math.nan)  # one axis may be close to the vertical
+    else:
         squares = sum(_at_rest(windows, still, windows.mean[column]) ** 2 for column in accels[:3])
-        norm = _median(np.sqrt(squares))
+        norm = largest = _median(np.sqrt(squares))
     accel_unit = next((one.unit for one in guesses if one.sensed == "accel" and one.unit), "") or usual_unit(
-        "accel", norm
+        "accel", largest
     )
     in_counts = len(accels) >= 3 and not accel_unit
     simple = [f"{one.sensed}_{one.axis}".rstrip("_") for one in guesses]
@@ -442,7 +454,7 @@ def _channels(
         name = short if simple.count(short) == 1 else _NAME.sub("_", one.column).strip("_")[:40]
         mean = windows.mean[one.column]
         known = np.abs(mean[np.isfinite(mean)])
-        level = norm if one.sensed != "gyro" else float(np.quantile(known, _LARGE)) if len(known) else 0.0
+        level = largest if one.sensed != "gyro" else float(np.quantile(known, _LARGE)) if len(known) else 0.0
         turned = "" if motion is None or one.sensed != "gyro" or in_counts else motion.unit
         unit = one.unit or turned or usual_unit(one.sensed, level, accel_unit)
         usual = _median(known) if one.sensed == "temperature" else norm

@@ -69,7 +69,7 @@ def bench_of(look: Look, name: str) -> str:
         time = look.time
         scale = f"unit: {time.unit}" if time.per_second is None else f"per_second: {time.per_second:.12g}"
         wraps = "" if time.wraps is None else f", wraps: {time.wraps:.0f}"
-        doubt = "" if time.sure else " # the unit is a guess from the size of the steps"
+        doubt = f" # {time.doubt}" if time.doubt else ""
         lines.append(f"    time: {{column: {_quoted(time.column)}, {scale}{wraps}}}{doubt}")
     lines.append(f"    sample_rate: {look.rate:.6g} Hz")
     if look.other_rate is not None:
@@ -103,6 +103,7 @@ def bench_of(look: Look, name: str) -> str:
 def plan_of(look: Look, name: str) -> str:
     """Makes the text of a first plan for the recording. name: name of the bench that the plan uses."""
     outputs = [one.name for one in look.channels if one.sensed in ("gyro", "accel")]
+    live = [one.name for one in look.channels if one.name in outputs and not one.stands]
     lines = [
         "planrunner: 1",
         f"title: {_quoted(f'First look at {look.file}')}",
@@ -124,12 +125,12 @@ def plan_of(look: Look, name: str) -> str:
             f"    segments: {still}",
         ]
         diagnosis = ["diagnosis:", "  nominal: [accel_bias]", f"  segments: {still}"]
-    elif look.still_share > STILL:
+    elif look.still_share > STILL and live:
         estimates = [
             "  noise:",
             "    estimator: allan_deviation",
             "    segments: all",
-            f"    outputs: [{', '.join(outputs)}]",
+            f"    outputs: [{', '.join(live)}]",
         ]
     if estimates:
         lines += ["estimates:", *estimates, *diagnosis]

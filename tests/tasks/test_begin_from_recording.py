@@ -299,6 +299,108 @@ def test_the_unit_of_a_time_without_a_name_is_called_a_guess(
     assert "unit: ms} # the unit is a guess from the size of the steps" in (tmp_path / "begun.bench.yaml").read_text()
 
 
+@pytest.mark.parametrize(
+    ("before", "per_row", "unit", "doubt"),
+    [
+        ("# MPU-6050, filter cutoff frequency: 42 Hz\n# device 7\n", 0.01, "s", True),
+        ("# GNSS update rate: 4 Hz\n# IMU output data rate: 100 Hz\n", 0.01, "s", False),
+        ("# magnetometer rate 20 Hz\n", 10, "ms", True),
+        ("# heartbeat rate: 4 Hz\n# sample rate: 100 Hz\n", 10, "ms", False),
+        ("# sampling rate: 50 Hz\n", 10, "ms", True),
+        ("# heartbeat rate: 3 Hz\n", 10, "ms", True),
+        ("# sample rate: 5 Hz\n", 0.01, "s", True),
+    ],
+)
+def test_a_stated_rate_counts_only_if_a_unit_of_time_confirms_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], before: str, per_row: float, unit: str, doubt: bool
+) -> None:
+    """The header states rates of filters, other instruments, or a wrong sample rate; the rows are 10 ms apart."""
+    _, gyro, accel = turned()
+    count = per_row * np.arange(float(len(gyro)))
+    said = begun(csv(tmp_path / "r.csv", NAMES.replace("time", "t"), count, gyro, accel, before=before), capsys=capsys)
+    assert said["time"] == {"column": "t", "unit": unit}
+    assert said["sample_rate_hz"] == pytest.approx(100)
+    assert ("the unit is a guess" in (tmp_path / "begun.bench.yaml").read_text().split("channels:")[0]) == doubt
+
+
+def test_a_counter_that_only_the_header_explains_is_called_a_guess(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, gyro, accel = turned()
+    count = 168 * np.arange(float(len(gyro)))
+    file = csv(tmp_path / "r.csv", NAMES.replace("time", "t"), count, gyro, accel, before="// Sample rate:\t100.0Hz\n")
+    begun(file, capsys=capsys)
+    line = "per_second: 16800} # guessed from the header line '// Sample rate:100.0Hz'"
+    assert line in (tmp_path / "begun.bench.yaml").read_text()
+
+
+def _exchanged(count: Array) -> None:
+    count[[70_000, 70_001]] = count[[70_001, 70_000]]
+
+
+def _repeated(count: Array) -> None:
+    count[70_001] = count[70_000]
+
+
+def _exchanged_at_zero(count: Array) -> None:
+    k = int(np.flatnonzero(np.diff(count) < 0)[-1])
+    count[[k, k + 1]] = count[[k + 1, k]]
+
+
+@pytest.mark.parametrize("spoil", [_exchanged, _repeated, _exchanged_at_zero])
+def test_a_step_back_is_no_return_of_a_counter_to_zero(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: Callable[[Array], None]
+) -> None:
+    """A counter of ms with 16 bits, which returns to zero 12 times in 800 s. Long after the first return, two rows are exchanged, or
+    one time is repeated."""
+    draw = np.random.default_rng(4)
+    count = 10 * np.arange(80_000.0) % 65536
+    spoil(count)
+    table = np.zeros(len(count), [("tick_ms", "f8"), ("gyro", "f8", 3), ("acc", "f8", 3)])
+    table["tick_ms"] = count
+    table["gyro"], table["acc"] = draw.normal(0, 0.1, (80_000, 3)), draw.normal([0, 0, 9.81], 0.01, (80_000, 3))
+    np.save(tmp_path / "r.npy", table)
+    said = begun(tmp_path / "r.npy", capsys=capsys)
+    assert said["time"] is None and said["sample_rate_hz"] == pytest.approx(100)
+    assert said["still_s"][-1][-1] == pytest.approx(800, abs=1)  # type: ignore[index]
+    bench = (tmp_path / "begun.bench.yaml").read_text()
+    assert "time: sample_count # in 1 row the time of the file does not increase" in bench and "pauses" not in bench
+
+
+def test_windows_without_numbers_have_no_scatter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A unit at rest whose accelerometers have numbers in 12 of 20 seconds."""
+    time, draw = np.arange(10_000) / 100, np.random.default_rng(4)
+    gyro, accel = draw.normal(0, 0.002, (10_000, 3)), draw.normal([0, 0, 9.81], 0.01, (10_000, 3))
+    accel[(time % 20) >= 12] = np.nan
+    said = begun(csv(tmp_path / "r.csv", NAMES, time, gyro, accel), capsys=capsys)
+    assert len(said["still_s"]) == 5  # type: ignore[arg-type]
+    noise = {one["channel"]: one["noise"] for one in said["channels"]}  # type: ignore[attr-defined]
+    assert noise["accel_x"] == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("level", "unit", "counts"),
+    [(9.81, "m/s^2", False), (-1.15, "g", False), (9.81 * 0.8, "m/s^2", False), (16384, "g", True)],
+)
+def test_a_single_accelerometer_along_the_vertical_shows_its_unit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], level: float, unit: str, counts: bool
+) -> None:
+    time, gyro, _ = turned()
+    acc = level + np.random.default_rng(3).normal(0, 0.01, len(time))
+    said = begun(csv(tmp_path / "r.csv", "time_s,acc_x,gyro_x", time, acc, gyro[:, 0] * 0), capsys=capsys)
+    one = next(one for one in said["channels"] if one["channel"] == "accel_x")  # type: ignore[attr-defined]
+    assert (one["unit"], one["counts"]) == (unit, counts)
+
+
+def test_the_second_rate_does_not_begin_at_a_shorter_first_interval(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time, gyro, accel = turned()
+    kept = np.concatenate([np.arange(0, 100, 2), np.arange(100, 3000), np.arange(3000, len(time), 2)])
+    begun(csv(tmp_path / "r.csv", NAMES, time[kept], gyro[kept], accel[kept]), capsys=capsys)
+    assert "about 50 Hz from 30 s" in (tmp_path / "begun.bench.yaml").read_text()
+
+
 def test_a_rate_that_changes_is_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time, gyro, accel = turned()
     kept = np.concatenate([np.arange(3000), np.arange(3000, len(time), 2)])

@@ -46,10 +46,22 @@ _TIME_UNITS = (
 )
 _COUNTERS = ((re.compile(r"SampleTimeFine"), 10_000.0),)  # Xsens MT Low-Level Communication Protocol: counts per second
 _WRAPS = (2.0**16, 2.0**24, 2.0**32)
-_LONGEST_STEP = 5.0  # median steps in one step across the return of a counter to zero
+LONGEST_STEP = 5.0
+"""Median steps in one step across the return of a counter to zero."""
 _STATED_RATE = re.compile(r"(?:rate|frequency)\D{0,12}?(\d+(?:[.,]\d+)?)\s*(k?)Hz", re.IGNORECASE)
+_OTHER_RATE = re.compile(
+    r"cut-?off|filter|low-?pass|band-?width|gnss|gps|magn|(?:^|[^a-z])mag(?:[^a-z]|$)", re.IGNORECASE
+)
+_OF_SAMPLES = re.compile(r"sampl|output data rate|(?:^|[^a-z])odr(?:[^a-z]|$)", re.IGNORECASE)
 _SAME_RATE = 0.05
-_GRAVITY = 0.12  # log of the length of gravity over its length in a unit: sensors without calibration are off by a few per cent
+_NEAR_RATE = (
+    5.0  # factor within which a unit of time contradicts a stated rate less than a counter of unknown frequency would
+)
+_LONGEST_LINE = 60
+GRAVITY_ALIKE = 0.12
+"""Log of the length of a vector over the length of gravity, below which both count as the same: the scale of a sensor without calibration
+is off by a few per cent."""
+_GRAVITY_NAMED = 0.29  # the same for accelerometers known by name, in m/s^2 and g: no raw counts have such small values
 _SENSED = (
     ("accel", re.compile(r"acc|specific_?force", re.IGNORECASE)),
     ("gyro", re.compile(r"gyr|omega|ang(?:ular)?_?(?:vel|rate)", re.IGNORECASE)),
@@ -67,7 +79,8 @@ class LikelyTime:
 
     column: name of the column. unit: unit of its values; s if `per_second` is given. rate: sample rate, Hz. per_second: counts per
     second if the column is a counter, otherwise None. wraps: value at which the counter returns to zero; None if it never does.
-    sure: True if the name of the column or the file states the unit or the rate."""
+    sure: True if the name of the column states the unit, or if the rate in this unit is one that the file states. line: the line of
+    the file from which `per_second` was guessed, otherwise empty."""
 
     column: str
     unit: str
@@ -75,11 +88,33 @@ class LikelyTime:
     per_second: float | None = None
     wraps: float | None = None
     sure: bool = True
+    line: str = ""
+
+    @property
+    def doubt(self) -> str:
+        """The reason why the unit may be wrong; empty if it is sure."""
+        if self.sure:
+            return ""
+        return (
+            f"guessed from the header line '{self.line}'"
+            if self.line
+            else "the unit is a guess from the size of the steps"
+        )
 
     @property
     def scale(self) -> float:
         """Seconds per unit of the column."""
         return _SCALES[self.unit] if self.per_second is None else 1 / self.per_second
+
+
+@dataclass(frozen=True, slots=True)
+class StatedRate:
+    """A rate that a file states before its header. rate: Hz; line: the line, shortened; of_samples: True if the line says that this is
+    the rate of the samples."""
+
+    rate: float
+    line: str
+    of_samples: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,23 +224,30 @@ def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) 
     return file
 
 
-def stated_rate(path: Path, name: str, given: Format | None) -> float | None:
-    """The sample rate [Hz] that a text file states before its header, such as `// Sample rate: 100.0Hz`; None if it states none.
+def stated_rates(path: Path, name: str, given: Format | None) -> tuple[StatedRate, ...]:
+    """The rates that a text file states before its header, such as `// Sample rate: 100.0Hz`.
 
-    Raises `InstrumentError` if the file cannot be opened."""
+    Lines on filters and on other instruments are left out. Raises `InstrumentError` if the file cannot be opened."""
     if given is None or not isinstance(given.parameters, TextKeys):
-        return None
+        return ()
     with open_samples(path, name) as file:
         lines = file.read(MAX_HEADER).decode(given.parameters.encoding, "replace").splitlines()[: given.parameters.skip]
-    found = next(filter(None, map(_STATED_RATE.search, lines)), None)
-    rate = 0.0 if found is None else float(found[1].replace(",", ".")) * (1000.0 if found[2] else 1.0)
-    return rate if rate > 0 else None
+    found: list[StatedRate] = []
+    for line in lines:
+        if _OTHER_RATE.search(line):
+            continue
+        shown = "".join(letter for letter in line if letter.isprintable()).strip()[:_LONGEST_LINE]
+        for match in _STATED_RATE.finditer(line):
+            rate = float(match[1].replace(",", ".")) * (1000.0 if match[2] else 1.0)
+            if rate > 0:
+                found.append(StatedRate(rate, shown, _OF_SAMPLES.search(line) is not None))
+    return tuple(found)
 
 
-def guessed_time(first: Mapping[str, Array], stated: float | None = None) -> LikelyTime | None:
+def guessed_time(first: Mapping[str, Array], stated: Sequence[StatedRate] = ()) -> LikelyTime | None:
     """Guesses the column of the time from the first rows of all columns; None if no column looks like a time.
 
-    stated: sample rate [Hz] that the file states, None if it states none."""
+    stated: the rates that the file states."""
     for pattern in (_TIME, re.compile("")):
         for column, values in first.items():
             if pattern.pattern and not pattern.search(column):
@@ -223,7 +265,7 @@ def guessed_time(first: Mapping[str, Array], stated: float | None = None) -> Lik
             step = float(np.median(_between_samples(first, steps)))
             if step <= 0 or (not pattern.pattern and np.max(np.abs(steps / step - 1)) > 0.5):
                 continue
-            time = _time_of(column, step, wraps, stated)
+            time = _time_of(column, step, wraps, stated, bool(np.all(values == np.round(values))))
             if time is not None and (time.sure or pattern.pattern or wraps is None):
                 return time
     return None
@@ -236,7 +278,7 @@ def wrap_of(backwards: Array, step: float, least: float, most: float) -> float |
     value."""
     if not len(backwards) or step <= 0 or least < 0:
         return None
-    fits = (w for w in _WRAPS if most < w and np.all((backwards + w > 0) & (backwards + w <= _LONGEST_STEP * step)))
+    fits = (w for w in _WRAPS if most < w and np.all((backwards + w > 0) & (backwards + w <= LONGEST_STEP * step)))
     return next(fits, None)
 
 
@@ -255,22 +297,35 @@ def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
 _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
-def _time_of(column: str, step: float, wraps: float | None, stated: float | None) -> LikelyTime | None:
-    """Describes the time in a column whose median step is `step`; None if no unit of time leads to a usual sample rate."""
+def _time_of(
+    column: str, step: float, wraps: float | None, stated: Sequence[StatedRate], whole: bool
+) -> LikelyTime | None:
+    """Describes the time in a column; None if no unit of time leads to a usual sample rate.
+
+    step: median step of the column; whole: True if its values are whole numbers. A unit that leads to a stated rate is sure. Only a
+    column of whole numbers can be a counter of unknown frequency. It counts as one if the file states the rate of its samples, and
+    each unit of time leads to a very different rate."""
     for pattern, per_second in _COUNTERS:
         if pattern.search(column):
             return LikelyTime(column, "s", per_second / step, per_second, wraps)
     for pattern, unit in _TIME_UNITS:
         if pattern.search(column):
             return LikelyTime(column, unit, 1 / (step * _SCALES[unit]), None, wraps)
-    if stated is not None:
-        for unit, scale in _SCALES.items():
-            if abs(1 / (step * scale) / stated - 1) < _SAME_RATE:
-                return LikelyTime(column, unit, 1 / (step * scale), None, wraps)
-        return LikelyTime(column, "s", stated, float(f"{stated * step:.6g}"), wraps)
-    for unit, scale in _SCALES.items():
-        if 1.9 < 1 / (step * scale) < 50_000:
-            return LikelyTime(column, unit, 1 / (step * scale), None, wraps, sure=False)
+    rates = {unit: 1 / (step * scale) for unit, scale in _SCALES.items()}
+    for one in stated:
+        for unit, rate in rates.items():
+            if abs(rate / one.rate - 1) < _SAME_RATE:
+                return LikelyTime(column, unit, rate, None, wraps)
+    usual = {unit: rate for unit, rate in rates.items() if 1.9 < rate < 50_000}
+    samples = next((one for one in stated if one.of_samples), None)
+    if samples is not None and whole:
+        own = samples.rate
+        near = min(usual, key=lambda unit: abs(math.log(usual[unit] / own)), default=None)
+        if near is None or abs(math.log(usual[near] / own)) > math.log(_NEAR_RATE):
+            return LikelyTime(column, "s", own, float(f"{own * step:.6g}"), wraps, sure=False, line=samples.line)
+        usual = {near: usual[near]}
+    for unit, rate in usual.items():
+        return LikelyTime(column, unit, rate, None, wraps, sure=False)
     return None
 
 
@@ -299,8 +354,13 @@ def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
     absolute value of the column; for an accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of
     the accelerometers."""
     if sensed == "accel":
-        for unit, one_g in (("m/s^2", STANDARD_GRAVITY), ("g", 1.0), ("mg", 1000.0)):
-            if abs(math.log(max(level, 1e-9) / one_g)) < _GRAVITY:
+        lengths = (
+            ("m/s^2", STANDARD_GRAVITY, _GRAVITY_NAMED),
+            ("g", 1.0, _GRAVITY_NAMED),
+            ("mg", 1000.0, GRAVITY_ALIKE),
+        )
+        for unit, one_g, most in lengths:
+            if abs(math.log(max(level, 1e-9) / one_g)) < most:
                 return unit
         return ""
     if sensed == "gyro":
