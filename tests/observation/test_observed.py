@@ -77,7 +77,7 @@ def test_bad_recordings_say_what_is_wrong() -> None:
         observed([_segment(0, Rock(0.1, 1.0, (0.0, 0.5), 5.0))], SITE, SENSOR)
     with pytest.raises(ObservationError, match="no channel 'encoder'"):
         observed([_segment(0, Rest())], SITE, SENSOR, angle_channel="encoder")
-    with pytest.raises(ObservationError, match="no channel of angular rate"):
+    with pytest.raises(ObservationError, match="no channel has a unit of angular rate"):
         observed([replace(unknown, units={"temperature": "degC"})], SITE, SENSOR)
 
 
