@@ -1,4 +1,4 @@
-"""Estimates of all runs of an archive on two Dask workers against one, each a process of its own on this machine.
+"""Estimates all runs of an archive on one and on two Dask workers. Each worker is a process on this machine.
 
 A cluster with one worker and a cluster with two take turns: the speed of a machine may change by the minute, and is then the same for
 both.

@@ -378,8 +378,8 @@ class RunWriter:
         self._account(parts)
 
     def break_off(self, reason: str, clock: float, states: Mapping[str, Json]) -> None:
-        """Ends the segment in progress after an interruption; does nothing between segments. The samples of the segment are kept, and they
-        count if the plan says so (`on_break: keep`)."""
+        """Ends the segment in progress after an interruption; does nothing between segments. The samples of the segment are kept. With
+        `on_break: keep` in the plan, estimates use them."""
         segment = self._segment
         if segment is None:
             return

@@ -122,7 +122,7 @@ def _write(made: Any, name: str, function: Any) -> None:
 
 def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: bool) -> Any:
     """Makes the method `__init__`, which is the only one that is compiled. It is compiled once for all classes with the same form
-    of `__init__`, and each class then receives a copy with the names of its own fields."""
+    of `__init__`. Each class then receives a copy with the names of its fields."""
     names: dict[str, object] = {"absent": dataclasses.MISSING}
     slots = {
         item.name: own for item in found if isinstance(own := getattr(made, item.name, None), MemberDescriptorType)

@@ -2,7 +2,7 @@
 processes of the computer.
 
 Locks are files in one folder of the computer, which does not depend on the folder for temporary files of a process. The operating
-system releases them when a process ends for any reason. The watchdog of a run has a lock of its own, taken before the first
+system releases them when a process ends for any reason. The watchdog of a run also takes a lock, before the first
 instrument is connected. If a run is killed, no other run gets the bench until the watchdog has made it safe. Locks have no effect
 on a second computer that uses the same instrument.
 """

@@ -235,14 +235,15 @@ class Observed:
 
     @cached_property
     def unknown_phase(self) -> Array:
-        """The amplitude (S, K), SI, of the part of each channel's nominal input that varies once per turn and whose phase is
-        unknown. It is zero in segments whose table angle is known or can be seen from gravity."""
-        out = np.zeros((len(self), len(self.channels)))
+        """The complex amplitude (S, K), SI, of the part of each channel's nominal input that varies once per turn and whose phase is
+        unknown. If the angle θ of the table were right, this part would be the real part of the amplitude times exp(iθ). The amplitude is
+        zero in segments whose table angle is known or can be seen from gravity."""
+        out = np.zeros((len(self), len(self.channels)), dtype=complex)
         for index, (motion, source) in enumerate(zip(self.motions, self.angle_from, strict=True)):
             if source is AngleFrom.NOTHING and isinstance(motion, Spin):
                 site = {"gyro": self.site.earth_rate_enu, "accel": self.site.specific_force_enu}
                 seen = {kind: once_per_turn(motion, self.attitude[index], vector) for kind, vector in site.items()}
-                out[index] = [abs(seen[channel.kind][channel.axis]) for channel in self.channels]
+                out[index] = [seen[channel.kind][channel.axis] for channel in self.channels]
         return out
 
     @cached_property

@@ -132,7 +132,8 @@ class ErrorsAtSamples:
         for part in self.errors.chosen:
             if of_stimulus(part.effect):
                 columns = _columns(part.effect, self.observed, shapes)
-                mine = [self.errors.channel in one.parts for one in columns]
+                every = part.effect.stage == "acquisition"  # what delays the output delays all of its inputs
+                mine = [every or self.errors.channel in one.parts for one in columns]
                 keys = [(part.effect.id, without_axis(one)[0]) for one in columns]
                 sizes = [stimulus.get(key, 0.0) if own else 0.0 for key, own in zip(keys, mine, strict=True)]
                 if isinstance(part.effect, Curved) and any(sizes):

@@ -1,4 +1,4 @@
-"""Makes all checks of a suite: of its own form and names, of every plan on every bench on which it will run, and of the timetable."""
+"""Checks a suite: its form and names, every plan on every bench on which the plan will run, and the timetable."""
 
 from __future__ import annotations
 

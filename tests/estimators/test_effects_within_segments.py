@@ -13,6 +13,7 @@ from recorded import from_samples
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.error_model.estimator import ErrorModelEstimator
+from planrunner.estimators.error_model.within import errors_of_phase
 from planrunner.estimators.interface import EstimateRequest, EstimationError
 from planrunner.estimators.method import designed
 from planrunner.plan.schedule import Spin
@@ -140,3 +141,17 @@ def test_a_budget_names_an_angle_that_nothing_shows(moved: list[Segment], named:
     segments = timed([*statics(), *moved, *rocks((8, 0.5), seconds=8.3)])
     found = World(segments, single("gyro_bandwidth", 20e-3), {"gyro_x": (*GYRO, "gyro_bandwidth")}).estimate(1)
     assert [one.quantity.name for one in found.influences].count("angle of the table") == named
+
+
+def test_an_unknown_phase_has_the_moments_of_all_phases() -> None:
+    """Two turning segments and one at rest, against the mean over random phases."""
+    draw = np.random.default_rng(8)
+    turning = [np.exp(1j * np.linspace(0.3, 2.0, 3)), np.zeros(1, dtype=complex), 2 * np.exp(1j * np.linspace(1, 8, 4))]
+    phases = np.exp(1j * draw.uniform(0, 2 * np.pi, (40_000, 3)))
+    errors = np.concatenate(
+        [np.real(phase[:, None] * own) - own.real for phase, own in zip(phases.T, turning, strict=True)], axis=1
+    )
+    found = errors_of_phase(turning)
+    assert found.shape == (5, 8)
+    assert found.T @ found == pytest.approx(errors.T @ errors / len(errors), abs=0.1)
+    assert errors_of_phase(turning[1:2]).shape == (0, 1)

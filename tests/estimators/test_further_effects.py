@@ -127,6 +127,17 @@ def test_a_large_delay_of_an_axis_leaves_its_scale_factor_alone() -> None:
     assert away(found, "gyro_scale_factor_x", true["gyro_scale_factor_x"]) < 4
 
 
+def test_a_delay_of_an_output_delays_its_misaligned_inputs() -> None:
+    """Misalignments of some 5 %, and noise far below what the delay changes in the input across the axis."""
+    outputs = {"gyro_x": (*GYRO, "gyro_axis_delay")}
+    delays = single("gyro_axis_delay", 3e-3, -2e-3, 1e-3)
+    world = World(ROCKED, delays, outputs, basis="within_segment", noisy=0.01, spread=0.05)
+    found, true = world.estimate(1), truth(world, 1)
+    assert away(found, "gyro_axis_delay_x", 3.0) < 4
+    for name in ("gyro_scale_factor_x", "gyro_misalignment_towards_y_x", "gyro_misalignment_towards_z_x"):
+        assert away(found, name, true[name]) < 4
+
+
 def test_a_bias_behind_the_thermometer() -> None:
     """Ramps of 20 K in 400 s and rests between, against Euler's rule in steps of 20 ms."""
     from recorded import from_samples

@@ -499,20 +499,11 @@ class _Problem:
         return contrasts, float(uneven.max(initial=1.0))
 
     def _once_per_turn(self) -> Array:
-        """The k components (k, N) of the input once per turn whose phase is unknown, in the output's unit.
-
-        The fit assumes an input with the amplitude A and a phase that may be wrong by any angle. The difference of two such inputs with
-        independent phases has a cosine and a sine component, each with the mean square A²."""
+        """The k components (k, N) of the error of the input once per turn, in the output's unit, if its phase is unknown."""
         observed = self.output.observed
         k = [channel.name for channel in observed.channels].index(self.output.errors.output)
-        found = []
-        for part, size in zip(observed.segments(), observed.unknown_phase[:, k].tolist(), strict=True):
-            if size:
-                both = np.zeros((2, len(self.owner)))
-                angle = observed.angle[part]
-                both[:, part] = size * self.output.nominal * np.array([np.cos(angle), np.sin(angle)])
-                found.append(both)
-        return np.concatenate([np.zeros((0, len(self.owner))), *found])
+        each = observed.unknown_phase[self.owner, k] * self.output.nominal * np.exp(1j * observed.angle)
+        return errors_of_phase([each[part] for part in observed.segments()])
 
     def _colour(self, left: Array) -> float:
         """The ratio of the variance of batch means to the variance that white noise explains; 1 if it is not significantly larger.
@@ -529,6 +520,27 @@ class _Problem:
             total += float(np.sum((batches - batches.mean()) ** 2)) / variance
             freedom += _BATCHES - 1
         return total / freedom if freedom and chdtrc(freedom, total) < SIGNIFICANCE else 1.0
+
+
+def errors_of_phase(turning: Sequence[Array]) -> Array:
+    """The k components (k, N) of the error of an input once per turn whose phase is unknown. The sum over k of the squares of the
+    components has the second moments of the error. turning: for each segment, the input at its samples as the fit assumes it (real part),
+    and a quarter of a turn earlier or later (imaginary part); complex, zero if the phase is known. N is the number of samples of all
+    segments.
+
+    If c is the assumed input, and s the input a quarter of a turn later, the true input is c·cos φ + s·sin φ. The phase φ is uniform, and
+    independent of other segments. The error c·(cos φ − 1) + s·sin φ therefore has the mean −c, and both of its parts have the variance
+    1/2. The second moments over all segments are m·mᵀ + Σ (c·cᵀ + s·sᵀ)/2 with m = Σ c.
+    """
+    assumed, found = np.concatenate(turning), []
+    first = 0
+    for own in turning:
+        if own.any():
+            both = np.zeros((2, len(assumed)))
+            both[:, first : first + len(own)] = np.array([own.real, own.imag]) * math.sqrt(0.5)
+            found.append(both)
+        first += len(own)
+    return np.concatenate([assumed.real[None], *found] if found else [np.zeros((0, len(assumed)))])
 
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:

@@ -96,7 +96,7 @@ def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array,
     (`Observed.unknown_phase`). Let the samples have the covariance σ²·I + A²·w·wᵀ, where w = cos θ and |w|² = T/2 for a dwell T and
     unit density of the noise. Then the fraction A²T/2 ÷ (σ² + A²T/2) of the information about this component is lost (Sherman and
     Morrison). The same holds for sin θ."""
-    amplitude = planned.unknown_phase[number]
+    amplitude = np.abs(planned.unknown_phase[number])
     size = rows[0].shape[1]
     lost = np.zeros((size, size))
     angle = planned.angle[planned.segments()[number]]

@@ -466,7 +466,7 @@ def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
     """Variance (M, K) of the coefficients, SI²·samples, that the nominal input of unknown phase (`Observed.unknown_phase`) causes.
     The cosine and the sine component of this input are treated as normal variables whose standard deviation is the amplitude of the
     input."""
-    amplitude = observed.unknown_phase
+    amplitude = np.abs(observed.unknown_phase)
     if not amplitude.any():
         return np.zeros((len(spectrum_.segment), len(observed.channels)))
     waves = np.column_stack([np.cos(observed.angle), np.sin(observed.angle)])

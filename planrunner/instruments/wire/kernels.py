@@ -3,7 +3,7 @@
 The functions of `checksums`, `framing` and `columns` that call these kernels document the shapes and meanings of the arguments.
 This module imports numba, so it is imported only when there are bytes to process.
 
-numba compiles a function once for each combination of argument types, and a literal number in a call has a type of its own
+numba compiles a function once for each combination of argument types. A literal number in a call has another type than a variable
 (`Literal[int](0)`). Such numbers are therefore written `np.int64(0)`, so that every function is compiled only once.
 """
 
