@@ -144,9 +144,8 @@ class Look:
         other = np.abs(rates / np.median(rates) - 1) > _OTHER_RATE if len(rates) else np.zeros(0, bool)
         own = float(np.median(rates[other])) if np.count_nonzero(other) > _OTHER_RATES * len(rates) else math.nan
         steady = other & (np.abs(rates / own - 1) < _OTHER_RATE)
-        steady &= np.append(steady[1:], False) | np.append(
-            False, steady[:-1]
-        )  # a window that contains a pause stands alone
+        # a window that contains a pause stands alone
+        steady &= np.append(steady[1:], False) | np.append(False, steady[:-1])
         if np.count_nonzero(steady) <= _OTHER_RATES * len(rates):
             return None
         return own, float(self.windows.begin[int(np.argmax(steady))])

@@ -54,9 +54,9 @@ _OTHER_RATE = re.compile(
 )
 _OF_SAMPLES = re.compile(r"sampl|output data rate|(?:^|[^a-z])odr(?:[^a-z]|$)", re.IGNORECASE)
 _SAME_RATE = 0.05
-_NEAR_RATE = (
-    5.0  # factor within which a unit of time contradicts a stated rate less than a counter of unknown frequency would
-)
+_NEAR_RATE = 5.0
+"""Factor between a stated rate and the rate in a unit of time. Within it, the unit is assumed, although it contradicts the statement;
+beyond it, the column is taken for a counter of unknown frequency."""
 _LONGEST_LINE = 60
 GRAVITY_ALIKE = 0.12
 """Log of the length of a vector over the length of gravity, below which both count as the same: the scale of a sensor without calibration
