@@ -166,9 +166,10 @@ that digits do not depend on their number. Without threads, processes that share
 
 
 def _start_no_threads(command: str) -> None:
-    """Keeps numpy from starting threads that a command does not need, unless the user has set the number of threads."""
+    """Keeps numpy and pyarrow from starting threads that a command does not need, unless the user has set their options."""
     if command in _ONE_THREAD and "numpy" not in sys.modules:  # which reads it when it is imported
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")
 
 
 def _run(arguments: list[str], asked: AnswerForm) -> int:

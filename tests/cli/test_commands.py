@@ -307,6 +307,7 @@ def test_there_is_nothing_to_export_where_nothing_was_estimated(tmp_path: Path) 
 def test_a_short_command_starts_no_threads_for_matrices(
     command: str, stated: str | None, loaded: bool, threads: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("JE_ARROW_MALLOC_CONF", "as before")
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", stated or "")
     if stated is None:
         monkeypatch.delenv("OPENBLAS_NUM_THREADS")
@@ -314,3 +315,19 @@ def test_a_short_command_starts_no_threads_for_matrices(
         monkeypatch.delitem(sys.modules, "numpy")
     _start_no_threads(command)
     assert os.environ.get("OPENBLAS_NUM_THREADS") == threads
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forks on Linux only")
+def test_processes_of_an_estimate_are_forks() -> None:
+    """Neither numpy nor pyarrow, which read a recording, start threads in which a fork would not be safe."""
+    program = (
+        "from planrunner.cli import _start_no_threads; _start_no_threads('estimate')\n"
+        "import numpy, pyarrow.parquet\n"
+        "numpy.ones((200, 200)) @ numpy.ones((200, 200)); pyarrow.array([1.0])\n"
+        "from planrunner.base.processes import _may_fork; print(_may_fork())"
+    )
+    plain = {
+        name: text for name, text in os.environ.items() if name not in ("OPENBLAS_NUM_THREADS", "JE_ARROW_MALLOC_CONF")
+    }
+    said = subprocess.run([sys.executable, "-c", program], env=plain, capture_output=True, text=True, check=True)
+    assert said.stdout == "True\n"
