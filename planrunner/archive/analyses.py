@@ -168,7 +168,7 @@ def chosen_analysis(run: Path, analyses: Iterable[StoredAnalysis], number: int |
 def add_analysis(
     run: GuardedFolder, files: Mapping[str, bytes], basis: Basis, *, storage: Storage | None = None
 ) -> StoredAnalysis:
-    """Adds an analysis in `analyses/<n>` and returns it. files: maps each file name to the content of the file.
+    """Adds an analysis in `analyses/<n>` and returns it. `files`: maps each file name to the content of the file.
 
     The analysis is written under a temporary name and then renamed, so it exists completely or not at all. Two simultaneous
     analyses get different numbers. Raises `InputError` if the analysis cannot be written.

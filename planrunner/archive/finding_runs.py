@@ -16,8 +16,11 @@ DEEPEST = 32
 
 @dataclass(frozen=True, slots=True)
 class FoundFolder:
-    """A run folder in an archive, or a folder that cannot be searched. place: path relative to the archive, with slashes. entries:
-    entries of the run folder by name. fault: the reason why the folder cannot be searched; empty if it can."""
+    """A run folder in an archive, or a folder that cannot be searched.
+
+    `place`: path relative to the archive, with slashes. `entries`: entries of the run folder by name. `fault`: the reason why the
+    folder cannot be searched; empty if it can.
+    """
 
     place: str
     path: Path

@@ -15,8 +15,8 @@ from planrunner.base.documents import Json, JsonObject
 
 
 class IntegrityError(Exception):
-    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy. code: the
-    code of the finding that reports this error."""
+    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy. `code`:
+    the code of the finding that reports this error."""
 
     def __init__(self, message: str, code: str = "run-changed"):
         super().__init__(message)
@@ -101,7 +101,7 @@ def _check_of(name: str) -> Check:
 
 
 def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> JsonObject:
-    """The content of a JSON file of a run folder, checked against its schema. path: path of the file, for messages. Raises
+    """The content of a JSON file of a run folder, checked against its schema. `path`: path of the file, for messages. Raises
     `IntegrityError`."""
     try:
         value = from_bytes(data)

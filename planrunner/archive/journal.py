@@ -83,7 +83,7 @@ class Journal:
     def append(self, event: str, data: Mapping[str, Json], *, acknowledge: bool = True) -> str:
         """Adds one event; returns the digest of its line.
 
-        acknowledge: in durable mode, True waits until the event is on the disk. Use False for an event that only announces
+        `acknowledge`: in durable mode, True waits until the event is on the disk. Use False for an event that only announces
         something; the next acknowledged event writes it to the disk too. Raises `OSError`, and ValueError for data that JSON cannot
         represent.
         """
@@ -125,10 +125,10 @@ class JournalScan:
     """Reads a journal and checks the chain of its lines. Iterate once over the events; `head`, `count`, `size`, `torn`, `heads` and
     `digests` are known afterwards.
 
-    size: number of bytes in complete lines. torn: number of bytes in an incomplete last line. marks: numbers of events after which
-    a state of the chain is to be stored. After each of these numbers of events, `heads` receives the head of the chain, and
-    `digests` the SHA-256 of the file up to this event; both are also stored before each event `reopened`. times: maps each mark to
-    the time of the event there. name: name of the file, for messages. Raises `IntegrityError` if the chain is broken, and
+    `size`: number of bytes in complete lines. `torn`: number of bytes in an incomplete last line. `marks`: numbers of events after
+    which a state of the chain is to be stored. After each of these numbers of events, `heads` receives the head of the chain, and
+    `digests` the SHA-256 of the file up to this event; both are also stored before each event `reopened`. `times`: maps each mark
+    to the time of the event there. `name`: name of the file, for messages. Raises `IntegrityError` if the chain is broken, and
     `OSError`.
     """
 

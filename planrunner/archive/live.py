@@ -33,7 +33,7 @@ _STORAGE = Storage("flushed")
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A prompt that waits for an answer. id: identifier of the prompt; each prompt that is shown has a new one, so that an answer
+    """A prompt that waits for an answer. `id`: identifier of the prompt; each prompt that is shown has a new one, so that an answer
     cannot apply to another prompt."""
 
     id: str
@@ -42,7 +42,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """An answer to a prompt. question: id of the prompt. by: name of the person who confirmed the prompt."""
+    """An answer to a prompt. `question`: id of the prompt. `by`: name of the person who confirmed the prompt."""
 
     question: str
     by: str
@@ -74,7 +74,7 @@ class LiveChannel:
 
 @dataclass(frozen=True, slots=True)
 class LiveNotice:
-    """A notice of something unusual in the run. at: time of the notice, UTC, ISO 8601."""
+    """A notice of something unusual in the run. `at`: time of the notice, UTC, ISO 8601."""
 
     at: str
     text: str
@@ -82,10 +82,12 @@ class LiveNotice:
 
 @dataclass(frozen=True, slots=True)
 class LiveState:
-    """The present state of a run. at: time of this state, UTC, ISO 8601. index: index of the present segment, counted from 0.
-    fraction: completed part of the planned time, 0 to 1. time_left: remaining real time, s; None if it is not yet known.
-    strip_time: end of each interval of the strip charts, s, on the sensor's clock. hidden_channels: number of channels that are not
-    listed."""
+    """The present state of a run.
+
+    `at`: time of this state, UTC, ISO 8601. `index`: index of the present segment, counted from 0. `fraction`: completed part of
+    the planned time, 0 to 1. `time_left`: remaining real time, s; None if it is not yet known. `strip_time`: end of each interval
+    of the strip charts, s, on the sensor's clock. `hidden_channels`: number of channels that are not listed.
+    """
 
     at: str
     index: int

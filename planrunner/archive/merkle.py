@@ -81,8 +81,8 @@ def consistency_proof(size: int, leaves: Hashes) -> list[bytes]:
 
 
 def _subproof(m: int, leaves: Hashes, *, whole: bool) -> list[bytes]:
-    """The list SUBPROOF(m, leaves, b) of RFC 9162, 2.1.4.1. whole: the argument b, which is True if the verifier knows the hash of
-    the tree of the first m leaves."""
+    """The list SUBPROOF(m, leaves, b) of RFC 9162, 2.1.4.1. `whole`: the argument b, which is True if the verifier knows the hash
+    of the tree of the first m leaves."""
     n = len(leaves)
     if m == n:
         return [] if whole else [tree_hash(leaves)]
@@ -93,7 +93,7 @@ def _subproof(m: int, leaves: Hashes, *, whole: bool) -> list[bytes]:
 
 
 def require_inclusion(leaf: bytes, index: int, size: int, path: Hashes, root: bytes) -> None:
-    """Verifies an inclusion proof (2.1.3.2). leaf: hash of the leaf. Raises `ProofError`."""
+    """Verifies an inclusion proof (2.1.3.2). `leaf`: hash of the leaf. Raises `ProofError`."""
     if not 0 <= index < size:
         raise ProofError(f"a tree of size {size} has no leaf {index}")
     fn, sn, r = index, size - 1, leaf

@@ -60,7 +60,7 @@ def _home() -> Path:
 
 
 def leave_origin(run: GuardedFolder, first: str) -> None:
-    """Marks a new run folder as made here, if a key is available. first: digest of the journal's first line. Raises `OSError` if
+    """Marks a new run folder as made here, if a key is available. `first`: digest of the journal's first line. Raises `OSError` if
     the run folder cannot be written."""
     try:
         key = _key(make=True)

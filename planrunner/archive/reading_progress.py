@@ -40,7 +40,7 @@ def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce 
 
 
 class _Passes:
-    """Counts the rows that have been read from the segments, also if they are read several times. rows: number of rows of each
+    """Counts the rows that have been read from the segments, also if they are read several times. `rows`: number of rows of each
     segment."""
 
     def __init__(self, rows: Sequence[int], what: str, notice: Announce):

@@ -27,15 +27,16 @@ class Statistics:
     """Statistics of one segment, computed in one pass over its samples. In the arrays, k is the number of `channels`; values are in
     the channels' units.
 
-    count: number of samples; a row with a NaN in any channel is left out, and `rejected` counts these rows. mean, minimum, maximum:
-    of the samples of each channel, (k,). covariance: (k, k), covariance of the samples of each pair of channels. standard_error:
-    (k,), standard errors of the means, computed from the scatter of `batches` consecutive batch means; this allows for noise that
-    is correlated within a batch. If a known motion changes the output within the segment (its course), `covariance` and
-    `standard_error` describe the differences from this course. start, end: times of the first and of the last sample, s.
-    largest_gap: longest time between consecutive samples, s. course: (p, batches), means over each batch of the p functions in the
-    fitted course, scaled so that the sum of their squares is the number of degrees of freedom that the fit takes from the scatter
-    of the batch means (for uncorrelated samples). mean_covariance: (k, k), covariance matrix of the channels' means, from the same
-    batch means as `standard_error`; shape (0, 0) if it is unknown.
+    `count`: number of samples; a row with a NaN in any channel is left out, and `rejected` counts these rows. `mean`, `minimum`,
+    `maximum`: of the samples of each channel, (k,). `covariance`: array of shape (k, k), covariance of the samples of each pair of
+    channels. `standard_error`: array of shape (k,), standard errors of the means, computed from the scatter of `batches`
+    consecutive batch means; this allows for noise that is correlated within a batch. If a known motion changes the output within
+    the segment (its course), `covariance` and `standard_error` describe the differences from this course. `start`, `end`: times of
+    the first and of the last sample, s. `largest_gap`: longest time between consecutive samples, s. `course`: array of shape (p,
+    batches), means over each batch of the p functions in the fitted course, scaled so that the sum of their squares is the number
+    of degrees of freedom that the fit takes from the scatter of the batch means (for uncorrelated samples). `mean_covariance`:
+    array of shape (k, k), covariance matrix of the channels' means, from the same batch means as `standard_error`; shape (0, 0) if
+    it is unknown.
     """
 
     channels: tuple[str, ...]
@@ -103,12 +104,12 @@ class FindKind(StrEnum):
 class Find:
     """Samples of a segment that are faulty or suspect.
 
-    channel: name of the channel; empty if all channels are affected. first: index of the first row in the segment, counted from 0.
-    rows: number of rows. time: time of the first row, s. seconds: duration of the faulty or suspect samples. size: largest distance
-    from the surrounding samples, in the channel's unit; for a stuck or clipped stretch, the value of its samples; for lost samples,
-    their number. noise: standard deviation of the surrounding samples in the channel's unit; NaN if unknown. before, after: levels
-    of the signal before and after these samples, in the channel's unit. count: number of findings that this one represents. bad:
-    True if the screening excludes the samples.
+    `channel`: name of the channel; empty if all channels are affected. `first`: index of the first row in the segment, counted from
+    0. `rows`: number of rows. `time`: time of the first row, s. `seconds`: duration of the faulty or suspect samples. `size`:
+    largest distance from the surrounding samples, in the channel's unit; for a stuck or clipped stretch, the value of its samples;
+    for lost samples, their number. `noise`: standard deviation of the surrounding samples in the channel's unit; NaN if unknown.
+    `before`, `after`: levels of the signal before and after these samples, in the channel's unit. `count`: number of findings that
+    this one represents. `bad`: True if the screening excludes the samples.
     """
 
     kind: FindKind
@@ -127,10 +128,12 @@ class Find:
 
 @dataclass(frozen=True)
 class RecordedSegment:
-    """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block. expected: True
-    if the segment was not recorded. Its statistics are then predicted from the schedule: with the declared noise in the scatter,
-    but means without noise. finds: findings of the screening; None if the segment has not been screened. share: the fraction of the
-    segment's samples that is used."""
+    """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block.
+
+    `expected`: True if the segment was not recorded. Its statistics are then predicted from the schedule: with the declared noise
+    in the scatter, but means without noise. `finds`: findings of the screening; None if the segment has not been screened. `share`:
+    the fraction of the segment's samples that is used.
+    """
 
     segment: Segment
     units: dict[str, str]
@@ -171,8 +174,8 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """The smallest and the largest value of each channel and of the time steps in a block. values: smallest and largest value by
-    channel name; NaN if a sample is missing. steps: smallest and largest time step between consecutive rows, s; infinite for a
+    """The smallest and the largest value of each channel and of the time steps in a block. `values`: smallest and largest value by
+    channel name; NaN if a sample is missing. `steps`: smallest and largest time step between consecutive rows, s; infinite for a
     single row, NaN if unknown."""
 
     values: Mapping[str, tuple[float, float]]
@@ -183,7 +186,7 @@ class Watcher(Protocol):
     """Examines samples while they are read for their statistics."""
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
-        """Processes the next samples. ranges: smallest and largest values in these samples, if known."""
+        """Processes the next samples. `ranges`: smallest and largest values in these samples, if known."""
 
     def finds(self) -> tuple[Find, ...]:
         """The findings, after all blocks have been processed."""

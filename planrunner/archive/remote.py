@@ -68,8 +68,8 @@ _Place = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Pushed:
-    """The result of `push_run`. written: number of files that were written. present: number of files that already existed with the
-    same content."""
+    """The result of `push_run`. `written`: number of files that were written. `present`: number of files that already existed with
+    the same content."""
 
     written: int
     present: int
@@ -77,8 +77,11 @@ class Pushed:
 
 @dataclass(frozen=True, slots=True)
 class _RemoteFile:
-    """A file of a remote folder. path: path in the remote file system. size: number of bytes. changed: time of the last change in
-    ns since 1970; None if the file system does not report it."""
+    """A file of a remote folder.
+
+    `path`: path in the remote file system. `size`: number of bytes. `changed`: time of the last change in ns since 1970; None if
+    the file system does not report it.
+    """
 
     path: str
     size: int
@@ -134,7 +137,7 @@ def _hold(place: Path, url: str) -> None:
 
 
 class _Copying:
-    """Copies a remote folder. anew: True to copy unchanged files too."""
+    """Copies a remote folder. `anew`: True to copy unchanged files too."""
 
     def __init__(self, files: AbstractFileSystem, url: str, anew: bool, notice: Announce | None):
         self.files, self.url, self.anew, self.notice = files, url, anew, notice
@@ -184,8 +187,8 @@ def _copy_files(
     place: _Place,
     but: set[str] | None = None,
 ) -> None:
-    """Makes a local folder contain exactly the wanted files. wanted: maps the place of each file in the local folder to the remote
-    file. but: entries of the local folder that are left as they are."""
+    """Makes a local folder contain exactly the wanted files. `wanted`: maps the place of each file in the local folder to the
+    remote file. `but`: entries of the local folder that are left as they are."""
     below: dict[str, dict[_Place, _RemoteFile]] = {}
     own: dict[str, _RemoteFile] = {}
     for parts, file in wanted.items():
@@ -290,7 +293,7 @@ def _refused(url: str, what: str) -> InputError:
 
 @dataclass(frozen=True, slots=True)
 class Pulled:
-    """The result of `pull_runs`. runs: the runs that were copied. present: number of runs that already existed."""
+    """The result of `pull_runs`. `runs`: the runs that were copied. `present`: number of runs that already existed."""
 
     runs: tuple[Path, ...]
     present: int
@@ -324,9 +327,9 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
     """Writes a sealed run to a remote archive; if the archive already has the run, writes only the files that are missing there,
     such as a new analysis.
 
-    including: a folder within the run; it is an error if none of its files is in the remote run afterwards. Raises `IntegrityError`
-    for a run that was changed. Raises `InputError` if the run is not sealed, if `including` is missing, if the archive has another
-    run of this name, or if the archive cannot be written.
+    `including`: a folder within the run; it is an error if none of its files is in the remote run afterwards. Raises
+    `IntegrityError` for a run that was changed. Raises `InputError` if the run is not sealed, if `including` is missing, if the
+    archive has another run of this name, or if the archive cannot be written.
     """
     found = examine(open_run(run), samples="digests")
     found.require_whole()

@@ -53,8 +53,11 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """A time stamp of the first `events` events of the journal, to be kept in the run folder. token: the reply of the authority in
-    DER; None if there is no time stamp. why: the reason why there is no time stamp. at: the time that the stamp states, UTC."""
+    """A time stamp of the first `events` events of the journal, to be kept in the run folder.
+
+    `token`: the reply of the authority in DER; None if there is no time stamp. `why`: the reason why there is no time stamp. `at`:
+    the time that the stamp states, UTC.
+    """
 
     events: int
     token: bytes | None
@@ -66,12 +69,12 @@ class Witness(Protocol):
     """Obtains time stamps of the journal while it grows, without making the run wait."""
 
     def see(self, events: int, line: bytes, *, last: bool = False) -> None:
-        """Informs the witness of the number of acknowledged events in the journal, and of its last line. last: True if the journal
-        is finished, so that a stamp is due now."""
+        """Informs the witness of the number of acknowledged events in the journal, and of its last line. `last`: True if the
+        journal is finished, so that a stamp is due now."""
         ...
 
     def take(self, *, wait: bool = False) -> Sequence[Witnessed]:
-        """The stamps that have arrived since the last call. wait: True to wait for stamps that have been requested but not
+        """The stamps that have arrived since the last call. `wait`: True to wait for stamps that have been requested but not
         received."""
         ...
 
@@ -125,13 +128,13 @@ class RunWriter:
     ) -> RunWriter:
         """Makes a new run folder in `root`, which is created if it does not exist.
 
-        identity: hexadecimal digits for the end of the folder's name; random by default. A caller that gives these digits can find
-        the folder even if this process is killed.
+        `identity`: hexadecimal digits for the end of the folder's name; random by default. A caller that gives these digits can
+        find the folder even if this process is killed.
 
-        info: JSON data given with the run (device serial, operator, ambient …). approvals: content of approvals.json, if the bench
-        requires approvals. check_standard: state of the check standard of the bench, if the bench has one. parameters: values that
-        were given for parameters of the plan. If `root` has a log, an entry records that the run has begun. Raises `InputError` if
-        the folder cannot be written, and `IntegrityError` for a log that was changed.
+        `info`: JSON data given with the run (device serial, operator, ambient …). `approvals`: content of approvals.json, if the
+        bench requires approvals. `check_standard`: state of the check standard of the bench, if the bench has one. `parameters`:
+        values that were given for parameters of the plan. If `root` has a log, an entry records that the run has begun. Raises
+        `InputError` if the folder cannot be written, and `IntegrityError` for a log that was changed.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
@@ -216,13 +219,13 @@ class RunWriter:
     ) -> RunWriter:
         """Continues an interrupted run: removes an incomplete last line and settles the segment in progress.
 
-        run: path of the run folder; or what `examine` returned for it, with samples and under the given lock, so that nothing is
+        `run`: path of the run folder; or what `examine` returned for it, with samples and under the given lock, so that nothing is
         verified twice.
 
-        reason: reason for reopening a finished, sealed run; required for such a run. lock: lock of the folder, if the caller
-        already holds it; the writer then becomes responsible for it. bench: a bench file that replaces the one in the folder; the
-        journal records its digest. approvals: entries of approvals of the plan that were given since the run began; the journal
-        records them. check_standard: the present state of the check standard of the bench.
+        `reason`: reason for reopening a finished, sealed run; required for such a run. `lock`: lock of the folder, if the caller
+        already holds it; the writer then becomes responsible for it. `bench`: a bench file that replaces the one in the folder; the
+        journal records its digest. `approvals`: entries of approvals of the plan that were given since the run began; the journal
+        records them. `check_standard`: the present state of the check standard of the bench.
 
         Raises `InputError` if the folder is in use, finished or not writable, and `IntegrityError` if it was changed.
         """
@@ -304,8 +307,8 @@ class RunWriter:
     def begin(
         self, segment: Segment, clock: float, channels: Mapping[str, str], summary: SummaryChannels | None = None
     ) -> None:
-        """Begins a segment. channels: maps each channel to its unit; empty if nothing is recorded. summary: what the values of the
-        channels mean, if the segment is recorded as a summary."""
+        """Begins a segment. `channels`: maps each channel to its unit; empty if nothing is recorded. `summary`: what the values of
+        the channels mean, if the segment is recorded as a summary."""
         index = segment.index
         self._attempt = self._point.attempts[index] = self._point.attempts.get(index, 0) + 1
         self._segment, self._parts, self._samples = segment, [], None
@@ -356,8 +359,8 @@ class RunWriter:
         reason: str = "",
         frames: Mapping[str, Json] | None = None,
     ) -> None:
-        """Finishes the segment's files and acknowledges it. clock, states: time and states from which the run can continue after
-        this segment. frames: frame counts of the sensor."""
+        """Finishes the segment's files and acknowledges it. `clock`, `states`: time and states from which the run can continue
+        after this segment. `frames`: frame counts of the sensor."""
         assert self._segment is not None
         parts = self._close_samples()
         event = {

@@ -48,9 +48,12 @@ LogEvent = Literal["created", "begun", "sealed", "retired"]
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """One entry of the log. seq: number of the entry, 1, 2, 3 …. at: time of the entry, UTC. events, head: number of events in the
-    journal at that time, and SHA-256 of the last of these events. seal: SHA-256 of seal.json, for a sealed run. why: reason for
-    removing the run from the archive."""
+    """One entry of the log.
+
+    `seq`: number of the entry, 1, 2, 3 …. `at`: time of the entry, UTC. `events`, `head`: number of events in the journal at that
+    time, and SHA-256 of the last of these events. `seal`: SHA-256 of seal.json, for a sealed run. `why`: reason for removing the
+    run from the archive.
+    """
 
     seq: int
     at: str
@@ -116,8 +119,8 @@ def parse_head(data: bytes, path: Path) -> TreeHead:
 
 @dataclass(frozen=True)
 class LogContent:
-    """The whole content of a log. torn: number of bytes in an incomplete last line. stored: the tree head in `head.json`; None if
-    the file does not exist."""
+    """The whole content of a log. `torn`: number of bytes in an incomplete last line. `stored`: the tree head in `head.json`; None
+    if the file does not exist."""
 
     entries: tuple[LogEntry, ...]
     size: int
@@ -268,7 +271,7 @@ def require_growth(content: LogContent, path: Path) -> None:
 
 
 def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tuple[str, str]]:
-    """Contradictions between the log and a tree head that was noted earlier, each as code and message. named: the words by which
+    """Contradictions between the log and a tree head that was noted earlier, each as code and message. `named`: the words by which
     messages refer to this head."""
     if head.size > len(content.entries):
         yield "log-cut", f"the log was cut: {named} counts {head.size} entries, the log has {len(content.entries)}"

@@ -36,10 +36,10 @@ from planrunner.plan.selection import spelt_alike
 class RunReader:
     """A run folder in the state in which it was opened. Reading changes nothing and needs no lock.
 
-    run: the content of run.json. torn: number of bytes in an incomplete last line of the journal. first: digest of the journal's
-    first line. basis: the state of journal and seal that an analysis of this run is based on. analyses: the stored analyses, oldest
-    first. findings: warnings, such as that the run is not sealed. approvals: content of approvals.json, if the bench required
-    approvals.
+    `run`: the content of run.json. `torn`: number of bytes in an incomplete last line of the journal. `first`: digest of the
+    journal's first line. `basis`: the state of journal and seal that an analysis of this run is based on. `analyses`: the stored
+    analyses, oldest first. `findings`: warnings, such as that the run is not sealed. `approvals`: content of approvals.json, if the
+    bench required approvals.
     """
 
     folder: GuardedFolder
@@ -60,7 +60,7 @@ class RunReader:
         """Opens a run folder. Digests of everything except samples are checked here; samples are checked when read (see `verifying`).
 
         Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. The incomplete
-        last line of a killed run is ignored. to_reopen: True to accept faults that reopening the run repairs.
+        last line of a killed run is ignored. `to_reopen`: True to accept faults that reopening the run repairs.
         """
         return cls.of(examine(open_run(path)), to_reopen=to_reopen)
 
@@ -109,8 +109,8 @@ class RunReader:
         return tuple(self.state.rejected)
 
     def warnings(self, planned: int | None = None) -> list[str]:
-        """Warnings about unusual events of the run that a reader of its results must know. planned: number of planned segments; by
-        default, the number in the journal."""
+        """Warnings about unusual events of the run that a reader of its results must know. `planned`: number of planned segments;
+        by default, the number in the journal."""
         planned = self.state.planned if planned is None else planned
         warnings = [f"Fault during the run: {text}" for text in self.state.failures]
         held = len(self.acknowledged())
@@ -145,8 +145,9 @@ class RunReader:
     ) -> tuple[RecordedSegment, ...]:
         """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
-        schedule: the schedule made from the plan and the bench in the run folder. watch: screens the samples while they are read
-        for the statistics. notice: receives the progress. Raises `IntegrityError` if the schedule does not match the recording.
+        `schedule`: the schedule made from the plan and the bench in the run folder. `watch`: screens the samples while they are
+        read for the statistics. `notice`: receives the progress. Raises `IntegrityError` if the schedule does not match the
+        recording.
         """
         segments = []
         whole = sum(part.rows for item in self.acknowledged() for part in item.parts)

@@ -22,8 +22,8 @@ MOST_BYTES = 2**25
 def seal_of(folder: GuardedFolder, run: str, files: Mapping[str, str], head: str, events: int) -> bytes:
     """The text of the seal for a run whose journal ends with the digest `head` after `events` events.
 
-    run: name of the run. files: maps the name of each other recorded file to its SHA-256, as computed while the file was written.
-    Raises `OSError`.
+    `run`: name of the run. `files`: maps the name of each other recorded file to its SHA-256, as computed while the file was
+    written. Raises `OSError`.
     """
     with folder.open_file(JOURNAL, MOST_OF_JOURNAL) as journal:
         digests = {**files, JOURNAL: digest_of(journal)}
@@ -47,7 +47,7 @@ def parse_seal(data: bytes, path: Path) -> JsonObject:
 def seal_faults(
     path: Path, seal: Mapping[str, Json], scan: JournalScan, state: JournalState
 ) -> Iterator[tuple[str, str]]:
-    """Differences between a seal and the journal, each as a code and a message. scan: a scan of the journal that has stored the
+    """Differences between a seal and the journal, each as a code and a message. `scan`: a scan of the journal that has stored the
     head and the digest after the number of events in the seal.
 
     If a finished run was reopened to repeat a segment, its journal continues after the seal; only the sealed part of the journal is

@@ -326,8 +326,8 @@ def _cut(block: Block, start: int, stop: int) -> Block:
 class SegmentData:
     """The samples of one part: the bytes of the file, which have been checked against the digest in the journal, and its footer.
 
-    folder: the run folder. Raises `IntegrityError` if the file is missing, differs from its digest, or does not have the form that this
-    version writes.
+    `folder`: the run folder. Raises `IntegrityError` if the file is missing, differs from its digest, or does not have the form
+    that this version writes.
     """
 
     def __init__(self, folder: GuardedFolder, part: Part):

@@ -43,10 +43,10 @@ _PER_COLUMN = 4  # times as many means as columns that a fit needs
 class MotionCourse:
     """The course of a motion, that is, the periodic signal that the motion causes in the samples.
 
-    columns: (c, p), values of the p functions that make up the course, each as a mean over c short intervals. Weighted by the
-    number of samples in each interval, the columns are orthonormal and have zero mean. samples: (c,), number of samples in each
-    interval; zero while the table is not in its steady motion. products: (p, p), inner products of the p functions over single
-    samples; unlike the means, single samples do not attenuate the functions."""
+    `columns`: array of shape (c, p), values of the p functions that make up the course, each as a mean over c short intervals.
+    Weighted by the number of samples in each interval, the columns are orthonormal and have zero mean. `samples`: array of shape
+    (c,), number of samples in each interval; zero while the table is not in its steady motion. `products`: array of shape (p, p),
+    inner products of the p functions over single samples; unlike the means, single samples do not attenuate the functions."""
 
     columns: Array
     samples: Array
@@ -61,8 +61,8 @@ def follows_course(motion: Motion) -> bool:
 def course_of(motion: Motion, time: Array, samples: Array, interval: float) -> MotionCourse | None:
     """The course of a periodic motion in short means of consecutive samples; None if there are too few short means.
 
-    time: (c,), s, middle of the interval of each short mean, counted from the segment's first sample. samples: (c,), number of
-    samples in each mean. interval: time between samples, s.
+    `time`: array of shape (c,) in s, middle of the interval of each short mean, counted from the segment's first sample. `samples`:
+    array of shape (c,), number of samples in each mean. `interval`: time between samples, s.
     """
     if isinstance(motion, Rock):
         since = time - motion.steady
@@ -118,7 +118,7 @@ def statistics_of(
     the files before they are read.
 
     A row with a non-finite value in any channel is omitted and counted in `rejected`. With one sample, covariance and standard
-    error are NaN; without samples, the mean is NaN too. watcher: examines the samples while they are read for the statistics.
+    error are NaN; without samples, the mean is NaN too. `watcher`: examines the samples while they are read for the statistics.
     """
     gathered = _Gathered(len(channels), rows, motion)
     for block in blocks:

@@ -109,11 +109,11 @@ CLOCK_STEP = timedelta(seconds=1)
 
 @dataclass
 class Examined:
-    """The verified part of a run folder. findings: errors, warnings and notes.
+    """The verified part of a run folder. `findings`: errors, warnings and notes.
 
-    seal_digest: SHA-256 of seal.json. sealed_before: True if the contents show that the run was sealed at some time. state, scan:
-    None if the journal cannot be read; in that case nothing is verified. unknown: entries of the folder that planrunner did not
-    write.
+    `seal_digest`: SHA-256 of seal.json. `sealed_before`: True if the contents show that the run was sealed at some time. `state`,
+    `scan`: None if the journal cannot be read; in that case nothing is verified. `unknown`: entries of the folder that planrunner
+    did not write.
     """
 
     folder: GuardedFolder
@@ -157,7 +157,7 @@ class Examined:
 def verify(run: Path, *, samples: SampleCheck = "contents") -> list[Finding]:
     """Verifies a run folder. Returns all errors, warnings and notes; empty for a sealed folder without changes.
 
-    samples: how to check the files of samples. Raises `InputError` if there is no run folder.
+    `samples`: how to check the files of samples. Raises `InputError` if there is no run folder.
     """
     return list(examine(open_run(run), samples=samples).findings)
 
@@ -177,7 +177,7 @@ def open_run(path: Path) -> GuardedFolder:
 
 
 def examine(folder: GuardedFolder, *, samples: SampleCheck = "sizes") -> Examined:
-    """Examines a run folder. samples: how to check the files of samples.
+    """Examines a run folder. `samples`: how to check the files of samples.
 
     A run that is being written can be examined too. The files are listed before the journal is read, so that the journal can name
     more files than the list, but never fewer.
@@ -474,7 +474,8 @@ def _check_samples(found: Examined, recorded: RecordedEntries, samples: SampleCh
 
 
 def _check_digest(found: Examined, folder: GuardedFolder, own: str, part: Part, size: int, *, read: bool) -> None:
-    """Checks the digest of a file of samples, or reports its wrong size. read: True if the file may be read to compute its digest."""
+    """Checks the digest of a file of samples, or reports its wrong size. `read`: True if the file may be read to compute its
+    digest."""
     path = folder.path / own
     value = ""
     if read:

@@ -62,7 +62,7 @@ class _Terms:
     """The conditions that are sent to a worker with every task of a computation: the versions that the worker must have, and the
     directory that it must use.
 
-    versions: the versions of the program and of the libraries. directory: the working directory of this process."""
+    `versions`: the versions of the program and of the libraries. `directory`: the working directory of this process."""
 
     versions: Mapping[str, str]
     directory: str
@@ -71,7 +71,7 @@ class _Terms:
 @dataclass(frozen=True, slots=True)
 class _Answer:
     """The answer to a task: the results of its items up to the first one that failed, and the exception of that item; or the reason
-    why the worker cannot compute. seconds: the time [s] that computing took. unfit: maps each library whose versions differ to
+    why the worker cannot compute. `seconds`: the time [s] that computing took. `unfit`: maps each library whose versions differ to
     (version here, version on the worker)."""
 
     results: tuple[object, ...] = ()
@@ -105,7 +105,7 @@ def computed_on_cluster(
     address: str,
     tell: Callable[[float], None] | None = None,
 ) -> Iterator[R]:
-    """The results of `work` for all items, in their order; see `workers.results_in_order`. address: the address of the cluster's
+    """The results of `work` for all items, in their order; see `workers.results_in_order`. `address`: the address of the cluster's
     scheduler. Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a path among the
     items, and `ProcessEndedError` if the cluster ends."""
     if not items:
@@ -162,7 +162,7 @@ def _paths(items: Sequence[object]) -> tuple[str, ...]:
 
 
 def _compute(packed: bytes, terms: _Terms, items: Sequence[T], paths: Sequence[str] = ()) -> _Answer:
-    """Computes the items of a task; runs on a worker. paths: paths that the worker must see."""
+    """Computes the items of a task; runs on a worker. `paths`: paths that the worker must see."""
     own = versions()
     unfit = {
         name: (one, own.get(name, "not installed")) for name, one in terms.versions.items() if own.get(name) != one

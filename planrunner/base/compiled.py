@@ -26,8 +26,8 @@ KEPT = Path("planrunner") / "compiled"
 def cache_folder(environment: Mapping[str, str], user: int | None = None) -> Path | None:
     """The folder for compiled code; None if no folder can be made or written.
 
-    environment: the variables of the process; except on Windows, `NUMBA_CACHE_DIR` or `XDG_CACHE_HOME` may replace the user's
-    `~/.cache`. user: user number, by default the current user. Raises `UntrustedFolderError` if another user could write code
+    `environment`: the variables of the process; except on Windows, `NUMBA_CACHE_DIR` or `XDG_CACHE_HOME` may replace the user's
+    `~/.cache`. `user`: user number, by default the current user. Raises `UntrustedFolderError` if another user could write code
     there.
     """
     try:

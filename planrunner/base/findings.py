@@ -26,7 +26,7 @@ Severity = Literal["error", "warning", "note"]
 class Mark:
     """A place in a file, or `COMMAND_LINE`. Lines and columns count from 1, as editors show them.
 
-    end: line and column just after the marked text, if known. text: the whole file as read, for excerpts.
+    `end`: line and column just after the marked text, if known. `text`: the whole file as read, for excerpts.
     """
 
     file: str
@@ -56,7 +56,7 @@ COMMAND_LINE = Mark("<command line>")
 class Finding:
     """One finding. `str()` gives the finding as a line for the terminal, without the hint.
 
-    cause: the error from which this finding follows; such a finding is kept but not shown.
+    `cause`: the error from which this finding follows; such a finding is kept but not shown.
     """
 
     mark: Mark
@@ -174,7 +174,7 @@ class InputError(Exception):
 
 
 def count_of(number: int, one: str, several: str = "") -> str:
-    """A number with its noun, such as `1 run` and `2 runs`. several: the plural of the noun; by default the noun with an s."""
+    """A number with its noun, such as `1 run` and `2 runs`. `several`: the plural of the noun; by default the noun with an s."""
     return f"{number} {one if number == 1 else several or f'{one}s'}"
 
 

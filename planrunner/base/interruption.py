@@ -38,7 +38,7 @@ class EndedError(KeyboardInterrupt):
 
 class Interruption:
     """A context manager that handles the signals that end a command. It has an effect only in the main thread. Signals that are
-    ignored on purpose, as by `nohup`, stay ignored. reason: the signal in words; empty as long as none has arrived."""
+    ignored on purpose, as by `nohup`, stay ignored. `reason`: the signal in words; empty as long as none has arrived."""
 
     def __init__(self) -> None:
         self.reason = ""

@@ -51,9 +51,9 @@ def shared_out(
 ) -> list[R]:
     """The results of `work` for all items, in their order.
 
-    work: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. jobs: number of
-    processes including this one; if it is None, the number depends on the processors and on the number of items. tell: called in
-    this process after each item that it computes, with the completed fraction (0 to 1) of its own items. If `work` raises an
+    `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `jobs`: number
+    of processes including this one; if it is None, the number depends on the processors and on the number of items. `tell`: called
+    in this process after each item that it computes, with the completed fraction (0 to 1) of its own items. If `work` raises an
     exception, it is raised here too; if several items fail, the exception of the first one in the order of the items. Raises
     `ProcessEndedError` if another process ends early.
     """

@@ -19,8 +19,11 @@ now = monotonic
 
 @dataclass(frozen=True, slots=True)
 class Underway:
-    """A report of the progress of some work. what: the work, such as "checking long.csv". fraction: completed part, 0 to 1.
-    time_left: expected remaining real time [s]."""
+    """A report of the progress of some work.
+
+    `what`: the work, such as "checking long.csv". `fraction`: completed part, 0 to 1. `time_left`: expected remaining real time
+    [s].
+    """
 
     what: str
     fraction: float

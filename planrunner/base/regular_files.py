@@ -47,8 +47,8 @@ _NO_LINK = open_flags("O_NOFOLLOW")
 
 
 class RefusedFileError(Exception):
-    """The error for a file that is refused. kind: the reason in one word. hint: the remedy. `str()` gives the reason as a sentence
-    without the file name."""
+    """The error for a file that is refused. `kind`: the reason in one word. `hint`: the remedy. `str()` gives the reason as a
+    sentence without the file name."""
 
     def __init__(self, kind: Refusal, message: str, hint: str):
         super().__init__(message)
@@ -64,9 +64,9 @@ def open_regular(
 ) -> BinaryIO:
     """Opens a regular file for reading from its beginning.
 
-    limit: largest size in bytes, None if the reader sets its own limit. folder: descriptor of the open folder to which `path` is
-    relative, if the system supports this (`os.open in os.supports_dir_fd`). links: True if the last component of the path may be a
-    symbolic link. Raises `RefusedFileError`, never `OSError`.
+    `limit`: largest size in bytes, None if the reader sets its own limit. `folder`: descriptor of the open folder to which `path`
+    is relative, if the system supports this (`os.open in os.supports_dir_fd`). `links`: True if the last component of the path may
+    be a symbolic link. Raises `RefusedFileError`, never `OSError`.
     """
     try:
         _hold(os.stat(path, dir_fd=folder, follow_symlinks=links), limit)

@@ -65,7 +65,7 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
 
 
 def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
-    """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. reachable: True
+    """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. `reachable`: True
     if other users can reach the entry; only then does writability matter."""
     if sys.platform == "win32":
         return

@@ -19,8 +19,8 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """States where work is computed. jobs: number of processes on this machine, including this one; if it is None, the number
-    depends on the work. scheduler: address of a Dask scheduler to use instead of processes, such as `tcp://10.0.0.5:8786`. Every
+    """States where work is computed. `jobs`: number of processes on this machine, including this one; if it is None, the number
+    depends on the work. `scheduler`: address of a Dask scheduler to use instead of processes, such as `tcp://10.0.0.5:8786`. Every
     worker of the cluster must see the paths among the items under the same names."""
 
     jobs: int | None = None
@@ -41,7 +41,7 @@ def results_of(
 ) -> list[R]:
     """The results of `work` for all items, in their order.
 
-    work: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. tell: called
+    `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `tell`: called
     with the completed fraction of all items, 0 to 1. If `work` raises an exception, it is raised here too; if several items fail,
     the exception of the first one in the order of the items. Raises `ProcessEndedError` if workers end before the work is done, and
     `ClusterError` if the cluster cannot be used.

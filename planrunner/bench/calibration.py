@@ -53,8 +53,8 @@ def check_dates(calibration: Calibration, log: Findings) -> None:
 def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date, seconds: float, log: Findings) -> None:
     """Adds findings for calibrations that are invalid on the day of a run or expire soon.
 
-    calibrations: pairs of the name of an object and the object's calibration. seconds: planned duration of the run. Invalid dates
-    are skipped; `check_dates` reports them.
+    `calibrations`: pairs of the name of an object and the object's calibration. `seconds`: planned duration of the run. Invalid
+    dates are skipped; `check_dates` reports them.
     """
     lasts = math.ceil(seconds / 86400)  # days; added to today they may be beyond the calendar
     for what, calibration in calibrations:

@@ -32,7 +32,7 @@ class WallClock:
     """A clock of real time. It is monotonic: it does not jump when the computer's clock is set.
 
     A sleep is interruptible: about every `slice` seconds it calls the callback given to `attend`, and it ends early if the callback
-    returns True. speed: seconds of this clock per second of real time, for a bench whose simulated instruments run faster.
+    returns True. `speed`: seconds of this clock per second of real time, for a bench whose simulated instruments run faster.
     """
 
     def __init__(self, slice: float = 0.1, speed: float = 1.0):

@@ -45,7 +45,7 @@ RESCUE_PATIENCE = 30.0
 def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[None]:
     """Locks the bench's real instruments. A bench without real instruments needs no lock.
 
-    shown: name of the bench file, for messages. purpose: why the bench is locked, for the message to others who want to use it.
+    `shown`: name of the bench file, for messages. `purpose`: why the bench is locked, for the message to others who want to use it.
     Raises `InputError` if another process holds one of the instruments. Waits for the watchdog of a run that has ended.
     """
     instruments = _names(bench)

@@ -276,10 +276,10 @@ class Bench(Record):
 class BenchModels:
     """Properties of a bench that are known without connecting to its instruments.
 
-    replays: the sensor plays back a recording, so orientations, rates and temperatures come from the recording and need no table or
-    chamber. measures: True if at least one instrument has live readings. counts: True if the sensor counts its lost and corrupt
-    frames. With simulated time, `measures` and `counts` are True. origin: whether the samples are simulated, played back or
-    measured.
+    `replays`: the sensor plays back a recording, so orientations, rates and temperatures come from the recording and need no table
+    or chamber. `measures`: True if at least one instrument has live readings. `counts`: True if the sensor counts its lost and
+    corrupt frames. With simulated time, `measures` and `counts` are True. `origin`: whether the samples are simulated, played back
+    or measured.
     """
 
     site: Site

@@ -30,9 +30,12 @@ WHOLE_TURN_TOLERANCE = 100e-6
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """States how long a motion is held. settle: planned settling time [s]. dwell: s; None if the dwell lasts as long as the
-    recording. sampled: sample rate, Hz; None if the sensor is not known. sooner: if measurements can end the settling early, the
-    time [s] that this can save; otherwise 0."""
+    """States how long a motion is held.
+
+    `settle`: planned settling time [s]. `dwell`: s; None if the dwell lasts as long as the recording. `sampled`: sample rate, Hz;
+    None if the sensor is not known. `sooner`: if measurements can end the settling early, the time [s] that this can save;
+    otherwise 0.
+    """
 
     settle: float
     dwell: float | None
@@ -52,8 +55,8 @@ def start_motion(
     """Time [s] until the table is in motion, and the state of the table after the dwell. A motion that the table cannot execute
     becomes a finding at the place of the motion in the plan.
 
-    input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: returns
-    the mark of one of the motion's keys in the plan or, for an empty key, the mark of the whole motion.
+    `input_axes`: array of shape (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not
+    known. `at`: returns the mark of one of the motion's keys in the plan or, for an empty key, the mark of the whole motion.
     """
     table, mark = models.table, at("")
     if isinstance(motion, Rest):

@@ -54,9 +54,9 @@ class OpenBench:
     """A bench whose instruments are connected. It is a context manager: on exit, it makes the controlled instruments safe and then
     disconnects all instruments.
 
-    table, chamber, sensor: the instrument of that role, or None. instruments: all instruments by name. limits: descriptions of the
-    limits that the instruments enforce themselves. watchdog: the watchdog of a guarded bench. safe: True if the last attempt
-    brought all controlled instruments to their safe state.
+    `table`, `chamber`, `sensor`: the instrument of that role, or None. `instruments`: all instruments by name. `limits`:
+    descriptions of the limits that the instruments enforce themselves. `watchdog`: the watchdog of a guarded bench. `safe`: True if
+    the last attempt brought all controlled instruments to their safe state.
     """
 
     def __init__(self, bench: Bench, clock: RunClock, site: Site):
@@ -174,10 +174,10 @@ def open_bench(
 ) -> OpenBench:
     """Connects the instruments of a bench in the order of its file.
 
-    data_root: folder that must contain the recordings. seed: seed of all random numbers of a simulated bench; by default the seed
-    in the bench file. clock: a clock to use instead of the one that the bench names. notice: receives the progress of work before
-    the run. Raises `InstrumentError` with the name of the instrument that could not be connected; the instruments connected before
-    it are closed without being commanded.
+    `data_root`: folder that must contain the recordings. `seed`: seed of all random numbers of a simulated bench; by default the
+    seed in the bench file. `clock`: a clock to use instead of the one that the bench names. `notice`: receives the progress of work
+    before the run. Raises `InstrumentError` with the name of the instrument that could not be connected; the instruments connected
+    before it are closed without being commanded.
     """
     virtual = runs_on_virtual_clock(bench)
     clock = clock or (VirtualClock() if virtual else real_clock(bench))
@@ -214,9 +214,9 @@ def guarded_bench(
 ) -> Iterator[OpenBench]:
     """The connected bench for the duration of a `with` block. At the end it is made safe and closed.
 
-    bench_file: the exact bytes of the bench file, which the watchdog uses to connect; shown: name of the bench file in messages.
-    notice: as in `open_bench`. Raises `InputError` if another run holds the bench, and `InstrumentError` if the watchdog or an
-    instrument fails.
+    `bench_file`: the exact bytes of the bench file, which the watchdog uses to connect. `shown`: name of the bench file in
+    messages. `notice`: as in `open_bench`. Raises `InputError` if another run holds the bench, and `InstrumentError` if the
+    watchdog or an instrument fails.
     """
     with bench_lock(bench, shown):
         watchdog = None

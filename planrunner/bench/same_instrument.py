@@ -68,7 +68,7 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """All names that this computer has for a serial port. numbered: True if a plain number is the number of a Windows port."""
+    """All names that this computer has for a serial port. `numbered`: True if a plain number is the number of a Windows port."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":

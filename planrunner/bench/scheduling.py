@@ -56,8 +56,8 @@ def watch_of(stated: WatchSpec | None) -> Watch | None:
 
 
 def check_measured(state: State, marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
-    """Adds an error for each limit on a quantity that no instrument of the bench can measure. add: a function that adds a finding,
-    given its code, place, message and hint."""
+    """Adds an error for each limit on a quantity that no instrument of the bench can measure. `add`: a function that adds a
+    finding, given its code, place, message and hint."""
     for name, stated in (("soak", state.soak), ("settle", state.settle), ("watch", state.watch)):
         if isinstance(stated, Tolerated) and stated.stated() and not models.measures:
             message = f"no instrument of this bench has live readings of {', '.join(stated.stated())}"
@@ -82,7 +82,7 @@ def build_schedule(
 ) -> Schedule:
     """The schedule of the valid segments. A segment with an error is omitted; the other segments are still checked.
 
-    mounting: directions of the sensor's input axes in its frame, if stated in the plan; by default the axes of the frame.
+    `mounting`: directions of the sensor's input axes in its frame, if stated in the plan; by default the axes of the frame.
     """
     planner = _Planner(models, log, mounting or {})
     segments: list[Segment] = []
@@ -136,7 +136,7 @@ def _days(seconds: float) -> str:
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
     """The place of the finding about segments without a required key, and its message, which names the first of these segments.
-    segments: maps the place of each segment to its label."""
+    `segments`: maps the place of each segment to its label."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 

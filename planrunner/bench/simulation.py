@@ -41,8 +41,8 @@ class SimulationSpec(Record):
 
 
 def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> JsonObject:
-    """Sends one request to a simulated bench and returns the answer. token: the token in the readiness file of the simulated bench;
-    requests that change something need it. Raises `InstrumentError` if nothing answers or the request is refused."""
+    """Sends one request to a simulated bench and returns the answer. `token`: the token in the readiness file of the simulated
+    bench; requests that change something need it. Raises `InstrumentError` if nothing answers or the request is refused."""
     import json
     import socket
 
@@ -64,8 +64,8 @@ def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> 
 
 def attach(simulation: SimulationSpec, addresses: Mapping[str, str]) -> WallClock:
     """Checks that the process of the simulated bench serves every instrument at its address, and returns a clock at the speed of
-    that process. addresses: address of each instrument, by its name in the bench. Raises `InstrumentError` if the process does not
-    answer or an instrument has another address there."""
+    that process. `addresses`: address of each instrument, by its name in the bench. Raises `InstrumentError` if the process does
+    not answer or an instrument has another address there."""
     told = ask(simulation.control, {"ask": "bench"})
     for name, address in addresses.items():
         served = told["addresses"].get(name)

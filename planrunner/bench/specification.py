@@ -46,9 +46,9 @@ SENSES: Mapping[str, Sense] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Grade:
-    """The usual limits of one grade of sensors. quietest: smallest usual white noise; for a gyro, the angle random walk in deg/√h,
-    and for an accelerometer, the one-sided density in µg/√Hz. usual: usual limit of each term in `SENSES`, in the order of
-    `SENSES`."""
+    """The usual limits of one grade of sensors. `quietest`: smallest usual white noise; for a gyro, the angle random walk in
+    deg/√h, and for an accelerometer, the one-sided density in µg/√Hz. `usual`: usual limit of each term in `SENSES`, in the order
+    of `SENSES`."""
 
     name: str
     quietest: Mapping[Sense, float]
@@ -75,7 +75,7 @@ GRADE_NAMES = tuple(grade.name for grade in GRADES)
 
 
 def grade_of(sense: Sense, noise: float) -> Grade:
-    """The lowest grade in which sensors with such low noise are usual. noise: the white noise in the unit of `Grade.quietest`."""
+    """The lowest grade in which sensors with such low noise are usual. `noise`: the white noise in the unit of `Grade.quietest`."""
     return next(grade for grade in reversed(GRADES) if grade.quietest[sense] <= noise)
 
 

@@ -33,9 +33,9 @@ _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this
 class TableState:
     """State of the table: joint angles [rad], outermost first, and the time [s] to come to rest.
 
-    roughly: index of a joint that a motion has left at an angle known only approximately; None if every joint is at its commanded
-    angle. below, above: largest negative and positive deviation [rad] of each joint from `joints`; empty if the angles are exact.
-    others: other joint angles at which the table may be instead of `joints`.
+    `roughly`: index of a joint that a motion has left at an angle known only approximately; None if every joint is at its commanded
+    angle. `below`, `above`: largest negative and positive deviation [rad] of each joint from `joints`; empty if the angles are
+    exact. `others`: other joint angles at which the table may be instead of `joints`.
     """
 
     joints: Array
@@ -74,7 +74,7 @@ class TableState:
     def ended(
         self, axes: Sequence[TableAxis], joint: int, angle: float, misses: tuple[float, float], stopping: float
     ) -> TableState:
-        """The state after a motion that turns a joint by `angle` [rad]. misses: largest negative and positive deviation [rad] of
+        """The state after a motion that turns a joint by `angle` [rad]. `misses`: largest negative and positive deviation [rad] of
         the angle at the end of the motion."""
         turn = np.zeros(len(self.joints))
         turn[joint] = angle
@@ -130,7 +130,7 @@ class TableState:
 def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]:
     """The largest negative and positive deviation [rad] from the planned end of a spin at `rate` [rad/s] through `angle` [rad].
 
-    sooner: time [s] by which the spin may end early, because its settling depends on measurements.
+    `sooner`: time [s] by which the spin may end early, because its settling depends on measurements.
     """
     missed = abs(rate) * STOPS_LATE + abs(angle) * RATE_ERROR
     early = abs(rate) * sooner

@@ -45,8 +45,11 @@ ENDED_WITHIN = 5.0
 
 @dataclass(slots=True)
 class Charge:
-    """The run that the watchdog guards. parent: process number of planrunner. report: the run folder, None until it exists.
-    controlled: names of the instruments that planrunner commands."""
+    """The run that the watchdog guards.
+
+    `parent`: process number of planrunner. `report`: the run folder, None until it exists. `controlled`: names of the instruments
+    that planrunner commands.
+    """
 
     bench: Bench
     shown: str

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def folder_argument(text: str, *, anew: bool = False) -> Path:
     """Reads a command-line argument that names a folder of runs, or a run; returns the path of the folder. If the argument is a
-    URL, the folder is copied to this computer at once (`archive.remote`), because commands read only local folders. anew: True to
+    URL, the folder is copied to this computer at once (`archive.remote`), because commands read only local folders. `anew`: True to
     copy even files that have not changed since an earlier copy."""
     if "://" not in text:
         return Path(text)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 
 def whole_number(what: str, least: int, most: int | None = None) -> Callable[[str], int]:
-    """Makes a function that reads a whole number from `least` to `most`, for the option `type` of a command-line argument. what: a
-    description of the number, for messages."""
+    """Makes a function that reads a whole number from `least` to `most`, for the option `type` of a command-line argument. `what`:
+    a description of the number, for messages."""
 
     def read(text: str) -> int:
         try:

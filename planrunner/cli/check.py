@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """The result of checking a plan, ready for output. summary: text for the terminal; empty with the option `--json`."""
+    """The result of checking a plan, ready for output. `summary`: text for the terminal; empty with the option `--json`."""
 
     findings: tuple[Finding, ...]
     ok: bool
@@ -89,7 +89,7 @@ class _Answer:
 
 def _answer_elsewhere(args: argparse.Namespace, today: date, files: tuple[Path, Path | None]) -> _Answer | None:
     """Checks a plan on a worker of a cluster. Returns None if the result depends on this computer, so that the plan must be checked
-    here. files: the plan file, and the bench file if one was given."""
+    here. `files`: the plan file, and the bench file if one was given."""
     plan, _ = files
     if is_suite(plan):
         return None  # its plans are shared
@@ -138,7 +138,7 @@ def sound_plan(plan: str, bench: str | None, parameters: Sequence[str] = ()) -> 
 
 
 def summary(checked: Checked, looked_over: bool = True) -> str:
-    """A summary for the terminal: whether the plan is sound, how long it takes, and the expected uncertainties. looked_over: True
+    """A summary for the terminal: whether the plan is sound, how long it takes, and the expected uncertainties. `looked_over`: True
     if the check also examined a recording that the bench plays back."""
     errors, warnings = (
         sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")

@@ -33,7 +33,7 @@ class Done:
 
 
 def add_runs(parser: argparse.ArgumentParser, kind: Callable[[str], Path] = Path) -> None:
-    """Adds the argument RUN [RUN …], for commands without other positional arguments. kind: function that converts the text of an
+    """Adds the argument RUN [RUN …], for commands without other positional arguments. `kind`: function that converts the text of an
     argument to a path."""
     parser.add_argument("runs", metavar="RUN", nargs="+", type=kind, help="one or more run folders")
 
@@ -92,9 +92,11 @@ def each_result(
     last: Callable[[], Done | None] | None = None,
 ) -> int:
     """The same as `each_run`, for work that prints nothing itself, so that several workers can share the runs. `work` must be a
-    function defined at module level, or a `partial` of such a function, because it is sent to workers. show: prints one result; it
-    is called in the order of the runs. what: text that describes the work in the progress. last: computes a further result from all
-    runs together, which becomes the last entry."""
+    function defined at module level, or a `partial` of such a function, because it is sent to workers.
+
+    `show`: prints one result; it is called in the order of the runs. `what`: text that describes the work in the progress. `last`:
+    computes a further result from all runs together, which becomes the last entry.
+    """
     alone = len(runs) == 1 and not as_json
     with reading_progress(as_json) as notice:
         pace = Pace(what, 1.0, notice)
@@ -131,7 +133,7 @@ def _concluded(
     as_json: bool,
     headed: bool = False,
 ) -> int:
-    """Prints the results of all runs and returns the exit code. headed: True if this function prints the name of each run before
+    """Prints the results of all runs and returns the exit code. `headed`: True if this function prints the name of each run before
     the result of the run."""
     alone = len(runs) == 1 and not as_json
     entries, worst = [], 0

@@ -34,7 +34,7 @@ def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
 
 
 def workers_of(args: argparse.Namespace, jobs: int | None = 1) -> Workers:
-    """Determines the workers that the options request. jobs: number of processes if neither --jobs nor --scheduler is given."""
+    """Determines the workers that the options request. `jobs`: number of processes if neither --jobs nor --scheduler is given."""
     if args.scheduler is None:
         return Workers(jobs if args.jobs is None else args.jobs)
     if args.scheduler == HERE:

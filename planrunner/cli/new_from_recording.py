@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 def new_from_recording(recording: Path, target: str | None, rate: str | None, *, as_json: bool) -> int:
-    """Writes PLAN.yaml, PLAN.bench.yaml and PLAN.svg for a recording, and prints a description of the recording. target: the file
-    for the plan; by default, it is named after the recording and lies in the current folder. rate: sample rate, for a file without
-    a time column. If anything fails, raises `InputError` and writes nothing."""
+    """Writes PLAN.yaml, PLAN.bench.yaml and PLAN.svg for a recording, and prints a description of the recording. `target`: the file
+    for the plan; by default, it is named after the recording and lies in the current folder. `rate`: sample rate, for a file
+    without a time column. If anything fails, raises `InputError` and writes nothing."""
     from planrunner.instruments.recording_look import look_at
     from planrunner.reporting.recording_picture import recording_picture
     from planrunner.tasks.begin_from_recording import bench_of, plan_of

@@ -28,7 +28,7 @@ def add_live_page(parser: argparse.ArgumentParser) -> None:
 
 
 class TerminalOperator:
-    """The operator at the terminal. notify: function that shows a line of text to the operator. A separate thread reads the
+    """The operator at the terminal. `notify`: function that shows a line of text to the operator. A separate thread reads the
     answers, so that the run continues to supervise the bench and reacts to Ctrl-C. This thread reads directly from the file
     descriptor: if it still waits when the program exits, it would otherwise keep the buffer of stdin locked."""
 
@@ -58,8 +58,8 @@ class TerminalOperator:
 
 
 class PageOperator:
-    """An operator who uses the live page, and whose answers come through the run folder. notify: function that shows a line of text
-    to the operator."""
+    """An operator who uses the live page, and whose answers come through the run folder. `notify`: function that shows a line of
+    text to the operator."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify

@@ -72,7 +72,8 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
 def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | None = None) -> int:
     """Ends a command that made one run: prints its results and returns the exit code. It counts as a fault if the bench should have
     signed the run but did not, unless the results already cause another exit code. If the run measured the check standard of the
-    bench, it also reports whether the standard is in control. run: the run folder; None if the results come from no run on a bench."""
+    bench, it also reports whether the standard is in control. `run`: the run folder; None if the results come from no run on a
+    bench."""
     done = conclude(analysis, as_json=as_json)
     unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
     standard, in_control = ({}, True) if run is None else _check_standard(run)

@@ -33,8 +33,11 @@ _BREAK = re.compile("\r\n|\r|\n")
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """A source line for display. gutter: the line number. blank: as many spaces as the line number has characters. line: the text
-    of the line, cut to the available width. carets: the marks below the text."""
+    """A source line for display.
+
+    `gutter`: the line number. `blank`: as many spaces as the line number has characters. `line`: the text of the line, cut to the
+    available width. `carets`: the marks below the text.
+    """
 
     gutter: str
     blank: str

@@ -37,7 +37,7 @@ def _bar() -> Iterator[tuple[ProgressCallback, Callable[[str], None]]]:
 
 @contextmanager
 def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
-    """Shows a progress bar on the terminal. transient: True if the bar disappears at the end."""
+    """Shows a progress bar on the terminal. `transient`: True if the bar disappears at the end."""
     from rich.progress import BarColumn, Progress, TextColumn
 
     from planrunner.base.progress import Underway

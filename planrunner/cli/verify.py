@@ -106,14 +106,14 @@ class _Verified:
 
 
 def _verified(ring: KeyRing | None, authority: StampAuthority | None, named: bool, folder: Path) -> _Verified:
-    """Verifies one run. named: True if the name of the folder has already been printed."""
+    """Verifies one run. `named`: True if the name of the folder has already been printed."""
     verification = verify_run(folder, ring, authority)
     lines = tuple(_lines("" if named else f"{folder}: ", verification))
     return _Verified(logged_run(verification.found), bool(verification.changes), lines, verification.to_json())
 
 
 def _lines(name: str, verification: Verification) -> Iterator[str]:
-    """The lines that report on one run. name: the text before the first line, which contains the name of the folder; empty if the
+    """The lines that report on one run. `name`: the text before the first line, which contains the name of the folder; empty if the
     name has already been printed."""
     found = verification.found
     state = "CHANGED" if verification.changes else "unchanged" if verification.sealed else "unchanged, NOT SEALED"

@@ -38,7 +38,7 @@ def choose(
     workers: Workers = ALONE,
 ) -> tuple[int, ...]:
     """The best `count` different bundles of `bundles` (N, p, p), as ascending indices (count,), found by exchange from seeded
-    starts. The bundles in `kept` are always included. workers: processes that share the starts; the result for a seed does not
+    starts. The bundles in `kept` are always included. `workers`: processes that share the starts; the result for a seed does not
     depend on the number of workers.
 
     Raises ValueError if there are fewer bundles than requested, or if no choice determines all terms.
@@ -84,7 +84,8 @@ def shares(
     of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at the optimum (Kiefer and
     Wolfowitz; multiplicative steps as in `continuous`).
 
-    fixed: (p, p), information that does not depend on the fractions. Raises ValueError if the bundles cannot determine all terms.
+    `fixed`: array of shape (p, p), information that does not depend on the fractions. Raises ValueError if the bundles cannot
+    determine all terms.
     """
     count = len(bundles)
     part = np.full(count, 1.0 / count)

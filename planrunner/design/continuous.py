@@ -26,10 +26,13 @@ NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 @dataclass(frozen=True, slots=True)
 class Continuous:
     """An optimal continuous design: the fraction of the observations for each candidate, not rounded to whole numbers of
-    observations. shares: (N,), the fractions, which add up to 1. matrix: (p, p), the information matrix M per observation. excess:
-    the ratio of the largest derivative to `mean`, minus 1; 1e-6 means that no design is better by more than one part in a million.
-    value: |M| (criterion D) or tr(W·M⁻¹). mean: mean of the derivative over the candidates, weighted by `shares`. The mean is p
-    (criterion D) or `value` (linear criterion) if there is no fixed information, and smaller if there is."""
+    observations.
+
+    `shares`: array of shape (N,), the fractions, which add up to 1. `matrix`: array of shape (p, p), the information matrix M per
+    observation. `excess`: the ratio of the largest derivative to `mean`, minus 1; 1e-6 means that no design is better by more than
+    one part in a million. `value`: |M| (criterion D) or tr(W·M⁻¹). `mean`: mean of the derivative over the candidates, weighted by
+    `shares`. The mean is p (criterion D) or `value` (linear criterion) if there is no fixed information, and smaller if there is.
+    """
 
     shares: Array
     matrix: Array
@@ -74,10 +77,10 @@ def solve(
 ) -> Continuous:
     """The optimal fractions of the observations for the candidates `rows`, shape (N, p), which must have rank p.
 
-    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: smallest fraction that any candidate may have. start: fractions with which
-    the iteration starts. fixed: (p, p), information per observation that does not depend on the fractions. The iteration ends when
-    the excess is below `tolerance` or after `most_steps`. The result contains the remaining excess, and its bounds allow for the
-    excess. Raises ValueError if the candidates cannot determine all terms.
+    `weighting`: None for D, W (p, p) for tr(W·M⁻¹). `least`: smallest fraction that any candidate may have. `start`: fractions with
+    which the iteration starts. `fixed`: array of shape (p, p), information per observation that does not depend on the fractions.
+    The iteration ends when the excess is below `tolerance` or after `most_steps`. The result contains the remaining excess, and its
+    bounds allow for the excess. Raises ValueError if the candidates cannot determine all terms.
     """
     rows = np.asarray(rows, dtype=float)
     count, p = rows.shape
@@ -167,7 +170,7 @@ def solve_with_climbing(
     """The best fractions of the observations for points of a continuous region. The search starts with the candidates `rows`, and
     adds better points found by climbing until climbing finds none.
 
-    climb: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
+    `climb`: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
     derivatives there. The excess of the result refers to the region, as far as climbing finds the maxima.
     """
     known = np.asarray(rows, dtype=float)

@@ -52,9 +52,12 @@ class Cable:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """The extent of one search. moves: number of moves in each cycle; tried: number of cycles that were tried; balanced: number of
-    cycles with zero residual; wound: number of cycles with zero residual that end with wound-up cables; exhaustive: True if all
-    possible cycles were tried."""
+    """The extent of one search.
+
+    `moves`: number of moves in each cycle. `tried`: number of cycles that were tried. `balanced`: number of cycles with zero
+    residual. `wound`: number of cycles with zero residual that end with wound-up cables. `exhaustive`: True if all possible cycles
+    were tried.
+    """
 
     moves: int
     tried: int
@@ -65,8 +68,8 @@ class Round:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycle:
-    """The result of several searches. cycle: the best cycle with zero residual, or None if none was found; rounds: the searches in
-    the order in which they were made."""
+    """The result of several searches. `cycle`: the best cycle with zero residual, or None if none was found. `rounds`: the searches
+    in the order in which they were made."""
 
     cycle: RotationCycle | None
     rounds: tuple[Round, ...]
@@ -74,8 +77,11 @@ class FoundCycle:
 
 @dataclass(frozen=True, slots=True)
 class StudiedCycle:
-    """One cycle of a design study. cycle: the cycle, with the plan's positive sense of rotation; moves: the moves as a plan writes
-    them; drive: ratio of the growth of the Schuler oscillation with this cycle to the growth without rotation."""
+    """One cycle of a design study.
+
+    `cycle`: the cycle, with the plan's positive sense of rotation. `moves`: the moves as a plan writes them. `drive`: ratio of the
+    growth of the Schuler oscillation with this cycle to the growth without rotation.
+    """
 
     cycle: RotationCycle
     moves: tuple[str, ...]
@@ -144,7 +150,8 @@ def _ways(turn: float, most: float) -> list[float]:
 
 
 def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[RotationCycle | None, Round]:
-    """The best of m cycles with stops of equal duration, and the extent of this search. turns: (m, n), the n turns of each cycle."""
+    """The best of m cycles with stops of equal duration, and the extent of this search. `turns`: array of shape (m, n), the n turns
+    of each cycle."""
     ends = np.cumsum(turns, axis=1)
     begins = ends - turns
     left = np.zeros(len(turns), dtype=complex)

@@ -26,9 +26,9 @@ SINGULAR = 1e-9
 class Merit:
     """The values of the criteria for a set of n observations of p terms.
 
-    determinant: |M|, zero if M is singular; trace: trace of M⁻¹; worst: largest variance of a predicted output over the region;
-    mean: mean of this variance over the region; `worst` and `mean` are in units of one observation's variance. `trace`, `worst` and
-    `mean` are infinite if M is singular.
+    `determinant`: |M|, zero if M is singular. `trace`: trace of M⁻¹. `worst`: largest variance of a predicted output over the
+    region. `mean`: mean of this variance over the region; `worst` and `mean` are in units of one observation's variance. `trace`,
+    `worst` and `mean` are infinite if M is singular.
     """
 
     observations: int
@@ -55,7 +55,7 @@ class Efficiency:
 
 
 def information(rows: Array, weights: Array | None = None) -> Array:
-    """The information matrix M, shape (p, p). weights: (n,), 1 for each row by default."""
+    """The information matrix M, shape (p, p). `weights`: array of shape (n,), 1 for each row by default."""
     rows = np.asarray(rows, dtype=float)
     return rows.T @ rows if weights is None else (rows * np.asarray(weights)[:, None]).T @ rows
 
@@ -71,8 +71,11 @@ def variances(rows: Array, matrix: Array) -> Array:
 
 
 def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array | None = None) -> Merit:
-    """The values of the criteria for a set of observations. region: rows of the points for which predictions are required; weights:
-    weight of each observation, 1 by default; fixed: rows (k, p) that are always observed and that are not among `observations`."""
+    """The values of the criteria for a set of observations.
+
+    `region`: rows of the points for which predictions are required. `weights`: weight of each observation, 1 by default. `fixed`:
+    rows (k, p) that are always observed and that are not among `observations`.
+    """
     n, p = rows.shape
     used = rows if weights is None else rows * np.sqrt(weights)[:, None]
     if fixed is not None:

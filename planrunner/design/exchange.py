@@ -29,9 +29,11 @@ _RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The result of a choice among candidates. indices: (n,), indices of the chosen candidates, ascending; loss: −ln|M| (D) or
-    tr(W·M⁻¹), infinite if no choice determines all terms. tried: number of choices or restarts that were tried; exhaustive: True if
-    all choices were tried."""
+    """The result of a choice among candidates.
+
+    `indices`: (n,), indices of the chosen candidates, ascending. `loss`: −ln|M| (D) or tr(W·M⁻¹), infinite if no choice determines
+    all terms. `tried`: number of choices or restarts that were tried. `exhaustive`: True if all choices were tried.
+    """
 
     indices: Indices
     loss: float
@@ -132,8 +134,8 @@ def exchange(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> list[Chosen]:
-    """The sets found by exchange from `restarts` random sets, the best first. The same seed gives the same sets. repeats: True if a
-    set may contain a candidate more than once."""
+    """The sets found by exchange from `restarts` random sets, the best first. The same seed gives the same sets. `repeats`: True if
+    a set may contain a candidate more than once."""
     if not repeats and count > len(rows):
         raise ValueError(f"{count} different positions cannot be chosen from {len(rows)}")
     random = np.random.default_rng(seed)

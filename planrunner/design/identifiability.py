@@ -16,10 +16,10 @@ from planrunner.estimators.interface import Design, DesignBlock
 class Identifiability:
     """The information that the planned segments give about one output.
 
-    rank: rank of the design matrix, whose columns are the terms. condition: condition number of the columns divided by their
-    declared magnitudes; infinite if the rank is deficient. determinant: determinant of the information matrix of the divided
-    columns, in which all segments have the same weight; it serves to compare sets of positions. unidentifiable: names of the terms
-    that cannot be identified. explanation: a sentence about these terms; empty if all terms can be identified.
+    `rank`: rank of the design matrix, whose columns are the terms. `condition`: condition number of the columns divided by their
+    declared magnitudes; infinite if the rank is deficient. `determinant`: determinant of the information matrix of the divided
+    columns, in which all segments have the same weight; it serves to compare sets of positions. `unidentifiable`: names of the
+    terms that cannot be identified. `explanation`: a sentence about these terms; empty if all terms can be identified.
     """
 
     output: str

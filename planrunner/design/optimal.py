@@ -28,8 +28,11 @@ CLIMBERS = 24  # places from which the variance is climbed
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A region of settings. settings: (N, k), candidates spread over the region; rows: (N, p), rows of the design matrix at these
-    candidates; bounds: (lowest, highest) of each of the k numbers, infinite where there is no bound."""
+    """A region of settings.
+
+    `settings`: array of shape (N, k), candidates spread over the region. `rows`: array of shape (N, p), rows of the design matrix
+    at these candidates. `bounds`: (lowest, highest) of each of the k numbers, infinite where there is no bound.
+    """
 
     rows_of: RowsOf
     settings: Array
@@ -39,9 +42,11 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The result of a search for settings. settings: (n, k), the best settings; loss: −ln|M| or tr(W·M⁻¹); starts: number of local
-    optimisations; agreeing: number of local optimisations whose loss is within 1e-4 of the smallest loss (relative to it for
-    tr(W·M⁻¹))."""
+    """The result of a search for settings.
+
+    `settings`: array of shape (n, k), the best settings. `loss`: −ln|M| or tr(W·M⁻¹). `starts`: number of local optimisations.
+    `agreeing`: number of local optimisations whose loss is within 1e-4 of the smallest loss (relative to it for tr(W·M⁻¹)).
+    """
 
     settings: Array
     loss: float
@@ -76,9 +81,9 @@ def search(
     """Searches for the best `count` settings. Exchange among the candidates of the region gives several sets of settings, and local
     optimisation improves each set.
 
-    starts: additional settings (count, k) to improve, such as those of a plan. fixed: (p, p), information that does not depend on
-    the choice. workers: number of processes that share the sets to improve. The same seed gives the same settings for any number of
-    workers.
+    `starts`: additional settings (count, k) to improve, such as those of a plan. `fixed`: array of shape (p, p), information that
+    does not depend on the choice. `workers`: number of processes that share the sets to improve. The same seed gives the same
+    settings for any number of workers.
     """
     sets = exchange.exchange(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True, fixed=fixed)
     begun = [*starts, *(over.settings[chosen.indices] for chosen in sets)]
@@ -162,8 +167,8 @@ def bound(
     """The continuous optimum over the region, with its certificate. The certificate is valid if climbing from the candidates finds
     all maxima.
 
-    begin: (m, k), settings to begin with, such as the best sets found. The closer these settings are to the optimum, the sooner the
-    optimum is certified.
+    `begin`: array of shape (m, k), settings to begin with, such as the best sets found. The closer these settings are to the
+    optimum, the sooner the optimum is certified.
     """
     spots = over.rows[np.argsort(-np.sum(over.rows**2, axis=1), kind="stable")[: len(over.rows) // 20]]
     rows = np.vstack([over.rows_of(begin), spots])
@@ -176,7 +181,7 @@ def allocate(
     rows: Array, weighting: Array | None = None, *, least_share: float = 0.25, fixed: Array | None = None
 ) -> Array:
     """The fractions (n,) of the total recording time for given positions; they add up to 1. The variance of an observation is
-    inversely proportional to its time. least_share: every position keeps at least this fraction of an equal share of the time, so
+    inversely proportional to its time. `least_share`: every position keeps at least this fraction of an equal share of the time, so
     that all positions remain for checking the model."""
     return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9, fixed=fixed).shares
 

@@ -24,8 +24,8 @@ from planrunner.plan.selection import select
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One orientation in the text of a plan. mark: (line, column) of the orientation in the plan. segments: the segments at rest in
-    this orientation, in the order of the plan."""
+    """One orientation in the text of a plan. `mark`: (line, column) of the orientation in the plan. `segments`: the segments at
+    rest in this orientation, in the order of the plan."""
 
     mark: tuple[int, int]
     segments: tuple[Segment, ...]
@@ -45,8 +45,8 @@ class Sight:
     """The response of one output of an estimate to the attitude of the sensor: the terms of the estimate, and rows of its design
     matrix at any attitude.
 
-    magnitudes: (p,), the magnitudes by which the columns are divided. fixed: rows (k, p) of the segments that the design leaves
-    unchanged, such as spins, in units of the noise of a segment at rest.
+    `magnitudes`: array of shape (p,), the magnitudes by which the columns are divided. `fixed`: rows (k, p) of the segments that
+    the design leaves unchanged, such as spins, in units of the noise of a segment at rest.
     """
 
     name: str
@@ -113,7 +113,7 @@ def sight(
     spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """The response of an estimate at the given places; the spinning segments stay unchanged. output: name of the output, required
+    """The response of an estimate at the given places; the spinning segments stay unchanged. `output`: name of the output, required
     if the design matrices of the outputs differ. Raises `EstimationError` if the estimate cannot be designed."""
     at_rest = tuple(place.segments[0] for place in found)
     design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)

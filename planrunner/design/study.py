@@ -27,16 +27,19 @@ SearchProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Options of a study; each kind uses only its own options. estimate: name of the estimate; by default, the first estimate that
-    can be designed. criterion: D, A, G or I; for rates, D or A. time: duration [s] of the whole plan, within which the dwells are
-    chosen.
+    """Options of a study; each kind uses only its own options.
 
-    For positions: output: name of the output for which the positions are designed, required if the outputs differ; orientations:
-    which set is put into the plan (free, cardinal or planned); restarts, seed: number of restarts and seed of the search over free
-    orientations. For rates: rates: True if the rates are designed even though positions or cycles could be designed; line_only:
-    True if the rates are designed for the terms of the estimator alone, without the added terms |rate| and rate³; keep_lowest: True
-    if the lowest planned rate is kept, because threshold and resolution are determined at this rate. For cycles: segment: label of
-    the segment with the cycle, by default the first such segment; order: which cycle is put into the plan (free or same).
+    `estimate`: name of the estimate; by default, the first estimate that can be designed. `criterion`: D, A, G or I; for rates, D
+    or A. `time`: duration [s] of the whole plan, within which the dwells are chosen.
+
+    For positions: output: name of the output for which the positions are designed, required if the outputs differ.
+
+    `orientations`: which set is put into the plan (free, cardinal or planned). `restarts`, `seed`: number of restarts and seed of
+    the search over free orientations. For rates: rates: True if the rates are designed even though positions or cycles could be
+    designed. `line_only`: True if the rates are designed for the terms of the estimator alone, without the added terms |rate| and
+    rate³. `keep_lowest`: True if the lowest planned rate is kept, because threshold and resolution are determined at this rate. For
+    cycles: segment: label of the segment with the cycle, by default the first such segment. `order`: which cycle is put into the
+    plan (free or same).
     """
 
     estimate: str | None = None
@@ -55,10 +58,12 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class PositionSet:
-    """One set of positions, in the order of the plan's labels. of_found: efficiency relative to the best set found among all
-    reachable orientations; of_bound: efficiency relative to the bound of all continuous designs; of_cardinal: for a cardinal set,
-    efficiency relative to the best cardinal set found. schedule: the plan with this set; designs: the expected results of the
-    plan's estimates."""
+    """One set of positions, in the order of the plan's labels.
+
+    `of_found`: efficiency relative to the best set found among all reachable orientations. `of_bound`: efficiency relative to the
+    bound of all continuous designs. `of_cardinal`: for a cardinal set, efficiency relative to the best cardinal set found.
+    `schedule`: the plan with this set. `designs`: the expected results of the plan's estimates.
+    """
 
     attitudes: tuple[Array, ...]
     texts: tuple[str, ...]
@@ -81,8 +86,8 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The bounds of the criteria. merit: for each criterion, a value that no set with this number of positions can improve on.
-    certificate: largest variance of a predicted output for the D-optimal continuous design; it equals the number of terms if the
+    """The bounds of the criteria. `merit`: for each criterion, a value that no set with this number of positions can improve on.
+    `certificate`: largest variance of a predicted output for the D-optimal continuous design; it equals the number of terms if the
     optimum is exact."""
 
     merit: Merit
@@ -91,10 +96,12 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class FoundPositions:
-    """The result of a design of positions. sets: the sets that exist, by their names `planned`, `cardinal` and `free`; best: the
-    best values found; bounds: the bounds; the keys of `best` and `bounds` are free and cardinal. dwells: dwells of the chosen set,
-    s; empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to the optimised `dwells`. text: the plan
-    with the chosen set."""
+    """The result of a design of positions.
+
+    `sets`: the sets that exist, by their names `planned`, `cardinal` and `free`. `best`: the best values found. `bounds`: the
+    bounds; the keys of `best` and `bounds` are free and cardinal. `dwells`: dwells of the chosen set, s; empty if they were not
+    optimised. `dwell_gain`: efficiency of equal dwells relative to the optimised `dwells`. `text`: the plan with the chosen set.
+    """
 
     sight: Sight
     places: tuple[Place, ...]
@@ -114,13 +121,15 @@ class FoundPositions:
 
 @dataclass(frozen=True, slots=True)
 class RateSet:
-    """A set of rates with their dwells. rates: (n,), rad/s, magnitudes of the rates, largest first; dwells: (n,), s, dwell at each
-    rate. loss: −ln|M| or tr M⁻¹, for terms divided by their magnitudes.
+    """A set of rates with their dwells.
 
-    efficiency: efficiency relative to the best rates found for the same number of observations; per_hour: efficiency relative to
-    the best use of the same time. variance: variance of a predicted output at each rate of `FoundRates.course`, in units of the
-    variance of one observation at the largest rate. predicted: predicted results of the plan with these rates; total: duration [s]
-    of this plan.
+    `rates`: (n,), rad/s, magnitudes of the rates, largest first. `dwells`: (n,), s, dwell at each rate. `loss`: −ln|M| or tr M⁻¹,
+    for terms divided by their magnitudes.
+
+    `efficiency`: efficiency relative to the best rates found for the same number of observations. `per_hour`: efficiency relative
+    to the best use of the same time. `variance`: variance of a predicted output at each rate of `FoundRates.course`, in units of
+    the variance of one observation at the largest rate. `predicted`: predicted results of the plan with these rates. `total`:
+    duration [s] of this plan.
     """
 
     rates: tuple[float, ...]
@@ -135,9 +144,12 @@ class RateSet:
 
 @dataclass(frozen=True, slots=True)
 class FoundRates:
-    """The result of a design of rates. sets: the sets of rates named `planned` and `best`. course: rates [rad/s] at which
-    `RateSet.variance` is given. excess: the ratio of the largest derivative of the criterion to the mean derivative, minus 1; 0 at
-    the optimum. repeats: number of repeats of each rate in the plan. text: the plan with the best rates."""
+    """The result of a design of rates.
+
+    `sets`: the sets of rates named `planned` and `best`. `course`: rates [rad/s] at which `RateSet.variance` is given. `excess`:
+    the ratio of the largest derivative of the criterion to the mean derivative, minus 1; 0 at the optimum. `repeats`: number of
+    repeats of each rate in the plan. `text`: the plan with the best rates.
+    """
 
     estimate: str
     output: str
@@ -152,9 +164,12 @@ class FoundRates:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycles:
-    """The result of a design of rotation cycles. cycles: the cycles named `planned` and, if found, `same order` and `free order`.
-    searches: the results of the searches, by the name of the cycle; reasons: why a search was not possible, by the name of the
-    cycle. text: the plan with the chosen cycle; empty if this cycle was not found."""
+    """The result of a design of rotation cycles.
+
+    `cycles`: the cycles named `planned` and, if found, `same order` and `free order`. `searches`: the results of the searches, by
+    the name of the cycle. `reasons`: why a search was not possible, by the name of the cycle. `text`: the plan with the chosen
+    cycle; empty if this cycle was not found.
+    """
 
     segment: Segment
     axis: TableAxis
@@ -167,8 +182,11 @@ class FoundCycles:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What a study is about. title: title of the plan; facts: names of plan, bench and site; file: the plan file; findings: the
-    findings of the check of the plan."""
+    """What a study is about.
+
+    `title`: title of the plan. `facts`: names of plan, bench and site. `file`: the plan file. `findings`: the findings of the check
+    of the plan.
+    """
 
     title: str
     facts: Mapping[str, str]
@@ -178,7 +196,8 @@ class Subject:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """One orientation to be drawn. attitude: (3, 3), sensor axes in site axes; words: the orientation as the plan writes it."""
+    """One orientation to be drawn. `attitude`: array of shape (3, 3), sensor axes in site axes. `words`: the orientation as the
+    plan writes it."""
 
     label: str
     attitude: Array
@@ -187,9 +206,12 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """The output of a study. varied: the designed quantity, such as `positions`; heading: heading in one line; poses: rows of
-    orientations to be drawn, by the title of the row; footer: explanation of the numbers; data: all results as plain data. text:
-    the plan with the chosen design; empty if there is none, and `missing` then gives the reason."""
+    """The output of a study.
+
+    `varied`: the designed quantity, such as `positions`. `heading`: heading in one line. `poses`: rows of orientations to be drawn,
+    by the title of the row. `footer`: explanation of the numbers. `data`: all results as plain data. `text`: the plan with the
+    chosen design; empty if there is none, and `missing` then gives the reason.
+    """
 
     subject: Subject
     varied: str

@@ -25,7 +25,7 @@ def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
     """The largest variance xᵀM⁻¹x over the rows of `region` (N, p) for a set of observations `rows` (n, p); infinite if M is
     singular.
 
-    fixed: (p, p), information that does not depend on the choice.
+    `fixed`: array of shape (p, p), information that does not depend on the choice.
     """
     matrix = rows.T @ rows + (0.0 if fixed is None else fixed)
     if np.linalg.matrix_rank(matrix) < len(matrix) or np.linalg.cond(matrix) > 1e14:

@@ -68,8 +68,8 @@ _SIGMA = 1e-3  # deg/s or m/s², by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect. natural: default value, in `unit`. least: which values are permitted: 'above zero' for a shape such
-    as a time constant or a frequency; 'zero', which means zero or above, for a duration or a standard deviation; 'any' for an
+    """A parameter of an effect. `natural`: default value, in `unit`. `least`: which values are permitted: 'above zero' for a shape
+    such as a time constant or a frequency; 'zero', which means zero or above, for a duration or a standard deviation; 'any' for an
     amplitude, which may have either sign."""
 
     name: str
@@ -83,7 +83,7 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Addition:
-    """An effect with the values of all its parameters. values: maps each parameter to its value in its unit. units: maps each
+    """An effect with the values of all its parameters. `values`: maps each parameter to its value in its unit. `units`: maps each
     parameter to its unit."""
 
     effect: Effect
@@ -100,11 +100,11 @@ class Addition:
 
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
-    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. stated: maps each parameter to its
-    value with unit; the empty name means the only parameter, or all amplitudes if there are several. Parameters that are not stated
-    have their default value. If an amplitude is stated under its own name, all amplitudes that are not stated are zero.
+    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. `stated`: maps each parameter to
+    its value with unit; the empty name means the only parameter, or all amplitudes if there are several. Parameters that are not
+    stated have their default value. If an amplitude is stated under its own name, all amplitudes that are not stated are zero.
 
-    observed: any recording or schedule of the plan; it determines which parameters the effect has. Raises `InputError` for an
+    `observed`: any recording or schedule of the plan; it determines which parameters the effect has. Raises `InputError` for an
     unknown parameter or value, and for an effect that cannot act on this sensor under this plan.
     """
     if name not in plugins.names(plugins.EFFECTS):
@@ -222,8 +222,8 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
 
 
 def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], before: float | None = None) -> Array:
-    """The readings (n,) of an output after the effects of stuck samples: each stuck sample repeats an earlier reading. time: (n,),
-    s since power-on. before: the reading before the first of `values`."""
+    """The readings (n,) of an output after the effects of stuck samples: each stuck sample repeats an earlier reading. `time`:
+    array of shape (n,), s since power-on. `before`: the reading before the first of `values`."""
     for item in additions:
         if isinstance(item.effect, SamplesStuck):
             lasting = item.values.get(f"{LASTING}_{name}", item.values.get(LASTING, 0.0))
@@ -237,9 +237,9 @@ def added(
 ) -> Array:
     """The outputs (N, K), SI, without noise, with all effects added, one stage after the other.
 
-    For data of one segment: seed: the seed from which the amplitudes of each orientation are drawn; orientation: the number of the
-    segment's orientation, counted from 1 in the order of first use. If the data contain several segments, no amplitudes are drawn:
-    each orientation has only the amplitudes that are stated for it.
+    For data of one segment: seed: the seed from which the amplitudes of each orientation are drawn. `orientation`: the number of
+    the segment's orientation, counted from 1 in the order of first use. If the data contain several segments, no amplitudes are
+    drawn: each orientation has only the amplitudes that are stated for it.
     """
     out = levels.copy()
     for stage in STAGES[:-1]:

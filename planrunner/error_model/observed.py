@@ -28,9 +28,12 @@ KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A measured channel of the sensor. kind: 'gyro' or 'accel'; axis: index 0, 1 or 2 of the sensor axis along which the channel
-    measures. factor: SI value of the channel's `unit`. white: declared one-sided noise density, SI·√s, so that a sample at the
-    sampling rate f has the standard deviation white·√f; flicker: declared bias instability, SI; resolution: SI value of one count."""
+    """A measured channel of the sensor.
+
+    `kind`: 'gyro' or 'accel'. `axis`: index 0, 1 or 2 of the sensor axis along which the channel measures. `factor`: SI value of
+    the channel's `unit`. `white`: declared one-sided noise density, SI·√s, so that a sample at the sampling rate f has the standard
+    deviation white·√f. `flicker`: declared bias instability, SI. `resolution`: SI value of one count.
+    """
 
     name: str
     kind: str
@@ -51,7 +54,7 @@ def axis_of(name: str) -> int | None:
 
 def channel_of(name: str, text: str, white: float, flicker: float, resolution: float) -> Channel | None:
     """The channel for an output that measures angular rate (a gyro) or acceleration and whose name contains an axis; None for other
-    outputs. text: unit of the output and of its noise, as text."""
+    outputs. `text`: unit of the output and of its noise, as text."""
     kind, axis = KINDS.get(unit(text).dimension), axis_of(name)
     if kind is None or axis is None:
         return None
@@ -61,8 +64,11 @@ def channel_of(name: str, text: str, white: float, flicker: float, resolution: f
 
 @dataclass(frozen=True, slots=True)
 class TemperatureCourse:
-    """The temperature over a segment or over a part of a segment. time: (n,), s since power-on, ascending; temperature: (n,), degC;
-    rate: slope of the temperature at the end, K/s."""
+    """The temperature over a segment or over a part of a segment.
+
+    `time`: array of shape (n,), s since power-on, ascending. `temperature`: array of shape (n,) in degC. `rate`: slope of the
+    temperature at the end, K/s.
+    """
 
     time: Array
     temperature: Array
@@ -71,9 +77,12 @@ class TemperatureCourse:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSegment:
-    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: one value for the whole segment; time,
-    angle, rate, acceleration, temperature, temperature_rate: (n,); values: (n, K). course: the motion of the sensor, if it does not
-    follow from attitude and table angle. overvoltage, overpressure: (n,); None means zero."""
+    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: one value for the whole segment.
+
+    `time`, `angle`, `rate`, `acceleration`, `temperature`, `temperature_rate`: arrays of shape (n,). `values`: array of shape (n,
+    K). `course`: the motion of the sensor, if it does not follow from attitude and table angle. `overvoltage`, `overpressure`:
+    arrays of shape (n,); None means zero.
+    """
 
     label: str
     motion: Motion
@@ -102,7 +111,7 @@ def joined(
     bins: Bins | None = None,
     encoder: bool = True,
 ) -> Observed:
-    """Makes an `Observed` by joining segments in the given order. rejected, along, bins, encoder: values of the fields of
+    """Makes an `Observed` by joining segments in the given order. `rejected`, `along`, `bins`, `encoder`: values of the fields of
     `Observed` with these names."""
 
     def stacked(parts: Iterable[Array]) -> Array:
@@ -496,10 +505,13 @@ STANDARD_PRESSURE = 101325.0  # Pa
 
 @dataclass(frozen=True)
 class Bins:
-    """Describes the bins of a recording. size: (S,), number of samples per bin in each segment. rate: sampling rate, Hz. energy:
-    (S, K, K), SI², sums of products of the DCT-II coefficients of two channels, over the upper three quarters of the orders. count:
-    (S,), number of these coefficients for each channel. spikes: (K,), number of samples that were replaced. levels: for each
-    channel, the distinct values that occur, in counts."""
+    """Describes the bins of a recording.
+
+    `size`: array of shape (S,), number of samples per bin in each segment. `rate`: sampling rate, Hz. `energy`: array of shape (S,
+    K, K) in SI², sums of products of the DCT-II coefficients of two channels, over the upper three quarters of the orders. `count`:
+    array of shape (S,), number of these coefficients for each channel. `spikes`: array of shape (K,), number of samples that were
+    replaced. `levels`: for each channel, the distinct values that occur, in counts.
+    """
 
     size: NDArray[np.int64]
     rate: float

@@ -41,9 +41,12 @@ def shaped(part: EffectPart) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleColumns:
-    """The columns of the model of one output at N samples. own: (N,), SI, the input along the axis of the output, after the effects
-    on the rate; rows: (p, N), SI output for an amplitude of 1 in SI, zero for an amplitude of the stimulus; available: maps each
-    effect to the names of all amplitudes that it has for this output."""
+    """The columns of the model of one output at N samples.
+
+    `own`: array of shape (N,) in SI units, the input along the axis of the output, after the effects on the rate. `rows`: array of
+    shape (p, N), SI output for an amplitude of 1 in SI, zero for an amplitude of the stimulus. `available`: maps each effect to the
+    names of all amplitudes that it has for this output.
+    """
 
     own: Array
     amplitudes: tuple[Amplitude, ...]
@@ -53,7 +56,7 @@ class SampleColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSamples:
-    """The model of one output at samples. observed: the stimulus at N samples. The constructor `of` replaces the channels of a
+    """The model of one output at samples. `observed`: the stimulus at N samples. The constructor `of` replaces the channels of a
     recording by two ideal triads."""
 
     observed: Observed
@@ -77,8 +80,8 @@ class ErrorsAtSamples:
         return np.array(sorted({one.shape for one in effect.variants(seen) if one.shape is not None}))
 
     def columns(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> SampleColumns:
-        """Computes the columns of the effects. shapes: maps each effect to the value of its shape; stimulus: maps (effect, name of
-        an amplitude) to the amplitude in SI; amplitudes that are not listed are zero."""
+        """Computes the columns of the effects. `shapes`: maps each effect to the value of its shape. `stimulus`: maps (effect, name
+        of an amplitude) to the amplitude in SI; amplitudes that are not listed are zero."""
         felt = self._felt(shapes, stimulus)
         amplitudes: list[Amplitude] = []
         rows: list[Array] = []

@@ -64,7 +64,7 @@ def scheduled(
     nominal_supply: float = NOMINAL_SUPPLY,
 ) -> Observed:
     """A recording with a few samples of every segment in which the sensor rests or turns about one axis; other segments are
-    omitted. rate: sampling rate, Hz; nominal_supply: nominal supply voltage of the sensor, V."""
+    omitted. `rate`: sampling rate, Hz. `nominal_supply`: nominal supply voltage of the sensor, V."""
     usable = [s for s in segments if s.attitude is not None and isinstance(s.motion, Rest | Spin | Rock)]
     since = np.arange(_SAMPLES) / rate
     warm = [_celsius(segment.begins_at) for segment in usable]

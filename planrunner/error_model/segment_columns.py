@@ -55,10 +55,13 @@ _CHANGED = 1.0  # K between segments: less is no change of temperature
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SegmentStates:
-    """Time, temperature, supply voltage and pressure of n segments; all arrays have the shape (n,). time: middle of the segment, s
-    since power-on; seconds: length of the segment, s; celsius: mean temperature, degC; ramp: change of the temperature from the
-    start to the end of the segment, K; last_change: sign of the last change of temperature, 0 before the first change. overvoltage:
-    mean supply voltage minus the nominal voltage of the sensor, V; overpressure: mean pressure minus the standard atmosphere, Pa."""
+    """Time, temperature, supply voltage and pressure of n segments; all arrays have the shape (n,).
+
+    `time`: middle of the segment, s since power-on. `seconds`: length of the segment, s. `celsius`: mean temperature, degC. `ramp`:
+    change of the temperature from the start to the end of the segment, K. `last_change`: sign of the last change of temperature, 0
+    before the first change. `overvoltage`: mean supply voltage minus the nominal voltage of the sensor, V. `overpressure`: mean
+    pressure minus the standard atmosphere, Pa.
+    """
 
     time: Array
     seconds: Array
@@ -81,9 +84,9 @@ class SegmentStates:
 
 
 def states_of(segments: Sequence[Segment], start: Array, seconds: Array, nominal_supply: float) -> SegmentStates:
-    """The planned states of segments. A temperature, voltage or pressure that is not planned has its reference value. start,
-    seconds: (n,), s, start and length of each segment, planned or recorded; nominal_supply: nominal supply voltage of the sensor,
-    V."""
+    """The planned states of segments. A temperature, voltage or pressure that is not planned has its reference value. `start`,
+    `seconds`: arrays of shape (n,) in s, start and length of each segment, planned or recorded. `nominal_supply`: nominal supply
+    voltage of the sensor, V."""
     kelvin = [one.begins_at for one in segments]
     begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
     ends = [one.ramp_to for one in segments]
@@ -111,11 +114,13 @@ def _last_changes(begin: Array, end: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class EffectPart:
-    """One effect in the model of one output. only: names of the effect's columns in the model, without the letter of the axis;
-    empty if the model contains all columns of the effect. shape: value of the effect's shape; None for an effect without shape.
-    sizes: used if the derivative with respect to the shape is a further column of the model; the amplitudes for which this
-    derivative is computed: maps the name of a column, without the letter of the axis, to the amplitude in SI. Empty if there is no
-    such column."""
+    """One effect in the model of one output.
+
+    `only`: names of the effect's columns in the model, without the letter of the axis; empty if the model contains all columns of
+    the effect. `shape`: value of the effect's shape; None for an effect without shape. `sizes`: used if the derivative with respect
+    to the shape is a further column of the model; the amplitudes for which this derivative is computed: maps the name of a column,
+    without the letter of the axis, to the amplitude in SI. Empty if there is no such column.
+    """
 
     effect: Effect
     only: tuple[str, ...] = ()
@@ -125,8 +130,8 @@ class EffectPart:
 
 @dataclass(frozen=True, slots=True)
 class OutputErrors:
-    """The effects in the model of one output. kind: gyro or accel; axis: 0, 1 or 2 for the sensor axis x, y or z along which the
-    output measures."""
+    """The effects in the model of one output. `kind`: gyro or accel. `axis`: 0, 1 or 2 for the sensor axis x, y or z along which
+    the output measures."""
 
     output: str
     kind: str
@@ -140,12 +145,14 @@ class OutputErrors:
 
 @dataclass(frozen=True, slots=True)
 class Amplitude:
-    """One amplitude (coefficient) in the model of an output. name: name of the column without the letter of the axis; several: True
-    if the effect has other amplitudes for this output; alone: True if the column acts on this output only. unit: unit for display;
-    factor: SI value of this unit. along: if the column is the input along a sensor axis, this axis (as `Column.along`). size:
-    largest absolute value of the effect's columns with the same unit, over all nodes and axes; 0 if nothing excites these columns.
-    origin: for a change of the shape, the value of the shape in `unit` for which the amplitude is zero. shape: True if the
-    amplitude is a change of the effect's shape."""
+    """One amplitude (coefficient) in the model of an output.
+
+    `name`: name of the column without the letter of the axis. `several`: True if the effect has other amplitudes for this output.
+    `alone`: True if the column acts on this output only. `unit`: unit for display. `factor`: SI value of this unit. `along`: if the
+    column is the input along a sensor axis, this axis (as `Column.along`). `size`: largest absolute value of the effect's columns
+    with the same unit, over all nodes and axes; 0 if nothing excites these columns. `origin`: for a change of the shape, the value
+    of the shape in `unit` for which the amplitude is zero. `shape`: True if the amplitude is a change of the effect's shape.
+    """
 
     effect: Effect
     name: str
@@ -161,9 +168,12 @@ class Amplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputColumns:
-    """The columns of the model of one output at n segments. own: (n,), SI, the output of an ideal sensor; matrix: (n, p), SI output
-    for an amplitude of 1 in SI, one column for each amplitude. available: maps each effect to the names of all amplitudes that it
-    has for this output."""
+    """The columns of the model of one output at n segments.
+
+    `own`: array of shape (n,) in SI units, the output of an ideal sensor. `matrix`: array of shape (n, p), SI output for an
+    amplitude of 1 in SI, one column for each amplitude. `available`: maps each effect to the names of all amplitudes that it has
+    for this output.
+    """
 
     own: Array
     available: Mapping[str, tuple[str, ...]]
@@ -178,8 +188,8 @@ class OutputColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSegments:
-    """The model of m outputs at n segments, in which the sensor rests or turns in known orientations. stimulus: planned means over
-    the segments."""
+    """The model of m outputs at n segments, in which the sensor rests or turns in known orientations. `stimulus`: planned means
+    over the segments."""
 
     outputs: tuple[OutputErrors, ...]
     segments: tuple[Segment, ...]
@@ -190,8 +200,8 @@ class ErrorsAtSegments:
 
     def columns(self, stimulus: Stimulus) -> Array:
         """The columns (k·n, P) of all outputs, output after output. The columns of one output are its own input, and then one
-        column for each amplitude. stimulus: k·n rows, which are k copies of the planned stimulus of the n segments, each copy with
-        different small changes; k may be 1. A change of the mean stimulus of a segment is applied to all nodes of the segment."""
+        column for each amplitude. `stimulus`: k·n rows, which are k copies of the planned stimulus of the n segments, each copy
+        with different small changes; k may be 1. A change of the mean stimulus of a segment is applied to all nodes of the segment."""
         n, found = len(self.segments), []
         for low in range(0, len(stimulus), n):
             part = slice(low, low + n)
@@ -209,7 +219,7 @@ class ErrorsAtSegments:
 
     def course(self, output: int, effect: Effect, amplitudes: Array) -> tuple[Array, Array]:
         """The values that an effect with a shape adds to one output within each segment, at the planned stimulus. Returns the
-        positions (L,) along a segment, from −0.5 to 0.5, and the values (n, L) at these positions. amplitudes: amplitudes of the
+        positions (L,) along a segment, from −0.5 to 0.5, and the values (n, L) at these positions. `amplitudes`: amplitudes of the
         effect's columns in this output."""
         errors, observed = self.outputs[output], self._planned
         part = next(one for one in errors.chosen if one.effect is effect)
@@ -223,8 +233,8 @@ class ErrorsAtSegments:
         return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))
 
     def _evaluated(self, changes: tuple[Array, Array], faster: Array) -> tuple[OutputColumns, ...]:
-        """The columns of each output at a changed stimulus. changes: additional angular rate and specific force, each (n, 3);
-        faster: (n,), additional rate of the table."""
+        """The columns of each output at a changed stimulus. `changes`: additional angular rate and specific force, each (n, 3).
+        `faster`: array of shape (n,), additional rate of the table."""
         observed, owner = self._planned, self._planned.owner
         felt = tuple(own + change[owner] for own, change in zip((observed.omega, observed.force), changes, strict=True))
         moved = replace(observed, felt=(felt[0], felt[1]), rate=observed.rate + faster[owner])
@@ -317,7 +327,7 @@ def amplitudes_of(
     part: EffectPart, output: OutputErrors, observed: Observed, columns: Sequence[Column]
 ) -> tuple[list[Amplitude], list[Array], tuple[str, ...]]:
     """For one effect and one output: the amplitudes in the model, their columns (N,), and the names of all amplitudes that the
-    effect has for this output. columns: all columns of the effect, for all outputs."""
+    effect has for this output. `columns`: all columns of the effect, for all outputs."""
     here = [column for column in columns if output.channel in column.parts]
     several = len(here) > 1 or isinstance(part.effect, ShapedOverSegments | ChangesWithinSegments)
     amplitudes, rows = [], []

@@ -29,11 +29,11 @@ from planrunner.plan.units import STANDARD_GRAVITY
 class Term:
     """One term of an error model: a coefficient times a function of the stimulus.
 
-    of: the function of the stimulus; for a stimulus of n rows it returns the column, shape (n,), SI. magnitude: the declared size
-    of the column, by which the column is divided before rank and condition are judged. unit: unit of the column. degree: polynomial
-    degree in the components of the stimulus. A term of degree two or more cannot be computed from means over a moving attitude,
-    because the mean of a product is not the product of means. of_motion: True if the column depends on angular rate and specific
-    force alone; the column is then the same for all temperatures and times with the same orientations.
+    `of`: the function of the stimulus; for a stimulus of n rows it returns the column, shape (n,), SI. `magnitude`: the declared
+    size of the column, by which the column is divided before rank and condition are judged. `unit`: unit of the column. `degree`:
+    polynomial degree in the components of the stimulus. A term of degree two or more cannot be computed from means over a moving
+    attitude, because the mean of a product is not the product of means. `of_motion`: True if the column depends on angular rate and
+    specific force alone; the column is then the same for all temperatures and times with the same orientations.
     """
 
     name: str
@@ -99,7 +99,7 @@ def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
 
 
 class LinearModel(Protocol):
-    """A model of outputs that is linear in its coefficients. of_motion: True if all columns depend on angular rate and specific
+    """A model of outputs that is linear in its coefficients. `of_motion`: True if all columns depend on angular rate and specific
     force alone."""
 
     @property

@@ -55,7 +55,7 @@ def analyse(
     notice: Announce | None = None,
     workers: Workers = ALONE,
 ) -> Results:
-    """Makes all estimates of a plan and applies its limits. notice: called with the progress while samples are read. workers:
+    """Makes all estimates of a plan and applies its limits. `notice`: called with the progress while samples are read. `workers`:
     processes that share the Monte Carlo draws.
 
     The data never make this function raise an exception: a failure becomes a message under the name of the estimate, or under
@@ -197,7 +197,7 @@ def coarse_counts(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
     """A warning for each channel whose noise, in at least one segment, is too small to average out the rounding to counts.
-    channels: the channels to check; if empty, all outputs of the sensor.
+    `channels`: the channels to check; if empty, all outputs of the sensor.
 
     In such a channel, equal inputs have equal rounding errors. Neither the noise within the segments nor the scatter of repetitions
     shows these errors.
@@ -238,7 +238,7 @@ NAMED = 3
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
     """Two sentences, as far as they apply: one about samples that the segments lack, and one about gaps within the segments.
-    sample_rate: sample rate [Hz] for segments that state none."""
+    `sample_rate`: sample rate [Hz] for segments that state none."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics

@@ -25,8 +25,8 @@ from planrunner.uncertainty.influences import Aspect
 
 @dataclass(frozen=True, slots=True)
 class BasisComparison:
-    """Compares the residuals of one output with its noise. ratio: the statistic F, which is the residual variance divided by the
-    within-segment variance. probability: probability that noise alone gives an F at least this large."""
+    """Compares the residuals of one output with its noise. `ratio`: the statistic F, which is the residual variance divided by the
+    within-segment variance. `probability`: probability that noise alone gives an F at least this large."""
 
     output: str
     ratio: float
@@ -130,7 +130,7 @@ def unlike_outputs(fit: OutputsFit) -> Said | None:
 
 @dataclass(frozen=True, slots=True)
 class FitNote:
-    """A note about a fit. output: the output that the note names; empty if the note is about all outputs of the fit."""
+    """A note about a fit. `output`: the output that the note names; empty if the note is about all outputs of the fit."""
 
     text: Said
     output: str = ""
@@ -150,7 +150,7 @@ class Judgement:
 
 
 def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgement:
-    """Notes and warnings for the report about the chosen kind of uncertainty. channels: the channels whose flicker affects the
+    """Notes and warnings for the report about the chosen kind of uncertainty. `channels`: the channels whose flicker affects the
     outputs; by default these are the outputs themselves."""
     notes: list[FitNote] = []
     warnings: list[Said] = []

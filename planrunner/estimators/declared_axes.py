@@ -29,8 +29,11 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, slots=True)
 class AxisResponse:
-    """The response of one output along each axis. axis: the declared axis (0, 1, 2). unit: the unit in which the output is
-    recorded. ratios: for each axis along which the output was excited, the response in `unit` divided by the true value."""
+    """The response of one output along each axis.
+
+    `axis`: the declared axis (0, 1, 2). `unit`: the unit in which the output is recorded. `ratios`: for each axis along which the
+    output was excited, the response in `unit` divided by the true value.
+    """
 
     channel: str
     axis: int

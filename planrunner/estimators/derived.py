@@ -27,7 +27,7 @@ from planrunner.uncertainty.monte_carlo import Draws, about, influence_draws, t_
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """The name and the unit of one derived quantity. unit: unit of the value; period: period of a circular quantity such as an
+    """The name and the unit of one derived quantity. `unit`: unit of the value. `period`: period of a circular quantity such as an
     angle, in this unit."""
 
     name: str
@@ -40,8 +40,9 @@ class Reported:
 class Derived:
     """q quantities computed from the r coefficients of several fits. The coefficients of all fits form one sequence.
 
-    values: (q,), in the quantities' units; gradient: (q, r), derivatives with respect to the fitted coefficients. between: for each
-    kind of uncertainty, (r, r), the covariance between the coefficients of different fits; by default, the fits are independent.
+    `values`: array of shape (q,), in the quantities' units. `gradient`: array of shape (q, r), derivatives with respect to the
+    fitted coefficients. `between`: for each kind of uncertainty, (r, r), the covariance between the coefficients of different fits;
+    by default, the fits are independent.
     """
 
     quantities: tuple[Reported, ...]
@@ -116,10 +117,13 @@ def derived(
     at: Array | None = None,
     between: Mapping[str, Array] | None = None,
 ) -> Derived:
-    """Evaluates a formula of fitted coefficients, with its derivatives. formula: a function that converts (r, n) to (q, n); its
-    argument contains the coefficients of all outputs in sequence. at: (r,), values of the coefficients for which the formula is
-    evaluated, if the fits give only small changes of these values. between: for each kind of uncertainty, (r, r), the covariance
-    between the coefficients of different fits. Passes on the exceptions that the formula raises."""
+    """Evaluates a formula of fitted coefficients, with its derivatives.
+
+    `formula`: a function that converts (r, n) to (q, n); its argument contains the coefficients of all outputs in sequence. `at`:
+    array of shape (r,), values of the coefficients for which the formula is evaluated, if the fits give only small changes of these
+    values. `between`: for each kind of uncertainty, (r, r), the covariance between the coefficients of different fits. Passes on
+    the exceptions that the formula raises.
+    """
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits, between or {})
 
@@ -139,8 +143,8 @@ def _through(formula: Formula, parts: Sequence[Draws], rng: np.random.Generator,
 
 
 def independent(blocks: Sequence[Array]) -> Array:
-    """The covariance matrix (Σn, Σn) of quantities in groups that are independent of each other. blocks: the covariance matrix (n,
-    n) of each group."""
+    """The covariance matrix (Σn, Σn) of quantities in groups that are independent of each other. `blocks`: the covariance matrix
+    (n, n) of each group."""
     if len(blocks) == 1:
         return blocks[0]
     size = sum(len(block) for block in blocks)

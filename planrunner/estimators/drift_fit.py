@@ -55,11 +55,14 @@ _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of
 @dataclass(frozen=True, slots=True, eq=False)
 class SuspectedDrift:
     """A drift function that is not fitted, although the data do not exclude a drift large enough to matter. The fields describe the
-    coefficient that the drift function affects most. output, term: indices of the output and of the term of this coefficient.
-    growth: factor by which the standard uncertainty of the coefficient grows if the drift function is fitted; infinite if the
-    segments cannot separate the drift function from the coefficient. change: change of the coefficient if the drift function is
-    fitted, in the unit of the fit; 0 if the drift function cannot be separated. probability: probability that chance alone gives an
-    amplitude at least as large as the fitted one; 1 if it was not tested."""
+    coefficient that the drift function affects most.
+
+    `output`, `term`: indices of the output and of the term of this coefficient. `growth`: factor by which the standard uncertainty
+    of the coefficient grows if the drift function is fitted; infinite if the segments cannot separate the drift function from the
+    coefficient. `change`: change of the coefficient if the drift function is fitted, in the unit of the fit; 0 if the drift
+    function cannot be separated. `probability`: probability that chance alone gives an amplitude at least as large as the fitted
+    one; 1 if it was not tested.
+    """
 
     course: DriftCourse
     output: int
@@ -72,9 +75,9 @@ class SuspectedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DoubtedDrift:
-    """A drift function that is not fitted, although there is some evidence for it. amplitudes: (m, r), for each output and each
-    column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u. probability: probability that
-    chance alone gives amplitudes at least as large as the fitted ones."""
+    """A drift function that is not fitted, although there is some evidence for it. `amplitudes`: array of shape (m, r), for each
+    output and each column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u.
+    `probability`: probability that chance alone gives amplitudes at least as large as the fitted ones."""
 
     course: DriftCourse
     amplitudes: Array
@@ -83,12 +86,15 @@ class DoubtedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDrift:
-    """The result of the search for a drift in a fit. courses: the fitted drift functions; by_evidence: True if they were chosen
-    because the data show them, False if the plan asks for them. judged: True if a drift could have been found in the data. without:
-    (m, p), the coefficients of a fit without drift; explained: (m,), the fraction of the sum of squared residuals that the drift
-    explains; both are None if no drift function was adopted. suspected: the suspected drift functions, if none was adopted. rivals:
-    drift functions that the data show but that are not adopted, because a nonlinearity explains the residuals as well; nonlinear:
-    (m,), the fraction of the sum of squared residuals that the nonlinearity explains."""
+    """The result of the search for a drift in a fit.
+
+    `courses`: the fitted drift functions. `by_evidence`: True if they were chosen because the data show them, False if the plan
+    asks for them. `judged`: True if a drift could have been found in the data. `without`: array of shape (m, p), the coefficients
+    of a fit without drift. `explained`: array of shape (m,), the fraction of the sum of squared residuals that the drift explains;
+    both are None if no drift function was adopted. `suspected`: the suspected drift functions, if none was adopted. `rivals`: drift
+    functions that the data show but that are not adopted, because a nonlinearity explains the residuals as well. `nonlinear`: array
+    of shape (m,), the fraction of the sum of squared residuals that the nonlinearity explains.
+    """
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = False
@@ -137,10 +143,12 @@ def fitted_drift(
     fits: Fits,
     basis: str,
 ) -> FittedDrift:
-    """Chooses the drift functions to fit, and returns them with the results of their tests. names: (p,), names of the terms.
-    correlation: (m, m), correlation between the noise of the outputs. fits: a function that fits all outputs with the columns of a
-    given matrix (as `joined` returns it), with weights from the noise and the declared effects. basis: kind of uncertainty,
-    residual or within_segment."""
+    """Chooses the drift functions to fit, and returns them with the results of their tests.
+
+    `names`: (p,), names of the terms. `correlation`: array of shape (m, m), correlation between the noise of the outputs. `fits`: a
+    function that fits all outputs with the columns of a given matrix (as `joined` returns it), with weights from the noise and the
+    declared effects. `basis`: kind of uncertainty, residual or within_segment.
+    """
     if not drift.courses:
         return NOTHING_FITTED
     if not drift.by_evidence:
@@ -269,8 +277,8 @@ def _suspected(
     hinted: tuple[DriftCourse, float] | None,
     fits: Fits,
 ) -> tuple[SuspectedDrift, ...]:
-    """The suspected drift functions, if none is adopted. hinted: the most likely of the tested drift functions, and its probability
-    by chance."""
+    """The suspected drift functions, if none is adopted. `hinted`: the most likely of the tested drift functions, and its
+    probability by chance."""
     found = []
     for course in drift.courses:
         probability = hinted[1] if hinted is not None and hinted[0] is course else 1.0

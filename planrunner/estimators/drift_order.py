@@ -95,9 +95,13 @@ _CLOSING = "repeat the first segment at the end, or add segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
-    """The design of one output for the planned segments. matrix: (n, p), the columns divided by their magnitudes, and the rows
-    multiplied by their weights; weights: (n,). start, seconds: (N,), start and duration of all segments of the estimate, s; rows:
-    (n,), indices of the segments that this output uses, in the order of `block`. orders: number of powers of the time in the drift."""
+    """The design of one output for the planned segments.
+
+    `matrix`: array of shape (n, p), the columns divided by their magnitudes, and the rows multiplied by their weights. `weights`:
+    array of shape (n,). `start`, `seconds`: arrays of shape (N,), start and duration of all segments of the estimate, s. `rows`:
+    array of shape (n,), indices of the segments that this output uses, in the order of `block`. `orders`: number of powers of the
+    time in the drift.
+    """
 
     block: DesignBlock
     segments: tuple[Segment, ...]
@@ -136,8 +140,8 @@ class _Design:
 
     def reordered(self, orders: NDArray[np.int64]) -> Array:
         """The factors (k, p) by which the standard uncertainties grow if the segments are recorded in each of k other orders and
-        the drift is fitted. orders: (k, n), for each order, the indices of the rows in the sequence in which they are recorded. All
-        rows must have the same dwell."""
+        the drift is fitted. `orders`: array of shape (k, n), for each order, the indices of the rows in the sequence in which they
+        are recorded. All rows must have the same dwell."""
         # The middle of the test and the average of a course stay, so that the courses are those of the places.
         places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
         return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
@@ -169,8 +173,8 @@ class _Design:
 
 def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
     """The factors (…, p) by which the standard uncertainties grow if a drift with the columns `courses` (…, n, r) is fitted. The
-    leading dimensions are different orders of the segments. matrix: (n, p), weighted design matrix; weights: (n,), factors by which
-    the columns of the drift are multiplied."""
+    leading dimensions are different orders of the segments. `matrix`: array of shape (n, p), weighted design matrix. `weights`:
+    array of shape (n,), factors by which the columns of the drift are multiplied."""
     weighted = courses * weights[:, None]
     scaled = weighted / np.sqrt((weighted**2).sum(axis=-2, keepdims=True) / len(matrix))
     gains, own, beside = _projections(matrix)

@@ -33,9 +33,9 @@ _ALONG_UP = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What an estimator knows about the outputs; the keys are names of outputs. responses: the error model and its coefficients, as
-    declared for the sensor; directions: (3,), input axis of each output in the sensor's frame, if the keys of the estimator define
-    it."""
+    """What an estimator knows about the outputs; the keys are names of outputs. `responses`: the error model and its coefficients,
+    as declared for the sensor. `directions`: (3,), input axis of each output in the sensor's frame, if the keys of the estimator
+    define it."""
 
     responses: Responses = field(default_factory=dict)
     directions: Mapping[str, Array] = field(default_factory=dict)
@@ -43,8 +43,11 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """A set of assumed values for quantities that neither plan nor bench state. noise: standard error of a mean, in the output's
-    unit; gain: output per SI unit of the sensed quantity; kelvin: temperature in K; attitude: (3, 3)."""
+    """A set of assumed values for quantities that neither plan nor bench state.
+
+    `noise`: standard error of a mean, in the output's unit. `gain`: output per SI unit of the sensed quantity. `kelvin`:
+    temperature in K. `attitude`: array of shape (3, 3).
+    """
 
     noise: float
     gain: float
@@ -60,7 +63,7 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """An expected recording and the assumptions that it needs. segments: the expected recording. assumed: sentences about the
+    """An expected recording and the assumptions that it needs. `segments`: the expected recording. `assumed`: sentences about the
     assumptions for the used outputs; empty if plan and bench state everything."""
 
     segments: tuple[RecordedSegment, ...]
@@ -70,8 +73,8 @@ class Expected:
 def expected_recording(
     request: DesignRequest[object], known: Known, used: Sequence[str], assumption: Assumption
 ) -> Expected:
-    """Builds the recording that the schedule is expected to give. known: what the estimator knows about the outputs; everything
-    else is derived from the names and units of the outputs. used: names of the outputs for which assumptions are reported."""
+    """Builds the recording that the schedule is expected to give. `known`: what the estimator knows about the outputs; everything
+    else is derived from the names and units of the outputs. `used`: names of the outputs for which assumptions are reported."""
     outputs = request.sensor.outputs
     poses, assumed = _poses(request, assumption)
     felt = poses.felt(request.site)

@@ -41,8 +41,8 @@ class FittedFromPositions(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionsDesign:
-    """A linear model at n segments, planned or recorded. The check and the fit use the same model. matrix: (n, p), SI; magnitudes:
-    (p,), declared sizes of the columns."""
+    """A linear model at n segments, planned or recorded. The check and the fit use the same model. `matrix`: array of shape (n, p)
+    in SI units. `magnitudes`: array of shape (p,), declared sizes of the columns."""
 
     model: ErrorModel
     segments: tuple[Segment, ...]
@@ -62,7 +62,7 @@ def fit_positions(
     recorded: Sequence[RecordedSegment],
     pooled: bool = False,
 ) -> OutputsFit:
-    """Fits outputs with a linear model. recorded: the recorded segments from which the observations come.
+    """Fits outputs with a linear model. `recorded`: the recorded segments from which the observations come.
 
     The effect of the table's errors on an output depends on the coefficients of this output, so a first fit without these errors
     gives approximate coefficients. Raises `EstimationError` if the plan or the data are not suitable.

@@ -24,7 +24,7 @@ def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) 
 
 
 def residual_table(title: str, observed: str, observations: Observations, fit: OutputsFit) -> Table:
-    """A table of the means, the residuals, and the uncertainty of each mean from the noise within its segment. observed: title of
+    """A table of the means, the residuals, and the uncertainty of each mean from the noise within its segment. `observed`: title of
     the first column, such as `position`."""
     columns: list[FilledColumn] = [(TableColumn(observed), observations.labels)]
     for k, (name, unit) in enumerate(zip(observations.channels, observations.units, strict=True)):

@@ -35,7 +35,7 @@ def design_of(
 ) -> Design:
     """Checks how the planned segments determine the results of one estimate, and predicts the coefficients of a run.
 
-    designs: designs of the estimates that come before this one. Raises `EstimationError` if the segments are not suitable for the
+    `designs`: designs of the estimates that come before this one. Raises `EstimationError` if the segments are not suitable for the
     estimator.
     """
     missing = [used for used in spec.uses if used not in designs]

@@ -27,8 +27,9 @@ UP = (0.0, 0.0, 1.0)  # about which cycles turn
 def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
     """An error for each output whose declared full scale is below its reading at the fastest planned rate.
 
-    shares: (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's axis. An output of
-    specific force is not checked. Any other output whose unit is not a rate is checked only if a scale factor K_… is declared.
+    `shares`: array of shape (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's
+    axis. An output of specific force is not checked. Any other output whose unit is not a rate is checked only if a scale factor
+    K_… is declared.
     """
     found = []
     rates = np.array([_rate(segment.motion) for segment in request.segments], dtype=float)
@@ -58,8 +59,8 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
     """A warning if the planned rates act on none of the outputs, for example because the table turns about an axis other than the
     fitted one.
 
-    shares: (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's axis. Segments in
-    unknown orientations and outputs of specific force are not checked.
+    `shares`: array of shape (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's
+    axis. Segments in unknown orientations and outputs of specific force are not checked.
     """
     moving = [row for row, segment in enumerate(request.segments) if isinstance(segment.motion, Spin)]
     if not moving or any(request.segments[row].attitude is None for row in moving):
@@ -116,7 +117,7 @@ def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAx
 
 
 def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]) -> Array:
-    """For each of n segments and m input axes, the fraction (n, m) of the rate that acts along the axis. directions: each axis in
+    """For each of n segments and m input axes, the fraction (n, m) of the rate that acts along the axis. `directions`: each axis in
     the sensor's frame, (3,), or None; for None, the fraction is one."""
     shares = np.zeros((len(segments), len(directions)))
     for row, segment in enumerate(segments):

@@ -21,7 +21,7 @@ _LEAST = 4  # repeats in each third
 
 @dataclass(frozen=True, slots=True)
 class Grouping:
-    """A division of n repeats into groups. group: (n,), index of the group of each repeat; names: names of the groups, for
+    """A division of n repeats into groups. `group`: (n,), index of the group of each repeat. `names`: names of the groups, for
     messages."""
 
     group: Integers
@@ -32,8 +32,8 @@ def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
     """The divisions into groups that a test can use. The repeats must be in the order of time. Every returned division has at least
     two groups, and more repeats than twice the number of groups.
 
-    labels: labels such as day1/r2 or startup-b-07, where the last number counts the repeats of a group. pauses: (n − 1,), time
-    between successive repeats, s; None if this is not known.
+    `labels`: labels such as day1/r2 or startup-b-07, where the last number counts the repeats of a group. `pauses`: array of shape
+    (n − 1,), time between successive repeats, s; None if this is not known.
     """
     stems = [re.sub(r"\d+$", "", label) for label in labels]
     found = [

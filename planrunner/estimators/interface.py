@@ -50,8 +50,8 @@ R = TypeVar("R", bound=Record)
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """One estimated quantity with its standard uncertainty, both in `unit`. period: for a circular quantity, its period in `unit`,
-    such as 360 for a heading in deg; values that differ by the period are equivalent. For any other quantity, the period is
+    """One estimated quantity with its standard uncertainty, both in `unit`. `period`: for a circular quantity, its period in
+    `unit`, such as 360 for a heading in deg; values that differ by the period are equivalent. For any other quantity, the period is
     infinite."""
 
     name: str
@@ -70,7 +70,7 @@ class Coefficient:
 
 @dataclass(frozen=True, slots=True)
 class Unpredicted:
-    """A coefficient that a run will or may give, but whose uncertainty cannot be predicted. why: the reason why it cannot be
+    """A coefficient that a run will or may give, but whose uncertainty cannot be predicted. `why`: the reason why it cannot be
     predicted."""
 
     name: str
@@ -88,17 +88,17 @@ class Estimate:
     An estimator gives the covariance that comes from the data (type A), and the `influences`, which the data do not show. The
     analysis adds the influences to the covariance of the coefficients, and computes the `budgets`.
 
-    headline: names of the coefficients that the terminal shows first. settings: choices that were made, such as the kind of
-    uncertainty. extra: plain data for other estimates that use this one. Coefficients that are known at several temperatures, or at
-    one temperature that all segments have in common, are in extra["by_temperature"], where `temperature_model` reads them, as
+    `headline`: names of the coefficients that the terminal shows first. `settings`: choices that were made, such as the kind of
+    uncertainty. `extra`: plain data for other estimates that use this one. Coefficients that are known at several temperatures, or
+    at one temperature that all segments have in common, are in extra["by_temperature"], where `temperature_model` reads them, as
     {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}. These standard uncertainties
     are of type A. The mean times of the data may be added as "time_s": [...].
 
-    data_covariance: the part of the covariance that is of type A. The analysis keeps this part unchanged when it adds the
+    `data_covariance`: the part of the covariance that is of type A. The analysis keeps this part unchanged when it adds the
     influences. An estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`). If
-    an input acts on two estimates of which one uses the other, it is therefore counted only once, with its sign. expected: True if
-    the estimate comes from a schedule instead of a recording. unstated: the effect on the coefficients of flicker for which the
-    bench file gives no size; the analysis warns about this flicker.
+    an input acts on two estimates of which one uses the other, it is therefore counted only once, with its sign. `expected`: True
+    if the estimate comes from a schedule instead of a recording. `unstated`: the effect on the coefficients of flicker for which
+    the bench file gives no size; the analysis warns about this flicker.
     """
 
     name: str
@@ -144,9 +144,12 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class EstimateRequest(Generic[P]):
-    """A request to compute an estimate from a recording. name: name of the requested estimate in the plan. parameters: the values
-    of the estimator's keys. uses: the estimates that this estimate uses, by their names in the plan. detection: the settings for
-    detecting spans in the data (`planrunner.plan.selection.Detection`); None if the plan does not require this."""
+    """A request to compute an estimate from a recording.
+
+    `name`: name of the requested estimate in the plan. `parameters`: the values of the estimator's keys. `uses`: the estimates that
+    this estimate uses, by their names in the plan. `detection`: the settings for detecting spans in the data
+    (`planrunner.plan.selection.Detection`); None if the plan does not require this.
+    """
 
     name: str
     segments: tuple[RecordedSegment, ...]
@@ -161,7 +164,7 @@ class EstimateRequest(Generic[P]):
 @dataclass(frozen=True, slots=True)
 class DesignRequest(Generic[P]):
     """A request to check an estimate before anything is recorded. If `detection` is given, spans will be detected in the data, so
-    they are not known yet. uses: designs of the estimates that this estimate uses, by their names in the plan."""
+    they are not known yet. `uses`: designs of the estimates that this estimate uses, by their names in the plan."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -177,9 +180,9 @@ class DesignRequest(Generic[P]):
 class DesignBlock:
     """The linear model of one output at the planned stimulus.
 
-    matrix: (n, p), design matrix, SI; terms: the p names of the columns; magnitudes: (p,), declared size of each column (Earth
-    rate, g …), by which the column is divided before rank and condition are judged; sigma: (n,), predicted standard uncertainty of
-    each observation, in the output's unit.
+    `matrix`: array of shape (n, p), design matrix, SI. `terms`: the p names of the columns. `magnitudes`: array of shape (p,),
+    declared size of each column (Earth rate, g …), by which the column is divided before rank and condition are judged. `sigma`:
+    array of shape (n,), predicted standard uncertainty of each observation, in the output's unit.
     """
 
     output: str
@@ -195,9 +198,9 @@ class Remark:
     """An error, a warning or a note of an estimator about planned segments. The command `check` prints it as a finding at the key
     `key` of the estimate.
 
-    code: code of the finding, such as `physics-release`; docs/findings.md lists all codes. error: True if the plan must not run.
-    note: True if the remark only informs, so that the plan need not be changed. conditions: True if the remark explains why the fit
-    is ill-conditioned, so that the general message about this is not printed.
+    `code`: code of the finding, such as `physics-release`; docs/findings.md lists all codes. `error`: True if the plan must not
+    run. `note`: True if the remark only informs, so that the plan need not be changed. `conditions`: True if the remark explains
+    why the fit is ill-conditioned, so that the general message about this is not printed.
     """
 
     code: str
@@ -211,10 +214,13 @@ class Remark:
 
 @dataclass(frozen=True, slots=True)
 class Foresight:
-    """The prediction of a run. predicted: coefficients with nominal values and expected uncertainties; unpredicted: coefficients
-    whose uncertainties cannot be predicted. Both tuples are empty if the coefficients of a run are not known. expected: estimates
-    computed from the expected observations, one for each set of assumed values; other estimates that use this one are predicted
-    from them. notes: remarks about the prediction."""
+    """The prediction of a run.
+
+    `predicted`: coefficients with nominal values and expected uncertainties. `unpredicted`: coefficients whose uncertainties cannot
+    be predicted. Both tuples are empty if the coefficients of a run are not known. `expected`: estimates computed from the expected
+    observations, one for each set of assumed values; other estimates that use this one are predicted from them. `notes`: remarks
+    about the prediction.
+    """
 
     predicted: tuple[Coefficient, ...] = ()
     unpredicted: tuple[Unpredicted, ...] = ()
@@ -229,12 +235,13 @@ class Foresight:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What an estimator states about the planned segments. blocks: one block per output; empty if the estimator has no linear
-    model. notes: notes on the planned segments. extra: plain data for the designs of other estimates that use this one. An
-    estimator that gives coefficients at certain temperatures adds these `temperatures` [K] to `extra` (an empty list if there are
-    none), and `names_by_temperature` if the names of the coefficients are known. foresight: a function that computes the prediction
-    of a run. The prediction takes longer than the rest of a design, so it is computed only when a limit, an estimate that uses this
-    one, or a reader needs it.
+    """What an estimator states about the planned segments.
+
+    `blocks`: one block per output; empty if the estimator has no linear model. `notes`: notes on the planned segments. `extra`:
+    plain data for the designs of other estimates that use this one. An estimator that gives coefficients at certain temperatures
+    adds these `temperatures` [K] to `extra` (an empty list if there are none), and `names_by_temperature` if the names of the
+    coefficients are known. `foresight`: a function that computes the prediction of a run. The prediction takes longer than the rest
+    of a design, so it is computed only when a limit, an estimate that uses this one, or a reader needs it.
     """
 
     blocks: tuple[DesignBlock, ...]

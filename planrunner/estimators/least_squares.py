@@ -21,10 +21,11 @@ from planrunner.observation.refusals import EstimationError, UnfitDataError
 class LinearFit:
     """The fit of n observations with p coefficients.
 
-    coefficients: (p,), fitted values. cofactor: (p, p), the covariance of the coefficients if `sigma` is the true standard
-    uncertainty of the observations. If `sigma` is only proportional to the true standard uncertainty, the covariance is `cofactor`
-    times `variance_factor`. residuals: (n,), observed values minus fitted values. chi_squared: the weighted sum of squared
-    residuals. condition: condition number of the matrix of scaled and weighted columns.
+    `coefficients`: array of shape (p,), fitted values. `cofactor`: array of shape (p, p), the covariance of the coefficients if
+    `sigma` is the true standard uncertainty of the observations. If `sigma` is only proportional to the true standard uncertainty,
+    the covariance is `cofactor` times `variance_factor`. `residuals`: array of shape (n,), observed values minus fitted values.
+    `chi_squared`: the weighted sum of squared residuals. `condition`: condition number of the matrix of scaled and weighted
+    columns.
     """
 
     coefficients: Array
@@ -65,10 +66,10 @@ def fit_each(
 ) -> tuple[LinearFit, ...]:
     """Least-squares coefficients of m outputs from `matrix` (n, p) and `observed` (m, n). Each output is fitted separately.
 
-    sigma: (m, n) standard uncertainties, by default all 1. magnitudes: (p,), declared magnitudes of the columns, by default the
-    root mean squares of the columns. whitening: (m, n, n), matrices from `whitener` for correlated observations, used instead of
-    `sigma`. names: names of the terms, which are used in error messages. Raises `EstimationError` for too few observations, for
-    values that are not finite, and for terms that cannot be identified.
+    `sigma`: array of shape (m, n), standard uncertainties, by default all 1. `magnitudes`: array of shape (p,), declared magnitudes
+    of the columns, by default the root mean squares of the columns. `whitening`: array of shape (m, n, n), matrices from `whitener`
+    for correlated observations, used instead of `sigma`. `names`: names of the terms, which are used in error messages. Raises
+    `EstimationError` for too few observations, for values that are not finite, and for terms that cannot be identified.
     """
     n, p = matrix.shape
     names = names or [f"coefficient {k + 1}" for k in range(p)]

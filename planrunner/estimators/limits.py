@@ -20,10 +20,11 @@ from planrunner.uncertainty.global_risk import GlobalRisk, Prior, global_risk
 class LimitVerdict:
     """A limit and its verdict. The fields value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
 
-    quantity: name of the form `estimate.coefficient`; requirement: the limit in words, such as `within ±5 deg/h`; probability:
-    probability that the true value conforms. guard_band: required distance of the value from the limits; guard_factor: guard band
-    divided by the expanded uncertainty U; coverage: coverage probability of U; false_decision: specific risk that this verdict is
-    wrong. consumer_risk, producer_risk: the global risks of the decision rule if the limit states a prior.
+    `quantity`: name of the form `estimate.coefficient`. `requirement`: the limit in words, such as `within ±5 deg/h`.
+    `probability`: probability that the true value conforms. `guard_band`: required distance of the value from the limits.
+    `guard_factor`: guard band divided by the expanded uncertainty U. `coverage`: coverage probability of U. `false_decision`:
+    specific risk that this verdict is wrong. `consumer_risk`, `producer_risk`: the global risks of the decision rule if the limit
+    states a prior.
     """
 
     quantity: str
@@ -52,7 +53,7 @@ VerdictKind = Literal["pass", "warned", "fail", "none"]
 
 
 def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> VerdictKind:
-    """The verdict on all limits together. failures: messages about estimates and limits without a result; warnings: number of
+    """The verdict on all limits together. `failures`: messages about estimates and limits without a result. `warnings`: number of
     warnings that may invalidate the verdict."""
     if failures:
         return "fail"

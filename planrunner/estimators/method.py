@@ -50,9 +50,12 @@ _ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantities:
-    """The result of an estimator's formula. covariance: (m, m), contribution of the data, in the products of the coefficients'
-    units; influences: contributions of inputs that the data do not show; unstated: flicker whose size the bench file does not
-    state. extra: plain data for other estimates that use this one; see `interface.Estimate`."""
+    """The result of an estimator's formula.
+
+    `covariance`: array of shape (m, m), contribution of the data, in the products of the coefficients' units. `influences`:
+    contributions of inputs that the data do not show. `unstated`: flicker whose size the bench file does not state. `extra`: plain
+    data for other estimates that use this one; see `interface.Estimate`.
+    """
 
     coefficients: tuple[Coefficient, ...]
     covariance: Array

@@ -78,7 +78,7 @@ def validated(
     """The estimate with an additional table of Monte Carlo results. The table contains the headline coefficients, or all
     coefficients if the estimate has no headline.
 
-    first_order: True if `draws` come from `linear_chain`. workers: processes that share the work of drawing.
+    `first_order`: True if `draws` come from `linear_chain`. `workers`: processes that share the work of drawing.
     """
     names = estimate.headline or tuple(item.name for item in estimate.coefficients)
     rows = [k for k, item in enumerate(estimate.coefficients) if item.name in names and item.standard_uncertainty > 0]

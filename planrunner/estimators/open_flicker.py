@@ -21,9 +21,11 @@ SUFFICIENT = 0.90
 
 @dataclass(frozen=True, slots=True)
 class OpenFlicker:
-    """The flicker of a channel, if it may be larger than an estimate assumes. bound: the largest bias instability B that the data
-    do not exclude, in `unit`. coefficient: name of the coefficient whose interval would have to be widened most; widening: factor
-    by which this interval would have to be wider if B were `bound`."""
+    """The flicker of a channel, if it may be larger than an estimate assumes.
+
+    `bound`: the largest bias instability B that the data do not exclude, in `unit`. `coefficient`: name of the coefficient whose
+    interval would have to be widened most. `widening`: factor by which this interval would have to be wider if B were `bound`.
+    """
 
     channel: str
     unit: str
@@ -33,9 +35,9 @@ class OpenFlicker:
 
 
 def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
-    """The flicker that may make an interval of an estimate too narrow, with at most one entry for each unstated flicker. estimate:
-    an estimate whose standard uncertainties and degrees of freedom include the whole budget. Coefficients that measure scatter or
-    that are a largest value are not examined, because they already contain the flicker."""
+    """The flicker that may make an interval of an estimate too narrow, with at most one entry for each unstated flicker.
+    `estimate`: an estimate whose standard uncertainties and degrees of freedom include the whole budget. Coefficients that measure
+    scatter or that are a largest value are not examined, because they already contain the flicker."""
     found = []
     spreads = np.array([item.standard_uncertainty for item in estimate.coefficients])
     located = np.array([item.role is CoefficientRole.LOCATION for item in estimate.coefficients], dtype=bool)

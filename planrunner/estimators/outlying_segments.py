@@ -30,10 +30,13 @@ _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are tho
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A segment that does not agree with the other segments. error: difference between the segment's mean and the value that the
-    other segments lead one to expect, in the output's unit. deviations: this difference in standard deviations; probability:
-    probability that chance alone gives a difference at least this large in any of the segments and outputs. changes: (p,), change
-    of the output's coefficients if the segment is left out."""
+    """A segment that does not agree with the other segments.
+
+    `error`: difference between the segment's mean and the value that the other segments lead one to expect, in the output's unit.
+    `deviations`: this difference in standard deviations. `probability`: probability that chance alone gives a difference at least
+    this large in any of the segments and outputs. `changes`: array of shape (p,), change of the output's coefficients if the
+    segment is left out.
+    """
 
     output: str
     label: str
@@ -45,8 +48,8 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """States how well the segments of a fit agree. outliers: outliers of all outputs, the least probable first; empty if the
-    residuals have fewer than two degrees of freedom. unchecked: labels of the segments whose error would hardly appear in the
+    """States how well the segments of a fit agree. `outliers`: outliers of all outputs, the least probable first; empty if the
+    residuals have fewer than two degrees of freedom. `unchecked`: labels of the segments whose error would hardly appear in the
     residuals of at least one output; empty if the fit has no residuals."""
 
     outliers: tuple[Outlier, ...] = ()
@@ -70,7 +73,8 @@ def agreement(fit: OutputsFit, basis: str) -> Agreement:
 
 
 def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
-    """Finds the outliers of one output. whole: the effects of an additional column for each segment, while no segment has one yet."""
+    """Finds the outliers of one output. `whole`: the effects of an additional column for each segment, while no segment has one
+    yet."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []
@@ -97,9 +101,12 @@ def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> li
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """The effects of one additional column, computed for each segment separately. errors: (n,), the error δ of each segment; drops:
-    (n,), the decrease of χ² due to the additional column. For a segment that the model fits regardless of its reading, both are 0.
-    redundancy: (n,), redundancy of each segment; chi_squared: χ² without the additional columns."""
+    """The effects of one additional column, computed for each segment separately.
+
+    `errors`: array of shape (n,), the error δ of each segment. `drops`: array of shape (n,), the decrease of χ² due to the
+    additional column. For a segment that the model fits regardless of its reading, both are 0. `redundancy`: array of shape (n,),
+    redundancy of each segment. `chi_squared`: χ² without the additional columns.
+    """
 
     errors: Array
     drops: Array
@@ -109,8 +116,11 @@ class _Shifts:
 
 @dataclass(frozen=True, slots=True)
 class _Weighed:
-    """The weighted observations of one output. covariance: (n, n), covariance of the observations; weights: (n, n), the inverse of
-    `covariance`; columns: (n, P), scaled columns of the fit; residuals: (n,)."""
+    """The weighted observations of one output.
+
+    `covariance`: array of shape (n, n), covariance of the observations. `weights`: array of shape (n, n), the inverse of
+    `covariance`. `columns`: array of shape (n, P), scaled columns of the fit. `residuals`: array of shape (n,).
+    """
 
     covariance: Array
     weights: Array
@@ -126,7 +136,7 @@ class _Weighed:
         return cls(covariance, whitening.T @ whitening, columns, fit.fits[k].residuals)
 
     def shifts(self, taken: tuple[int, ...]) -> _Shifts:
-        """The effects of one additional column, for each segment. taken: indices of the segments that already have an additional
+        """The effects of one additional column, for each segment. `taken`: indices of the segments that already have an additional
         column."""
         n = len(self.residuals)
         columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])

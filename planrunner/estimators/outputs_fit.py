@@ -215,8 +215,8 @@ def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes:
 
 @kept(64)
 def _coefficients(matrix: Array, observed: Array, weights: Array, magnitudes: Array, names: tuple[str, ...]) -> Array:
-    """Fits the coefficients (m, p) of outputs (m, n). weights: (m, n), standard deviations of the noise, of which only the
-    proportions matter."""
+    """Fits the coefficients (m, p) of outputs (m, n). `weights`: array of shape (m, n), standard deviations of the noise, of which
+    only the proportions matter."""
     return np.array([one.coefficients for one in least_squares.fit_each(matrix, observed, weights, magnitudes, names)])
 
 
@@ -239,9 +239,10 @@ def fit_outputs(
     segments is added to the noise of an output under two conditions: noise and effects together do not explain its residuals, and
     either the noise differs between segments or there are effects. Without this addition, the segment with the least noise would
     dominate the fit, although its actual error is as large as the errors of the other segments. Outputs are pooled only if `pooled`
-    is True, their noise is known and nothing is added to the noise. equal: True gives all segments the same weight. drift: the
-    drift functions (powers of the time or recorded temperatures) that are fitted too, either always or only if the data show them.
-    unstated: effects of unknown size, which are not fitted.
+    is True, their noise is known and nothing is added to the noise.
+
+    `equal`: True gives all segments the same weight. `drift`: the drift functions (powers of the time or recorded temperatures)
+    that are fitted too, either always or only if the data show them. `unstated`: effects of unknown size, which are not fitted.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
@@ -297,8 +298,8 @@ def fit_outputs(
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """The fits of m outputs; the fields are described in `OutputsFit`. whitening: (m, n, n), for each output, the matrix that makes
-    its observations uncorrelated with variance one; None without effects."""
+    """The fits of m outputs; the fields are described in `OutputsFit`. `whitening`: array of shape (m, n, n), for each output, the
+    matrix that makes its observations uncorrelated with variance one; None without effects."""
 
     fits: tuple[LinearFit, ...]
     gains: Array
@@ -311,11 +312,14 @@ class _Fitted:
 @dataclass(frozen=True, slots=True)
 class _Weighting:
     """The observations (m, n) of the outputs, with their noise and the effects on them, from which all fits take their weights.
-    roots: (m, n, r), matrices R for which R·Rᵀ is the covariance due to the effects (`stacked_roots`); sigma: (m, n), standard
-    deviations of the noise; whitening: (m, n, n), matrices that make observations with noise and effects uncorrelated with variance
-    one; None without effects. The computation of `whitening` takes n³ operations, so all fits with the same weights share it.
-    expected: True if the observations are expected values without noise; then χ² is replaced by its expectation. within: number of
-    observations at the end that are not means of segments; no scatter between segments is added to them."""
+
+    `roots`: array of shape (m, n, r), matrices R for which R·Rᵀ is the covariance due to the effects (`stacked_roots`). `sigma`:
+    array of shape (m, n), standard deviations of the noise. `whitening`: array of shape (m, n, n), matrices that make observations
+    with noise and effects uncorrelated with variance one; None without effects. The computation of `whitening` takes n³ operations,
+    so all fits with the same weights share it. `expected`: True if the observations are expected values without noise; then χ² is
+    replaced by its expectation. `within`: number of observations at the end that are not means of segments; no scatter between
+    segments is added to them.
+    """
 
     matrix: Array
     observed: Array
@@ -332,7 +336,7 @@ class _Weighting:
         return self._fits(self.sigma, self.whitening)
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
-        """The fits that are weighted by noise and effects, with all information that `OutputsFit` needs. residual: True allows a
+        """The fits that are weighted by noise and effects, with all information that `OutputsFit` needs. `residual`: True allows a
         standard deviation between segments to be added to the noise if the residuals require it."""
         spreads, between, whitening = self.sigma.copy(), np.zeros(len(noises)), self.whitening
         found = self.plain()
@@ -398,7 +402,7 @@ def _factors(fits: Sequence[LinearFit]) -> Array:
 
 
 def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
-    """The matrices (AᵀV⁻¹A)⁻¹·AᵀV⁻¹ (m, p, n), which compute the coefficients from the observations. weighted: V⁻¹A, (m, n, p)."""
+    """The matrices (AᵀV⁻¹A)⁻¹·AᵀV⁻¹ (m, p, n), which compute the coefficients from the observations. `weighted`: V⁻¹A, (m, n, p)."""
     return np.asarray(np.array([one.cofactor for one in fits]) @ weighted.swapaxes(1, 2))
 
 
@@ -406,8 +410,8 @@ def _cofactors(
     found: _Fitted, noises: Sequence[WithinSegmentNoise], correlation: Array, effects: Array
 ) -> dict[str, Array]:
     """The covariances of the coefficients for each basis of uncertainty, without the variance factors. The correlation of the noise
-    between outputs always comes from the samples, because the residuals of a few segments do not determine it. effects: (m, n, r),
-    matrices R for which R·Rᵀ is the covariance of the observations due to the effects."""
+    between outputs always comes from the samples, because the residuals of a few segments do not determine it. `effects`: array of
+    shape (m, n, r), matrices R for which R·Rᵀ is the covariance of the observations due to the effects."""
     m, p, _ = found.gains.shape
 
     def products(roots: Array) -> Array:
@@ -437,9 +441,9 @@ def between_segments(
     """The standard deviation between segments that must be added to the noise `spread` (n,) to make χ²/dof equal to one (Mandel and
     Paule, Anal. Chem. 54, 1982).
 
-    fitted: a function that computes the fit for a given spread. means: (n,), True for the observations to which the standard
-    deviation is added. χ²/dof decreases as the added deviation grows, so a root search finds the deviation. The result is zero if
-    χ²/dof is at most one without an addition, or if no addition makes it one.
+    `fitted`: a function that computes the fit for a given spread. `means`: array of shape (n,), True for the observations to which
+    the standard deviation is added. χ²/dof decreases as the added deviation grows, so a root search finds the deviation. The result
+    is zero if χ²/dof is at most one without an addition, or if no addition makes it one.
     """
     from scipy.optimize import brentq
 

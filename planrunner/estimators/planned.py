@@ -22,8 +22,8 @@ def matrix_at_rest(
 ) -> Array:
     """The design matrix (n, p), SI, for segments at rest.
 
-    needed: the reason why segments must be at rest, which is part of the message about a segment that moves; otherwise: a text that
-    is part of the message about an unknown orientation. Raises `EstimationError` in either case.
+    `needed`: the reason why segments must be at rest, which is part of the message about a segment that moves. `otherwise`: a text
+    that is part of the message about an unknown orientation. Raises `EstimationError` in either case.
     """
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:

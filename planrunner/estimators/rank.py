@@ -21,7 +21,7 @@ TOLERANCE = (
 
 @dataclass(frozen=True, slots=True)
 class MatrixRank:
-    """The rank and the null space of a design matrix. singular: singular values of the scaled matrix, largest first. null:
+    """The rank and the null space of a design matrix. `singular`: singular values of the scaled matrix, largest first. `null`:
     orthonormal rows that span the null space, shape (columns − rank, columns)."""
 
     rank: int

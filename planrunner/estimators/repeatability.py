@@ -79,9 +79,12 @@ class RepeatabilityParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """The n repeated values of one quantity. group: (n,), index of the group of each value; own: (n,), standard uncertainty of each
-    value, NaN if it is not known. expected: the variance that noise alone causes, if the values are expected values; NaN for
-    measured values. pauses: (n − 1,), time between successive repeats, s; None if this is not known."""
+    """The n repeated values of one quantity.
+
+    `group`: array of shape (n,), index of the group of each value. `own`: array of shape (n,), standard uncertainty of each value,
+    NaN if it is not known. `expected`: the variance that noise alone causes, if the values are expected values; NaN for measured
+    values. `pauses`: array of shape (n − 1,), time between successive repeats, s; None if this is not known.
+    """
 
     name: str
     unit: str
@@ -104,11 +107,11 @@ class Repeats:
 class Variance:
     """The result of a one-way analysis of variance of n values in k groups.
 
-    mean: mean of the group means. within: variance within groups; between: component of variance between groups, which can be
-    negative; total: sum of `within` and `between`. Fields such as `mean_uncertainty` or `within_freedom` are the standard
-    uncertainty and the degrees of freedom of these values. terms: (2,), the contributions to `total` of the mean square between
-    groups and of the mean square within groups. ratio: the statistic F, which is the mean square between groups divided by the mean
-    square within groups.
+    `mean`: mean of the group means. `within`: variance within groups. `between`: component of variance between groups, which can be
+    negative. `total`: sum of `within` and `between`. Fields such as `mean_uncertainty` or `within_freedom` are the standard
+    uncertainty and the degrees of freedom of these values. `terms`: (2,), the contributions to `total` of the mean square between
+    groups and of the mean square within groups. `ratio`: the statistic F, which is the mean square between groups divided by the
+    mean square within groups.
     """
 
     mean: float
@@ -314,8 +317,8 @@ def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float
     """A one-way analysis of variance of values in groups. For a single group, it gives only the mean and the scatter.
 
     The overall mean is the mean of the group means. The variance component between groups is (M_b − M_w)/n₀, where M_b and M_w are
-    the mean squares between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. expected: a variance
-    that is used instead of the scatter of the values about their mean.
+    the mean squares between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. `expected`: a
+    variance that is used instead of the scatter of the values about their mean.
     """
     numbers = np.unique(group)
     n, k = len(value), len(numbers)

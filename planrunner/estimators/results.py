@@ -40,10 +40,10 @@ _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 class Results:
     """The results of an analysis.
 
-    estimates: the estimates by name, in the plan's order. limits: the verdicts on the limits. failures: maps the name of an
-    estimate or limit without a result to a message. segments: for each recorded segment, the statistics from `segment_statistics`.
-    origin: source of the samples; None in results from versions that did not record the source. unfit: names in `failures` that
-    failed because of the recorded data, not because of the plan.
+    `estimates`: the estimates by name, in the plan's order. `limits`: the verdicts on the limits. `failures`: maps the name of an
+    estimate or limit without a result to a message. `segments`: for each recorded segment, the statistics from
+    `segment_statistics`. `origin`: source of the samples; None in results from versions that did not record the source. `unfit`:
+    names in `failures` that failed because of the recorded data, not because of the plan.
     """
 
     estimates: Mapping[str, Estimate]

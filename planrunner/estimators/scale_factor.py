@@ -89,8 +89,8 @@ class ScaleFactorParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineQuantities(Quantities):
-    """The fitted lines of all outputs. rates: (n,), rad/s, rates of the segments. common: True if the plan states an error that all
-    rates have in common."""
+    """The fitted lines of all outputs. `rates`: array of shape (n,) in rad/s, rates of the segments. `common`: True if the plan
+    states an error that all rates have in common."""
 
     observations: Observations
     rates: Array
@@ -277,7 +277,7 @@ def _found(
 
 
 def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """Errors of the outputs due to the stated error of each commanded rate. slopes: (m,), slopes of the outputs."""
+    """Errors of the outputs due to the stated error of each commanded rate. `slopes`: array of shape (m,), slopes of the outputs."""
     stated = request.setup.inputs.get("table rate")
     return rate_errors(stated, np.outer(slopes, rates), rates) if stated else ()
 
@@ -288,7 +288,8 @@ def _common(
     """The influence of an error that all rates have in common and that the plan states, such as an error of the table's clock. This
     error changes the slope and causes no scatter.
 
-    functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); coefficients: (m, 2), coefficients of the lines.
+    `functionals`: array of shape (q, m, n), ∂coefficient/∂(mean of output k over segment n). `coefficients`: array of shape (m, 2),
+    coefficients of the lines.
     """
     common = common_rate(request.name, request.parameters.rate_uncertainty)
     if not common.standard_uncertainty:

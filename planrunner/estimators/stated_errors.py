@@ -61,8 +61,8 @@ def site_errors(
 ) -> tuple[CorrelatedError, ...]:
     """The errors of observations due to latitude and gravity, if these are stated with an uncertainty. An error of latitude or
     gravity changes the expected outputs, not the readings. An expected output that is too large has the same effect as a reading
-    that is too small. coefficients: (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each
-    column."""
+    that is too small. `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs' units per SI
+    unit of each column."""
     stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()
@@ -93,7 +93,8 @@ def table_errors(
 ) -> tuple[CorrelatedError, ...]:
     """The errors of observations due to errors of the table for which the bench states an uncertainty.
 
-    coefficients: (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each column.
+    `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each
+    column.
     """
     position, azimuth = setup.inputs.get("table position"), setup.inputs.get("azimuth")
     orthogonality, rate = setup.inputs.get("table orthogonality"), setup.inputs.get("table rate")
@@ -140,8 +141,8 @@ _table_slopes_of_motion = kept(64)(_table_slopes)
 def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array | float = 0.0) -> Array:
     """The changes (r, n, p) of the model's columns per unit of each of r inputs.
 
-    moves: (2, r, n, 3), change of angular rate and specific force per unit of each input; table_rate: (r, n), change of the table's
-    rate per unit of each input.
+    `moves`: array of shape (2, r, n, 3), change of angular rate and specific force per unit of each input. `table_rate`: array of
+    shape (r, n), change of the table's rate per unit of each input.
     """
     _, r, n, _ = moves.shape
     sides = np.array([-_STEP, _STEP])[:, None, None]
@@ -170,7 +171,8 @@ def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[Co
     """The errors of observations due to a relative error of each commanded rate. The error is the same for all segments with the
     same rate. The result is empty if the table never rotates.
 
-    moved: (m, n), change of the observations per relative change of the rate of each segment; rates: (n,), rad/s.
+    `moved`: array of shape (m, n), change of the observations per relative change of the rate of each segment. `rates`: array of
+    shape (n,) in rad/s.
     """
     different = np.array(sorted(set(rates[rates != 0].tolist())))  # np.unique loads masked arrays
     if not different.size:
@@ -240,8 +242,8 @@ def _orthogonality_tilts(
 def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Array) -> CorrelatedError:
     """The errors of observations due to a position error about each direction in each orientation. The error is the same in all
     segments that have the same orientation. A position error changes only the component of a vector perpendicular to the direction
-    of the error. An accelerometer that points up does not sense it; a level accelerometer senses it fully. moved: (m, n, 3), change
-    of the observations per unit of the position error about each direction."""
+    of the error. An accelerometer that points up does not sense it; a level accelerometer senses it fully. `moved`: array of shape
+    (m, n, 3), change of the observations per unit of the position error about each direction."""
     names = list(dict.fromkeys(segment.orientation for segment in segments))
     place = [names.index(segment.orientation) for segment in segments]
     m, n, _ = moved.shape
@@ -261,6 +263,6 @@ def _tilts(table: TableModel | None, attitudes: Array, site: Site) -> Array:
 
 
 def _error(quantity: InputQuantity, changes: Array, parts: tuple[str, ...] = ()) -> CorrelatedError:
-    """Makes a correlated error of the outputs. changes: (m, n, r), change of the n observations of each of m outputs per unit of
-    each of r inputs."""
+    """Makes a correlated error of the outputs. `changes`: array of shape (m, n, r), change of the n observations of each of m
+    outputs per unit of each of r inputs."""
     return CorrelatedError(quantity, dict(enumerate(changes)), parts)

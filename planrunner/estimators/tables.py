@@ -38,7 +38,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TableColumn:
-    """A column of a table. unit: unit of all cells, which is shown beside the title; empty if there is no unit, or if it differs
+    """A column of a table. `unit`: unit of all cells, which is shown beside the title; empty if there is no unit, or if it differs
     between rows."""
 
     title: str
@@ -55,7 +55,7 @@ Cell = str | float | None
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table for readers. rows: the rows, each with one cell per column. terminal: True if the terminal also shows the table."""
+    """A table for readers. `rows`: the rows, each with one cell per column. `terminal`: True if the terminal also shows the table."""
 
     title: str
     columns: tuple[TableColumn, ...]
@@ -84,10 +84,11 @@ def known(values: Array) -> list[float | None]:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A plot of points for readers. series: maps the name of each series to its values, one for each label or number of `x`;
-    uncertainties: maps names of series to the standard uncertainties of the values; a series may lack them. log: True if both axes
-    are logarithmic; values that are not positive are then left out. lines: True if the values are drawn as lines over `x`, without
-    points.
+    """A plot of points for readers.
+
+    `series`: maps the name of each series to its values, one for each label or number of `x`. `uncertainties`: maps names of series
+    to the standard uncertainties of the values; a series may lack them. `log`: True if both axes are logarithmic; values that are
+    not positive are then left out. `lines`: True if the values are drawn as lines over `x`, without points.
     """
 
     title: str

@@ -31,8 +31,8 @@ def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Ro
     directions to formulas: the output's own direction `own` to the formula of the scale factor, and the other directions to the
     formulas of the misalignments.
 
-    places: maps a direction (0, 1, 2 for x, y, z) to the index of its coefficient in the row. If the output was never excited along
-    its own direction, the formulas return the responses unchanged. For a row of zeros, the formulas give zeros.
+    `places`: maps a direction (0, 1, 2 for x, y, z) to the index of its coefficient in the row. If the output was never excited
+    along its own direction, the formulas return the responses unchanged. For a row of zeros, the formulas give zeros.
     """
     listed = list(places.values())
 

@@ -33,11 +33,14 @@ _LEAST = 0.01  # of a variance that flicker within the segments leaves for white
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlickerEvidence:
-    """The n observations of a channel, in its unit, which follow a linear model and may contain flicker. columns: (n, p), columns
-    of the model; values: (n,), the observations. sigma: (n,), standard deviations of the noise of the observations; freedom:
-    degrees of freedom of this noise. flicker: (n, r), changes of the observations for each of r independent inputs that together
-    represent flicker with B = 1; within: (n,), the part of `sigma`² that is due to flicker with B = 1. roots: (n, q), a matrix R
-    for which R·Rᵀ is the covariance due to the declared effects (`stacked_roots`)."""
+    """The n observations of a channel, in its unit, which follow a linear model and may contain flicker.
+
+    `columns`: array of shape (n, p), columns of the model. `values`: array of shape (n,), the observations. `sigma`: array of shape
+    (n,), standard deviations of the noise of the observations. `freedom`: degrees of freedom of this noise. `flicker`: array of
+    shape (n, r), changes of the observations for each of r independent inputs that together represent flicker with B = 1. `within`:
+    array of shape (n,), the part of `sigma`² that is due to flicker with B = 1. `roots`: array of shape (n, q), a matrix R for
+    which R·Rᵀ is the covariance due to the declared effects (`stacked_roots`).
+    """
 
     columns: Array
     values: Array
@@ -70,7 +73,7 @@ class FlickerEvidence:
         return float(sizes[min(int(np.searchsorted(weights, CREDIBLE * weights[-1])), _ANGLES - 1)])
 
     def _scale(self, whitened: Array) -> float:
-        """The reciprocal of the scale of the prior distribution of B. whitened: the whitened flicker, which is used if the
+        """The reciprocal of the scale of the prior distribution of B. `whitened`: the whitened flicker, which is used if the
         observations are not averaged."""
         if len(self.values) <= _MOST:
             return _spread(whitened)
@@ -110,15 +113,15 @@ def _spread(flicker: Array) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnstatedFlicker:
-    """The flicker of a channel for which the bench file states no bias instability. influence: influence of flicker with B = 1, in
-    the unit of the channel, on the coefficients of an estimate. evidence: the observations from which B can be bounded; None if the
-    noise of the channel is not known."""
+    """The flicker of a channel for which the bench file states no bias instability. `influence`: influence of flicker with B = 1,
+    in the unit of the channel, on the coefficients of an estimate. `evidence`: the observations from which B can be bounded; None
+    if the noise of the channel is not known."""
 
     channel: str
     influence: Influence
     evidence: FlickerEvidence | None
 
     def through(self, gradient: Array) -> UnstatedFlicker:
-        """The flicker with its influence on q quantities that are computed from the coefficients. gradient: (q, m),
-        ∂quantity/∂coefficient."""
+        """The flicker with its influence on q quantities that are computed from the coefficients. `gradient`: array of shape (q,
+        m), ∂quantity/∂coefficient."""
         return UnstatedFlicker(self.channel, self.influence.through(gradient), self.evidence)

@@ -53,8 +53,8 @@ def execute(
 ) -> Outcome:
     """Executes those segments of `schedule`, from the index `start_at` on, that `writer` has not acknowledged.
 
-    operator: receives the prompts of the plan; None on a simulated bench, where nobody is asked. Failures of instruments or of the
-    disk raise no exception: they are in the outcome, and the bench is safe. A finished run is sealed.
+    `operator`: receives the prompts of the plan; None on a simulated bench, where nobody is asked. Failures of instruments or of
+    the disk raise no exception: they are in the outcome, and the bench is safe. A finished run is sealed.
     """
     return _Execution(schedule, bench, writer, stop, progress, start_at, patience or Patience(), operator).carry_out()
 

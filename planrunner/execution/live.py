@@ -58,7 +58,7 @@ class _Moments:
 
     @classmethod
     def of(cls, samples: NDArray[np.float64]) -> _Moments:
-        """The moments of samples. samples: array of shape (channels, n), n > 0."""
+        """The moments of samples. `samples`: array of shape (channels, n), n > 0."""
         mean = samples.mean(axis=1)
         squares = np.square(samples - mean[:, None]).sum(axis=1)
         return cls(samples.shape[1], mean, squares, samples.min(axis=1), samples.max(axis=1))
@@ -112,7 +112,7 @@ class _Samples:
 
 
 class LiveReport:
-    """The live state of one run. folder: the run folder. segments: number of segments in the schedule."""
+    """The live state of one run. `folder`: the run folder. `segments`: number of segments in the schedule."""
 
     def __init__(self, folder: GuardedFolder, segments: int):
         self._folder, self._segments = folder, segments

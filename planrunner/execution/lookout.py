@@ -31,7 +31,7 @@ class StoppedAtOnceError(Exception):
 
 
 class Lookout:
-    """Watches the instruments during a run. notice: called with the name of an instrument and a description of the unusual event."""
+    """Watches the instruments during a run. `notice`: called with the name of an instrument and a description of the unusual event."""
 
     def __init__(self, bench: ConnectedBench, stop: StopRequest, notice: Notice):
         self._clock = bench.clock

@@ -33,8 +33,8 @@ class Operator(Protocol):
 
 
 class Boundary:
-    """Handles prompts and pauses between two segments. make_safe: brings the bench to its safe state and forgets earlier commands.
-    go_on: called before the first move after the wait."""
+    """Handles prompts and pauses between two segments. `make_safe`: brings the bench to its safe state and forgets earlier
+    commands. `go_on`: called before the first move after the wait."""
 
     def __init__(
         self,

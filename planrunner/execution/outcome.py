@@ -11,8 +11,10 @@ from planrunner.instruments.interfaces import InstrumentError
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A failure of a run. where: what the executor was doing. kind: the class of the exception. message: text for a quality
-    engineer."""
+    """A failure of a run.
+
+    `where`: what the executor was doing. `kind`: the class of the exception. `message`: text for a quality engineer.
+    """
 
     where: str
     kind: str
@@ -35,11 +37,14 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The outcome of executing a schedule. completed: number of segments acknowledged in this execution; segments: number of
-    segments in the schedule. stopped: how the operator stopped the run; None if the operator did not stop it. unsafe: failures in
-    making instruments safe. untouched: instruments that were never commanded and are therefore left as they were. finished: True if
-    every segment is acknowledged and the folder is sealed. remarks: information that the user needs even if the run is complete.
-    unsigned: the reason why the bench did not sign the seal although it should have."""
+    """The outcome of executing a schedule.
+
+    `completed`: number of segments acknowledged in this execution. `segments`: number of segments in the schedule. `stopped`: how
+    the operator stopped the run; None if the operator did not stop it. `unsafe`: failures in making instruments safe. `untouched`:
+    instruments that were never commanded and are therefore left as they were. `finished`: True if every segment is acknowledged and
+    the folder is sealed. `remarks`: information that the user needs even if the run is complete. `unsigned`: the reason why the
+    bench did not sign the seal although it should have.
+    """
 
     completed: int
     segments: int

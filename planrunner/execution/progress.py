@@ -13,8 +13,8 @@ from planrunner.plan.schedule import Schedule, Segment
 
 @dataclass(frozen=True, slots=True)
 class SegmentBegun:
-    """The event that a segment has begun. fraction: completed fraction of the planned time of the run, 0 to 1. time_left: expected
-    remaining real time [s]; None if it is not yet known."""
+    """The event that a segment has begun. `fraction`: completed fraction of the planned time of the run, 0 to 1. `time_left`:
+    expected remaining real time [s]; None if it is not yet known."""
 
     index: int
     label: str
@@ -25,7 +25,7 @@ class SegmentBegun:
 
 @dataclass(frozen=True, slots=True)
 class Advanced:
-    """The event that the run has advanced within a segment. activity: what the bench is doing."""
+    """The event that the run has advanced within a segment. `activity`: what the bench is doing."""
 
     index: int
     label: str
@@ -64,9 +64,9 @@ class Meter:
     """Converts the position of the executor to events.
 
     The time left is estimated from the remaining planned time and the speed so far, so it is in real time even on a simulated
-    bench. callback: receives all events. A callback that raises an exception is not called again, because a display must not end a
-    run. live: a callback that receives only the progress within segments. Most runs have no display; for them the beginning and the
-    end of a segment cost nothing.
+    bench. `callback`: receives all events. A callback that raises an exception is not called again, because a display must not end
+    a run. `live`: a callback that receives only the progress within segments. Most runs have no display; for them the beginning and
+    the end of a segment cost nothing.
     """
 
     def __init__(

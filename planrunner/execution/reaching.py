@@ -240,9 +240,11 @@ SHOWN = {
 
 @dataclass(slots=True)
 class Readings:
-    """Collects the readings while the bench is in one state. over: time [s] over which a drift is measured. chamber: name of the
-    instrument whose temperature is compared with `setpoint` [K]. drifting: names of the instruments whose temperature must not
-    drift."""
+    """Collects the readings while the bench is in one state.
+
+    `over`: time [s] over which a drift is measured. `chamber`: name of the instrument whose temperature is compared with `setpoint`
+    [K]. `drifting`: names of the instruments whose temperature must not drift.
+    """
 
     over: float
     chamber: str | None = None
@@ -339,7 +341,7 @@ class Holding:
     def __init__(
         self, bench: ConnectedBench, lookout: Lookout, segment: Segment, counts: Callable[[], FrameCounts] | None = None
     ):
-        """counts: the frame counter of the sensor; None if it has none."""
+        """`counts`: the frame counter of the sensor; None if it has none."""
         self._clock, self._lookout = bench.clock, lookout
         self._counts = counts
         self._watch = segment.watch or Watch()

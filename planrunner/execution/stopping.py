@@ -22,7 +22,7 @@ class StopRequest:
     """Records whether and how the run must stop. As a context manager it handles the signals that stop a run, and restores the
     previous signal handlers on exit.
 
-    notify: called with a line of text for the operator at every request (from the signal handler, so it must be quick).
+    `notify`: called with a line of text for the operator at every request (from the signal handler, so it must be quick).
     """
 
     def __init__(self, notify: Callable[[str], None] | None = None):

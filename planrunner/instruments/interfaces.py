@@ -41,7 +41,7 @@ class InstrumentError(Exception):
 
 
 class UnservedError(InstrumentError):
-    """Reports that an instrument cannot execute a schedule. findings: all reasons why it cannot."""
+    """Reports that an instrument cannot execute a schedule. `findings`: all reasons why it cannot."""
 
     def __init__(self, findings: Sequence[Finding]):
         self.findings = tuple(findings)
@@ -87,9 +87,12 @@ class Closes(Protocol):
 @dataclass(slots=True)
 class Surroundings:
     """What a driver needs to connect: the clock, the site, the folder that must contain all data files, the seed of the run, and
-    the other instruments by role. world: state that the drivers of a virtual bench share; real drivers ignore it. real_time: True
-    if the clock shows real time; simulated and played-back samples then come in blocks of about a second. notice: function that is
-    told the progress of long work before the run begins, such as the examination of a recording."""
+    the other instruments by role.
+
+    `world`: state that the drivers of a virtual bench share; real drivers ignore it. `real_time`: True if the clock shows real
+    time; simulated and played-back samples then come in blocks of about a second. `notice`: function that is told the progress of
+    long work before the run begins, such as the examination of a recording.
+    """
 
     clock: Clock
     site: Site
@@ -218,9 +221,11 @@ class Block:
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
     """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: it contains the means of the
-    channels, and their scatter in further channels, which are named here. deviations: for each channel, the channel with the
-    standard deviation of the averaged samples, which are treated as independent. count: channel with the number of samples;
-    seconds: channel with the duration."""
+    channels, and their scatter in further channels, which are named here.
+
+    `deviations`: for each channel, the channel with the standard deviation of the averaged samples, which are treated as
+    independent. `count`: channel with the number of samples. `seconds`: channel with the duration.
+    """
 
     deviations: Mapping[str, str]
     count: str
@@ -251,10 +256,10 @@ class StreamsSamples(Protocol):
 class Condition:
     """The current state of an instrument, as the instrument measures it.
 
-    values: live quantities in SI units by name. Standard names are `position_error` [rad] (following error, the largest of all
-    axes), `rate_error` [rad/s] and `temperature` [K]. faults: reasons why the instrument cannot continue, in words (interlock open,
-    over-temperature, axis fault); a fault ends the run. doubts: reasons why the samples may be invalid (status bits); the plan
-    defines what then happens.
+    `values`: live quantities in SI units by name. Standard names are `position_error` [rad] (following error, the largest of all
+    axes), `rate_error` [rad/s] and `temperature` [K]. `faults`: reasons why the instrument cannot continue, in words (interlock
+    open, over-temperature, axis fault); a fault ends the run. `doubts`: reasons why the samples may be invalid (status bits); the
+    plan defines what then happens.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
@@ -287,7 +292,7 @@ class OwnLimits:
     from its own keys; limits of travel always come from these keys.
 
     rate [rad/s], acceleration [rad/s²] and position_error [rad] are limits of every axis. coldest and hottest are limits of
-    temperature [K]. silence: time [s] without communication from the computer after which the instrument makes itself safe.
+    temperature [K]. `silence`: time [s] without communication from the computer after which the instrument makes itself safe.
     """
 
     rate: float | None = None
@@ -308,9 +313,12 @@ class SelfLimiting(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Counts of the frames in one segment's stream. lost: frames that are missing according to the counter; corrupt: frames with a
-    wrong checksum; overflowed: frames that were lost because the computer did not read them in time; skipped_bytes: bytes between
-    frames. details: further values by name, such as latency_s or clock_skew_ppm."""
+    """Counts of the frames in one segment's stream.
+
+    `lost`: frames that are missing according to the counter. `corrupt`: frames with a wrong checksum. `overflowed`: frames that
+    were lost because the computer did not read them in time. `skipped_bytes`: bytes between frames. `details`: further values by
+    name, such as latency_s or clock_skew_ppm.
+    """
 
     received: int = 0
     lost: int = 0

@@ -34,9 +34,12 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(frozen=True, slots=True)
 class TableModel:
-    """A table that turns to positions and at rates. axes: the axes of the table, the outermost first. position_uncertainty:
-    standard uncertainty of a position, rad; rate_stability: relative standard uncertainty of a rate; orthogonality: standard
-    uncertainty of the angles between the axes, rad. rocks: True if the table can rock."""
+    """A table that turns to positions and at rates.
+
+    `axes`: the axes of the table, the outermost first. `position_uncertainty`: standard uncertainty of a position, rad.
+    `rate_stability`: relative standard uncertainty of a rate. `orthogonality`: standard uncertainty of the angles between the axes,
+    rad. `rocks`: True if the table can rock.
+    """
 
     axes: tuple[TableAxis, ...]
     position_uncertainty: float = 0.0
@@ -47,11 +50,14 @@ class TableModel:
 
 @dataclass(frozen=True, slots=True)
 class ChamberModel:
-    """A temperature chamber. lowest, highest: limits of the temperature, K; ramp: rate of change of the setpoint, K/s; ambient:
-    temperature in the safe state, K.
+    """A temperature chamber.
 
-    lag: time constant [s] with which the air follows the setpoint; tolerance: a temperature counts as reached if the air differs
-    from the setpoint by at most this [K]; temperature_uncertainty: standard uncertainty [K] of the chamber's own thermometer.
+    `lowest`, `highest`: limits of the temperature, K. `ramp`: rate of change of the setpoint, K/s. `ambient`: temperature in the
+    safe state, K.
+
+    `lag`: time constant [s] with which the air follows the setpoint. `tolerance`: a temperature counts as reached if the air
+    differs from the setpoint by at most this [K]. `temperature_uncertainty`: standard uncertainty [K] of the chamber's own
+    thermometer.
     """
 
     lowest: float
@@ -102,9 +108,10 @@ class ChamberModel:
 class NoiseModel:
     """Noise of one output, in the unit of the output.
 
-    white: random-walk coefficient N [unit·√s]; a mean over T seconds has the variance N²/T. bias_instability: flicker floor [unit];
-    resolution: size of one count [unit]. counted: True if the remainder of a count is carried to the next sample, so that only the
-    two ends of a mean are rounded. states_flicker: True if the bench file declares a bias instability, which may be zero.
+    `white`: random-walk coefficient N [unit·√s]; a mean over T seconds has the variance N²/T. `bias_instability`: flicker floor
+    [unit]. `resolution`: size of one count [unit]. `counted`: True if the remainder of a count is carried to the next sample, so
+    that only the two ends of a mean are rounded. `states_flicker`: True if the bench file declares a bias instability, which may be
+    zero.
     """
 
     white: float = 0.0
@@ -152,8 +159,8 @@ class NoiseModel:
 @dataclass(frozen=True, slots=True)
 class OutputModel:
     """One output channel: its name, the unit in which it is recorded, its full scale in that unit (for both signs), and its noise.
-    constant: True if the output is exactly constant while the table is at rest, like the output of a simulated table encoder.
-    senses: the quantity that the output senses, if the unit does not determine it."""
+    `constant`: True if the output is exactly constant while the table is at rest, like the output of a simulated table encoder.
+    `senses`: the quantity that the output senses, if the unit does not determine it."""
 
     name: str
     unit: str
@@ -165,13 +172,14 @@ class OutputModel:
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """The sensor under test. nominal: declared coefficients (SI values by name), at which predictions are linearised.
+    """The sensor under test. `nominal`: declared coefficients (SI values by name), at which predictions are linearised.
 
-    modes: operating modes that the driver can set, such as caged or navigation; empty if the sensor has only one. one_rate: True if
-    the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. thermal_lag: time constant [s] with
-    which the temperature of the sensor follows the temperature of the air; 0 if not declared. records_angle: True if the sensor
-    records the table's angle about one axis, so that motion about several axes cannot be recorded. nominal_supply: supply voltage
-    [V] at which the effects of the supply are zero. stabilised: True if gimbals decouple the outputs from the motion of the table.
+    `modes`: operating modes that the driver can set, such as caged or navigation; empty if the sensor has only one. `one_rate`:
+    True if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. `thermal_lag`: time constant
+    [s] with which the temperature of the sensor follows the temperature of the air; 0 if not declared. `records_angle`: True if the
+    sensor records the table's angle about one axis, so that motion about several axes cannot be recorded. `nominal_supply`: supply
+    voltage [V] at which the effects of the supply are zero. `stabilised`: True if gimbals decouple the outputs from the motion of
+    the table.
     """
 
     kind: str
@@ -195,7 +203,7 @@ class SensorModel:
 
 def rate_refused(asked: float | None, own: float, one_rate: bool) -> str:
     """The reason why a sensor with the sample rate `own` [Hz] cannot be sampled at `asked` [Hz]; empty if it can be, or if `asked`
-    is None. one_rate: True if the sensor can only be sampled at `own`, False if also at lower rates."""
+    is None. `one_rate`: True if the sensor can only be sampled at `own`, False if also at lower rates."""
     if asked is None or abs(asked / own - 1) <= 1e-9:
         return ""
     if one_rate:

@@ -101,9 +101,11 @@ class RecordingPlayer(PlaysBack):
         piece: float = math.inf,
         notice: Announce | None = None,
     ) -> RecordingPlayer:
-        """Opens a player for the files at `paths`, each of which continues the previous one. table: file with the table of
-        segments; piece: length [s] of the longest block; notice: receives the progress while a whole file is read. Raises
-        `InstrumentError` if the files do not contain the described recording."""
+        """Opens a player for the files at `paths`, each of which continues the previous one.
+
+        `table`: file with the table of segments. `piece`: length [s] of the longest block. `notice`: receives the progress while a
+        whole file is read. Raises `InstrumentError` if the files do not contain the described recording.
+        """
         columns = {name: channel.column for name, channel in parameters.channels.items()}
         parts = [RecordedFile(path, name) for path, name in zip(paths, parameters.files, strict=True)]
         pause = parameters.pause_between_files

@@ -55,8 +55,11 @@ def beneath(root: Path | None, name: str) -> Path:
 
 
 class RecordingFile(Protocol):
-    """A recording that can be read repeatedly. origin: time of the first row, s; interval: median time between the first rows, s,
-    NaN if there is only one row; about: approximate number of rows, used to display progress."""
+    """A recording that can be read repeatedly.
+
+    `origin`: time of the first row, s. `interval`: median time between the first rows, s, NaN if there is only one row. `about`:
+    approximate number of rows, used to display progress.
+    """
 
     @property
     def origin(self) -> float: ...
@@ -80,7 +83,7 @@ class RecordingFile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """One file of a recording. name: name of the file, used in messages."""
+    """One file of a recording. `name`: name of the file, used in messages."""
 
     path: Path
     name: str
@@ -95,9 +98,9 @@ def open_recording(
 ) -> RecordingFile:
     """Opens the files `parts` as one recording, in this order, after a check of their columns and first rows.
 
-    channels: for each channel, the name of its column; given: format from the bench file; None if the extension of each file name
-    determines it. pause: time [s] between the last row of a file and the first row of the next one if time starts again in each
-    file; None if the time continues. Raises `InstrumentError` if a file cannot be read or lacks a column.
+    `channels`: for each channel, the name of its column. `given`: format from the bench file; None if the extension of each file
+    name determines it. `pause`: time [s] between the last row of a file and the first row of the next one if time starts again in
+    each file; None if the time continues. Raises `InstrumentError` if a file cannot be read or lacks a column.
     """
     files = []
     for part in parts:
@@ -108,7 +111,7 @@ def open_recording(
 
 
 class _Joined:
-    """Several files, read one after the other as one recording. counted: True if the files contain no time and rows are counted
+    """Several files, read one after the other as one recording. `counted`: True if the files contain no time and rows are counted
     instead, through all files."""
 
     def __init__(self, files: tuple[AnyFile, ...], pause: float | None, counted: bool):
@@ -121,8 +124,8 @@ class _Joined:
         return tuple(f"{file.name}: {remark}" for file in self.files for remark in file.remarks)
 
     def _shift(self, file: AnyFile, last: float, first: float) -> float:
-        """The time [s] that is added to the times of a file. last: time of the last row of the previous file; first: first time in
-        this file."""
+        """The time [s] that is added to the times of a file. `last`: time of the last row of the previous file. `first`: first time
+        in this file."""
         period = 0.0 if math.isnan(self.interval) else self.interval
         if self.counted:
             return last + period - first
@@ -165,8 +168,8 @@ class _Joined:
 
 @dataclass(frozen=True, slots=True)
 class HeldRecording:
-    """A recording in memory, so that many intervals can be read after one pass over its files. time: (n,), s; columns: the values
-    (n,) of each channel."""
+    """A recording in memory, so that many intervals can be read after one pass over its files. `time`: array of shape (n,) in s.
+    `columns`: the values (n,) of each channel."""
 
     origin: float
     interval: float
@@ -213,7 +216,7 @@ class HeldRecording:
 def at_hand(file: RecordingFile, name: str = "", notice: Announce | None = None) -> RecordingFile:
     """Returns the same recording in a form from which many intervals can be read quickly. A recording of at most `HELD` rows is
     kept in memory. A longer one is copied to a temporary Parquet file, because in other formats all preceding rows must be read to
-    reach an interval. name: name of the file, used in the progress that `notice` receives. Raises `InstrumentError` if the
+    reach an interval. `name`: name of the file, used in the progress that `notice` receives. Raises `InstrumentError` if the
     recording cannot be read or the copy cannot be written."""
     held = HeldRecording.of(file, HELD, Pace(f"reading {name}", min(file.about, HELD), notice))
     if held is not None:

@@ -121,7 +121,7 @@ class ChannelColumn(Record):
 
     def white(self, sample_rate: float) -> float:
         """The random-walk coefficient N of the white noise, in the unit of the channel times √s; 0 if no noise is declared.
-        sample_rate: in Hz."""
+        `sample_rate`: in Hz."""
         factor = unit(self.unit).factor
         if self.noise is not None:
             return width(self.noise) / factor / math.sqrt(sample_rate)
@@ -130,8 +130,8 @@ class ChannelColumn(Record):
         return 0.0 if self.random_walk is None else self.random_walk.value / factor
 
     def amount(self, name: str, otherwise: float = 0.0) -> float:
-        """The bias instability, the resolution or the full scale in the unit of the channel. name: name of the key; otherwise: the
-        result if the key is absent."""
+        """The bias instability, the resolution or the full scale in the unit of the channel. `name`: name of the key. `otherwise`:
+        the result if the key is absent."""
         value: Quantity | None = getattr(self, name)
         return otherwise if value is None else width(value) / unit(self.unit).factor
 
@@ -301,7 +301,7 @@ def width(quantity: Quantity) -> float:
 
 
 def _check_dimension(channel: ChannelColumn, name: str, times: str, log: Findings) -> None:
-    """Checks that a declared quantity has the dimension of the channel. times: a factor by which the unit of the channel is
+    """Checks that a declared quantity has the dimension of the channel. `times`: a factor by which the unit of the channel is
     multiplied, such as `*sqrt(s)`, or an empty text."""
     value: Quantity | None = getattr(channel, name)
     if value is None:

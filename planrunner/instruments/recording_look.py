@@ -66,10 +66,10 @@ _NAME = re.compile(r"[^A-Za-z0-9_]+")
 class LikelyChannel:
     """A column that is probably a channel.
 
-    unit: the probable unit. counts: True if the numbers are raw counts, with `per_unit` counts per unit. noise: standard deviation
-    of a sample at rest, in `unit`; 0 if the channel is constant at rest, NaN if the noise is unknown. source: what shows the unit:
-    `name` for the name of the column, `size` for the size of its values, `motion` for turns that the accelerometers also show.
-    stands: True if the channel never changes."""
+    `unit`: the probable unit. `counts`: True if the numbers are raw counts, with `per_unit` counts per unit. `noise`: standard
+    deviation of a sample at rest, in `unit`; 0 if the channel is constant at rest, NaN if the noise is unknown. `source`: what
+    shows the unit: `name` for the name of the column, `size` for the size of its values, `motion` for turns that the accelerometers
+    also show. `stands`: True if the channel never changes."""
 
     name: str
     column: str
@@ -91,8 +91,8 @@ class LikelyChannel:
 class WindowLevels:
     """Mean and standard deviation (scatter) of each column in successive windows.
 
-    begin, end: (n,), start and end times of the windows, s; size: number of rows in a window; mean, scatter: for each column, the
-    values (n,); both are NaN if a window contains fewer than two numbers."""
+    `begin`, `end`: arrays of shape (n,), start and end times of the windows, s. `size`: number of rows in a window. `mean`,
+    `scatter`: for each column, the values (n,); both are NaN if a window contains fewer than two numbers."""
 
     begin: Array
     end: Array
@@ -115,11 +115,11 @@ class WindowLevels:
 class Look:
     """Properties that were found in a recording.
 
-    time: the column of the time; None if rows are counted. rate: sample rate, Hz. other: columns that are not channels. sparse:
-    columns that contain less than half as many numbers as the fullest column of a gyro or accelerometer. still: spans without
-    motion. backwards: number of rows whose time does not increase; if there are any, rows are counted instead. pauses: number of
-    pauses, and the length of the shortest one, s. motion: comparison of gyros and accelerometers during turns; None if it gives no
-    clear result."""
+    `time`: the column of the time; None if rows are counted. `rate`: sample rate, Hz. `other`: columns that are not channels.
+    `sparse`: columns that contain less than half as many numbers as the fullest column of a gyro or accelerometer. `still`: spans
+    without motion. `backwards`: number of rows whose time does not increase; if there are any, rows are counted instead. `pauses`:
+    number of pauses, and the length of the shortest one, s. `motion`: comparison of gyros and accelerometers during turns; None if
+    it gives no clear result."""
 
     file: str
     format: Format | None
@@ -163,7 +163,7 @@ class Look:
 
 
 def look_at(path: Path, rate: float | None = None, notice: Announce | None = None) -> Look:
-    """Examines a recording. rate: sample rate [Hz] of a file without a time. Raises `InputError` if the file cannot be read, or
+    """Examines a recording. `rate`: sample rate [Hz] of a file without a time. Raises `InputError` if the file cannot be read, or
     contains no time or no inertial channel."""
     try:
         given = guessed_format(path, path.name)
@@ -209,8 +209,8 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
 class _Clock:
     """Observes the time column: rows in which time does not increase, steps longer than `pause` [s], and the total time.
 
-    times: times of the rows that were yielded last, s after the first row. stamp: after the last row, None if the column is not a
-    time."""
+    `times`: times of the rows that were yielded last, s after the first row. `stamp`: after the last row, None if the column is not
+    a time."""
 
     def __init__(self, stamp: LikelyTime | None, pause: float):
         self._stamp = stamp
@@ -378,7 +378,7 @@ def _levels(table: Array) -> tuple[Array, Array]:
 def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
     """The same windows, with times that are computed from the number of rows.
 
-    rate: sample rate, Hz."""
+    `rate`: sample rate, Hz."""
     begin = np.arange(float(len(windows.begin))) * (windows.size / rate)
     return replace(windows, begin=begin, end=begin + windows.size / rate)
 

@@ -31,8 +31,8 @@ _CLEARLY = 3.0  # times this error, and more, for any other explanation of anoth
 class TurnComparison:
     """Result of the comparison of gyros with accelerometers.
 
-    unit: unit of the gyros. axes: for the gyros x, y and z, the axis of the accelerometers about which each one measures, with its
-    sign. error: median angle [deg] between the direction of gravity that is measured after a turn and the direction that is
+    `unit`: unit of the gyros. `axes`: for the gyros x, y and z, the axis of the accelerometers about which each one measures, with
+    its sign. `error`: median angle [deg] between the direction of gravity that is measured after a turn and the direction that is
     computed from the gyros."""
 
     unit: str
@@ -48,8 +48,8 @@ class TurnComparison:
 class _Turn:
     """One turn between two intervals at rest.
 
-    before, after: (3,), direction of gravity before and after the turn; steps: (n, 3), outputs of the gyros without their bias,
-    integrated over successive windows, in the unit of the gyros times s."""
+    `before`, `after`: arrays of shape (3,), direction of gravity before and after the turn. `steps`: array of shape (n, 3), outputs
+    of the gyros without their bias, integrated over successive windows, in the unit of the gyros times s."""
 
     before: Array
     after: Array
@@ -60,7 +60,8 @@ def turns_compared(gyro: Array, accel: Array, begin: Array, end: Array, still: S
     """Compares gyros with accelerometers over the turns between the intervals at rest `still`.
 
     Returns None if there are fewer than `LEAST_TURNS` turns, if gyros and accelerometers agree for no unit and no axes, or if they
-    agree for several. gyro, accel: (n, 3), means over windows; begin, end: (n,), start and end times of the windows, s."""
+    agree for several. `gyro`, `accel`: arrays of shape (n, 3), means over windows. `begin`, `end`: arrays of shape (n,), start and
+    end times of the windows, s."""
     turns = list(_turns(gyro, accel, begin, end, still))
     if len(turns) < LEAST_TURNS:
         return None
@@ -111,8 +112,8 @@ def _error(turns: Sequence[_Turn], matrix: Array) -> float:
     """Median angle [deg] between the direction of gravity that is measured after a turn and the direction that is computed from the
     gyros.
 
-    In the axes of the sensor, a direction u that is fixed in space follows du/dt = -ω × u. matrix: converts outputs of the gyros to
-    rates in rad/s about the axes of the accelerometers."""
+    In the axes of the sensor, a direction u that is fixed in space follows du/dt = -ω × u. `matrix`: converts outputs of the gyros
+    to rates in rad/s about the axes of the accelerometers."""
     from scipy.spatial.transform import Rotation
 
     angles = []

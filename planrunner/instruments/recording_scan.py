@@ -30,8 +30,11 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """An interval that a plan requires. span: the interval in the table, after trimming; dwell: length [s] of the part to be
-    played, None for the whole interval. mark: line of the interval in the table."""
+    """An interval that a plan requires.
+
+    `span`: the interval in the table, after trimming. `dwell`: length [s] of the part to be played, None for the whole interval.
+    `mark`: line of the interval in the table.
+    """
 
     label: str
     span: Span
@@ -47,8 +50,8 @@ class Wanted:
 
 @dataclass(slots=True)
 class _Seen:
-    """What a pass over the recording found in one interval. gap: length [s] of the longest gap between samples; at: time at which
-    this gap starts."""
+    """What a pass over the recording found in one interval. `gap`: length [s] of the longest gap between samples. `at`: time at
+    which this gap starts."""
 
     rows: int = 0
     complete: int = 0
@@ -74,7 +77,7 @@ class _Seen:
 
 @dataclass(slots=True)
 class _Pass:
-    """What one pass over a recording has found so far. faults: descriptions of the first rows whose time is wrong; wrong: total
+    """What one pass over a recording has found so far. `faults`: descriptions of the first rows whose time is wrong. `wrong`: total
     number of such rows."""
 
     period: float
@@ -87,7 +90,7 @@ class _Pass:
     missing: dict[str, int] = field(default_factory=dict)
 
     def take(self, first: int, time: Array, columns: Mapping[str, Array], wanted: Sequence[Wanted]) -> None:
-        """Processes the next rows. first: number of the first of these rows."""
+        """Processes the next rows. `first`: number of the first of these rows."""
         self.rows += len(time)
         for name, values in columns.items():
             self.missing[name] = self.missing.get(name, 0) + int(np.count_nonzero(~np.isfinite(values)))
@@ -122,9 +125,11 @@ def scan(
     log: Findings,
     notice: Announce | None = None,
 ) -> Span | None:
-    """Adds all faults of a recording to `log`. name: name of the file, used in messages; sample_rate: declared sample rate, Hz;
-    notice: receives the progress. Returns the span of the recording; None if times in it are wrong. Raises `InstrumentError` if the
-    file cannot be read to its end."""
+    """Adds all faults of a recording to `log`.
+
+    `name`: name of the file, used in messages. `sample_rate`: declared sample rate, Hz. `notice`: receives the progress. Returns
+    the span of the recording; None if times in it are wrong. Raises `InstrumentError` if the file cannot be read to its end.
+    """
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])
     pace = Pace(f"checking {name}", file.about, notice)

@@ -28,7 +28,7 @@ LabelledRow = Mapping[str, str | None]
 
 @dataclass(frozen=True, slots=True)
 class SegmentTable:
-    """The intervals of a recording by label, after trimming, and the line of each label in the table. name: name of the file with
+    """The intervals of a recording by label, after trimming, and the line of each label in the table. `name`: name of the file with
     the table, used in messages."""
 
     name: str
@@ -43,8 +43,10 @@ class SegmentTable:
 
 
 def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], scale: float, trim: float) -> SegmentTable:
-    """Reads the table of segments at `path`. columns: names of the columns of the label, start and end; scale: seconds per unit of
-    start and end; trim: time [s] omitted at both ends of each segment.
+    """Reads the table of segments at `path`.
+
+    `columns`: names of the columns of the label, start and end. `scale`: seconds per unit of start and end. `trim`: time [s]
+    omitted at both ends of each segment.
 
     Raises `InstrumentError` with the line of the fault.
     """
@@ -58,8 +60,8 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], sca
 
 
 def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tuple[str, int, LabelledRow]]:
-    """Yields the rows of a CSV table, each as label, line number and cells. columns: names of the columns that the table must have,
-    first the column of the labels. name: name of the file, used in messages.
+    """Yields the rows of a CSV table, each as label, line number and cells. `columns`: names of the columns that the table must
+    have, first the column of the labels. `name`: name of the file, used in messages.
 
     Raises `InstrumentError` with the line of the fault; every label must be present and unique.
     """
@@ -89,7 +91,7 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
 
 
 def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, scale: float, trim: float) -> Span:
-    """The interval that a row states. columns: names of the columns of the start and the end."""
+    """The interval that a row states. `columns`: names of the columns of the start and the end."""
     times = []
     for column in columns:
         try:
@@ -109,7 +111,7 @@ def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, scal
 
 def stretches(file: RecordingFile, pause: float, name: str = "", notice: Announce | None = None) -> tuple[Span, ...]:
     """Divides a recording at its pauses, which are steps of time longer than `pause` [s]; returns the parts between pauses. Each
-    part ends one sample period after its last row. name: name of the file, used in the progress that `notice` receives.
+    part ends one sample period after its last row. `name`: name of the file, used in the progress that `notice` receives.
 
     Raises `InstrumentError` if the file cannot be read.
     """

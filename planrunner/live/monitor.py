@@ -36,7 +36,7 @@ RunOutcome = Literal["finished", "not finished", "unreadable"]
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """Data of a run from its run.json; the texts are empty if the file cannot be read. started: time of the start, UTC, ISO 8601."""
+    """Data of a run from its run.json; the texts are empty if the file cannot be read. `started`: time of the start, UTC, ISO 8601."""
 
     run: str
     plan: str = ""
@@ -56,7 +56,7 @@ class RunHeader:
 
 @dataclass(frozen=True, slots=True)
 class RunningRun:
-    """A run that is in progress. asked_to_pause: True if a pause is requested, even if the pause has not begun."""
+    """A run that is in progress. `asked_to_pause`: True if a pause is requested, even if the pause has not begun."""
 
     header: RunHeader
     state: LiveState
@@ -68,8 +68,8 @@ class RunningRun:
 
 @dataclass(frozen=True, slots=True)
 class RecentRun:
-    """A recent run that is not in progress. segments: number of recorded segments. reason: the last failure in the journal; empty
-    if there is none."""
+    """A recent run that is not in progress. `segments`: number of recorded segments. `reason`: the last failure in the journal;
+    empty if there is none."""
 
     header: RunHeader
     outcome: RunOutcome
@@ -97,8 +97,11 @@ class Activity:
 
 @dataclass(slots=True)
 class _Pulse:
-    """The last live state of a run. at: the time that this state contains. seen: time when this state was first seen, s. alive:
-    True if the folder of the run was locked; None if this has not been tested for this state."""
+    """The last live state of a run.
+
+    `at`: the time that this state contains. `seen`: time when this state was first seen, s. `alive`: True if the folder of the run
+    was locked; None if this has not been tested for this state.
+    """
 
     at: str
     seen: float
@@ -216,7 +219,7 @@ class Monitor:
             raise self._refused(run, f"the run folder cannot be written: {error.strerror or error}") from None
 
     def answer(self, run: str, question: str, by: str) -> None:
-        """Confirms the prompt that a run shows. by: name of the person. Raises `InputError`."""
+        """Confirms the prompt that a run shows. `by`: name of the person. Raises `InputError`."""
         folder = self._written(run)
         name = " ".join(by.split())
         if not name or len(name) > LONGEST_NAME or not name.isprintable():

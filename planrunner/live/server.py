@@ -134,7 +134,7 @@ class RefusedRequestError(Exception):
 
 
 class LiveServer(ThreadingHTTPServer):
-    """Serves the live page of an archive until `shutdown`. port: port number; 0 selects a free port. Raises `InputError` if the
+    """Serves the live page of an archive until `shutdown`. `port`: port number; 0 selects a free port. Raises `InputError` if the
     port is not available."""
 
     daemon_threads = True

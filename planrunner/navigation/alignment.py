@@ -37,12 +37,15 @@ _PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; so wid
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Result of an alignment. rotation: (3, 3), body axes as columns in East-North-Up. covariance: (16, 16), covariance of the
-    errors that remain: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn, in body
-    axes. constant: (6,), estimates of the constant sensor errors, rad/s and m/s². consistency: root mean square of the innovations,
-    each divided by its expected standard deviation; about 1 is normal, and less than 1 is harmless. largest: the largest
-    innovation, m/s. followed: (16, 6, m), the errors that remain if one of the 6 sensors has an error of 1 rad/s or 1 m/s² in one
-    of m intervals of the alignment; m = 0 unless the intervals are requested."""
+    """Result of an alignment.
+
+    `rotation`: array of shape (3, 3), body axes as columns in East-North-Up. `covariance`: array of shape (16, 16), covariance of
+    the errors that remain: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn, in
+    body axes. `constant`: array of shape (6,), estimates of the constant sensor errors, rad/s and m/s². `consistency`: root mean
+    square of the innovations, each divided by its expected standard deviation; about 1 is normal, and less than 1 is harmless.
+    `largest`: the largest innovation, m/s. `followed`: array of shape (16, 6, m), the errors that remain if one of the 6 sensors
+    has an error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0 unless the intervals are requested.
+    """
 
     rotation: Array
     covariance: Array
@@ -58,7 +61,7 @@ class Alignment:
 
 
 def coarse(rate: Array, force: Array) -> Array:
-    """The body axes (3, 3) as columns in East-North-Up. rate, force: mean rate and mean specific force in body axes, (3,) each."""
+    """The body axes (3, 3) as columns in East-North-Up. `rate`, `force`: mean rate and mean specific force in body axes, (3,) each."""
     up = force / np.linalg.norm(force)
     east = np.cross(rate, up)
     east /= np.linalg.norm(east)
@@ -77,10 +80,10 @@ class FineAlignment:
         constant: Array | None = None,
         follow: float | None = None,
     ):
-        """density: (6, 6), in navigation axes, variance per second of the integrated outputs of the gyros [rad²/s] and
-        accelerometers [(m/s)²/s]. seconds: time between knots, the output times of the navigator. constant: (6,), standard
-        uncertainty of the constant sensor errors before the alignment; None if they are not estimated. follow: length of the
-        intervals for `Alignment.followed`, s; None if the intervals are not requested."""
+        """`density`: array of shape (6, 6), in navigation axes, variance per second of the integrated outputs of the gyros [rad²/s]
+        and accelerometers [(m/s)²/s]. `seconds`: time between knots, the output times of the navigator. `constant`: array of shape
+        (6,), standard uncertainty of the constant sensor errors before the alignment; None if they are not estimated. `follow`:
+        length of the intervals for `Alignment.followed`, s; None if the intervals are not requested."""
         self._transition = np.eye(_ALL)
         self._transition[:SIZE, :SIZE], self._response = equations.step(seconds)
         self._added = np.zeros((_ALL, _ALL))
@@ -93,9 +96,12 @@ class FineAlignment:
         self._followed = np.zeros((_ALL, 0))
 
     def take(self, velocities: Array, rotations: Array, turns: Array) -> None:
-        """Processes the measurements at the next m knots. velocities: (m, 2), velocity east and north, m/s; rotations: (m, 3, 3),
-        body axes as columns, averaged over the time before each knot; turns: (m,), mean rate about the vertical in this time,
-        rad/s."""
+        """Processes the measurements at the next m knots.
+
+        `velocities`: array of shape (m, 2), velocity east and north, m/s. `rotations`: array of shape (m, 3, 3), body axes as
+        columns, averaged over the time before each knot. `turns`: array of shape (m,), mean rate about the vertical in this time,
+        rad/s.
+        """
         for first in range(0, len(velocities), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             transitions = self._transitions(rotations[part], turns[part])
@@ -139,8 +145,8 @@ class FineAlignment:
         self._followed = kept @ errors
 
     def finish(self, rotation: Array) -> Alignment:
-        """Returns the result of the alignment. rotation: (3, 3), attitude of the navigator less than one knot interval after the
-        last knot."""
+        """Returns the result of the alignment. `rotation`: array of shape (3, 3), attitude of the navigator less than one knot
+        interval after the last knot."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
         constant = self._state[SIZE : SIZE + INPUTS].copy()

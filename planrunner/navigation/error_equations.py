@@ -29,8 +29,8 @@ _TERMS = 16
 
 @dataclass(frozen=True, slots=True)
 class ErrorEquations:
-    """The equations ẋ = dynamics·x + inputs·(ε, ∇) of the state x: two position errors, two velocity errors, three tilts. dynamics: (7,
-    7); inputs: (7, 6)."""
+    """The equations ẋ = dynamics·x + inputs·(ε, ∇) of the state x: two position errors, two velocity errors, three tilts.
+    `dynamics`: array of shape (7, 7). `inputs`: array of shape (7, 6)."""
 
     dynamics: Array
     inputs: Array
@@ -64,7 +64,7 @@ class ErrorEquations:
     def noise(self, density: Array, seconds: float) -> Array:
         """The covariance (7, 7) that white noise of the inputs adds over a time (Van Loan, IEEE Trans. Automatic Control 23, 1978).
 
-        density: (6, 6), variance per second of the integrated inputs, in rad²/s and (m/s)²/s."""
+        `density`: array of shape (6, 6), variance per second of the integrated inputs, in rad²/s and (m/s)²/s."""
         both = np.zeros((2 * SIZE, 2 * SIZE))
         both[:SIZE, :SIZE] = -self.dynamics
         both[:SIZE, SIZE:] = self.inputs @ density @ self.inputs.T
@@ -83,8 +83,8 @@ class ErrorEquations:
             yield covariance
 
     def responses(self, start: Array, inputs: Array, seconds: float) -> Array:
-        """The states (n, 7, k) after each of n intervals of `seconds`. start: (7, k), initial states; inputs: (n, 6, k), averaged
-        over each interval."""
+        """The states (n, 7, k) after each of n intervals of `seconds`. `start`: array of shape (7, k), initial states. `inputs`:
+        array of shape (n, 6, k), averaged over each interval."""
         transition, response = self.step(seconds)
         found = np.empty((len(inputs), *start.shape))
         state = start

@@ -43,8 +43,8 @@ _SMALL = 0.01  # rad²; below, the series of the half-angle functions are exact 
 
 @compiled()
 def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
-    """The rotation vector and the velocity increment of an interval, in body axes. t, u: angle and velocity increments of this
-    interval; a, b: angle and velocity increments of the preceding interval."""
+    """The rotation vector and the velocity increment of an interval, in body axes. `t`, `u`: angle and velocity increments of this
+    interval. `a`, `b`: angle and velocity increments of the preceding interval."""
     tx, ty, tz = t
     ux, uy, uz = u
     ax, ay, az = a
@@ -136,8 +136,8 @@ def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
-    """The velocity after an interval, and the rate of the navigation axes in the middle of the interval. d: velocity increment, in
-    the navigation axes at the start of the interval; place: result of `_earth_at`."""
+    """The velocity after an interval, and the rate of the navigation axes in the middle of the interval. `d`: velocity increment,
+    in the navigation axes at the start of the interval. `place`: result of `_earth_at`."""
     ve, vn, vu = v
     de, dn, du = d
     to_north, to_east, _, tangent, gravity, earth_n, earth_u = place
@@ -157,11 +157,11 @@ def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
 def advance(state, increments, interval, aiding, earth, gains, held, every, knots):  # type: ignore[no-untyped-def]
     """Advances `state` (18,) in place over n samples; returns the number of knots (output points) that were written.
 
-    increments: (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z. interval: (n,), length of the sampling
-    intervals, s. aiding: (n,), reference height [m] for the damped vertical channel, or (1,) if it is constant. earth: (rotation
-    rate [rad/s], factor on normal gravity). gains: (3,), gains of the third-order vertical loop [1/s, 1/s², 1/s³]; zeros for a free
-    vertical channel. held: True if height and vertical velocity keep their values. every: number of steps between two knots,
-    counted since the state was made. knots: (m, 10), output, filled in order.
+    `increments`: (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z. `interval`: (n,), length of the sampling
+    intervals, s. `aiding`: (n,), reference height [m] for the damped vertical channel, or (1,) if it is constant. `earth`:
+    (rotation rate [rad/s], factor on normal gravity). `gains`: (3,), gains of the third-order vertical loop [1/s, 1/s², 1/s³];
+    zeros for a free vertical channel. `held`: True if height and vertical velocity keep their values. `every`: number of steps
+    between two knots, counted since the state was made. `knots`: (m, 10), output, filled in order.
     """
     q = (state[0], state[1], state[2], state[3])
     ve, vn, vu = state[4], state[5], state[6]

@@ -16,8 +16,11 @@ LOOP_TIME = 100.0  # s; time constant of the damped vertical channel
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """The output of the navigator at m times (knots). attitude: (m, 4), quaternions; velocity: (m, 3), m/s, east, north, up;
-    latitude, longitude: (m,), rad; height: (m,), m."""
+    """The output of the navigator at m times (knots).
+
+    `attitude`: array of shape (m, 4), quaternions. `velocity`: array of shape (m, 3) in m/s, east, north, up. `latitude`,
+    `longitude`: arrays of shape (m,) in rad. `height`: array of shape (m,) in m.
+    """
 
     attitude: Array
     velocity: Array
@@ -49,10 +52,11 @@ class Navigator:
         every: int = 1,
         last: Array | None = None,
     ):
-        """quaternion: (4,), scalar first, from body axes to East-North-Up. velocity: (3,), m/s. position: latitude, longitude
-        [rad], height [m]. vertical: `held`, `damped` or `free`; `held` means that height and vertical velocity keep their values.
-        gravity_factor: factor on normal gravity. every: number of steps between two output points (knots). last: (6,), the
-        increments of the interval before the first step, for coning and sculling; None means zeros."""
+        """`quaternion`: array of shape (4,), scalar first, from body axes to East-North-Up. `velocity`: array of shape (3,) in m/s.
+        `position`: latitude, longitude [rad], height [m]. `vertical`: `held`, `damped` or `free`; `held` means that height and
+        vertical velocity keep their values. `gravity_factor`: factor on normal gravity. `every`: number of steps between two output
+        points (knots). `last`: array of shape (6,), the increments of the interval before the first step, for coning and sculling;
+        None means zeros."""
         from planrunner.navigation import kernel
 
         self._kernel = kernel
@@ -71,8 +75,9 @@ class Navigator:
     def advance(self, increments: Array, interval: Array, reference_height: Array | None = None) -> Knots:
         """Processes n increments; returns the output points (knots) within them.
 
-        increments: (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z over intervals of the lengths (n,) [s].
-        reference_height: (n,) or (1,), m, for the damped vertical channel; by default the initial height.
+        `increments`: array of shape (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z over intervals of the
+        lengths (n,) [s]. `reference_height`: array of shape (n,) or (1,), m, for the damped vertical channel; by default the
+        initial height.
         """
         knots = np.empty((interval.size // self.every + 1, self._kernel.KNOT))
         aiding = self._height if reference_height is None else reference_height

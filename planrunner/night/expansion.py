@@ -31,11 +31,11 @@ Measurement = tuple[Path, str, tuple[tuple[str, str], ...]]
 class PlannedTest:
     """One test of a night, which is one run of a plan.
 
-    name: unique name of the test, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. entry: name of the plan
-    in the suite file. matrix: run information from the matrix. parameters: values for parameters of the plan. information: all run
-    information that the suite gives for the test, whether or not the plan asks for it. after: indices of the tests that must have
-    ended before this test begins. needs: indices of the tests that must have passed before it begins. mark: place in the suite file
-    that causes the test. standard: True if the test measures the check standard of its bench.
+    `name`: unique name of the test, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. `entry`: name of the
+    plan in the suite file. `matrix`: run information from the matrix. `parameters`: values for parameters of the plan.
+    `information`: all run information that the suite gives for the test, whether or not the plan asks for it. `after`: indices of
+    the tests that must have ended before this test begins. `needs`: indices of the tests that must have passed before it begins.
+    `mark`: place in the suite file that causes the test. `standard`: True if the test measures the check standard of its bench.
     """
 
     index: int
@@ -72,8 +72,8 @@ class PlannedTest:
 
 @dataclass(frozen=True, slots=True)
 class StandardFirst:
-    """A check standard that is measured before the other tests of its bench. file: file of the plan that measures the check
-    standard. blocks: True if the other tests of the bench need the check standard to be in control."""
+    """A check standard that is measured before the other tests of its bench. `file`: file of the plan that measures the check
+    standard. `blocks`: True if the other tests of the bench need the check standard to be in control."""
 
     device: str
     file: Path
@@ -87,8 +87,8 @@ CHECK_STANDARD = "check standard"
 def expand_suite(
     suite: Suite, folder: Path, log: Findings, standards: Mapping[str, StandardFirst] = MappingProxyType({})
 ) -> tuple[PlannedTest, ...]:
-    """Makes the tests of a suite: first those that measure check standards, then the others in the order of the file. folder:
-    folder of the suite. standards: maps each bench to its check standard, if the check standard is measured first. Unknown names,
+    """Makes the tests of a suite: first those that measure check standards, then the others in the order of the file. `folder`:
+    folder of the suite. `standards`: maps each bench to its check standard, if the check standard is measured first. Unknown names,
     plans that wait for each other, and plans without a test become findings."""
     before = log.raised
     _check_names(suite, log)
@@ -204,7 +204,7 @@ def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
     """The tests of other plans for which a test waits. For each of these plans, these are the tests with the same device and bench;
-    if there are none, the tests with the same device; otherwise all tests of the plan. groups: maps (plan,), (plan, device) and
+    if there are none, the tests with the same device; otherwise all tests of the plan. `groups`: maps (plan,), (plan, device) and
     (plan, device, bench) to the tests with these properties."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
@@ -252,7 +252,7 @@ def _check_values(plan: SuitePlan, log: Findings) -> None:
 
 
 def _unknown(names: Sequence[str], known: Collection[str], key: str) -> Iterator[tuple[str, str]]:
-    """Reports unknown names, each with a hint. key: the key under which the names should be declared."""
+    """Reports unknown names, each with a hint. `key`: the key under which the names should be declared."""
     for name in names:
         if name not in known:
             yield name, closest(name, known) or f"declare it under `{key}:`"

@@ -41,8 +41,8 @@ DONE, LIMIT_FAILED, FAULT, INTERRUPTED = 0, 1, 3, 130
 
 @dataclass(slots=True)
 class Attempt:
-    """One attempt of a test: a process that runs, resumes or estimates. kind: run, resume or estimate. run: name of the attempt's
-    run folder in the archive."""
+    """One attempt of a test: a process that runs, resumes or estimates. `kind`: run, resume or estimate. `run`: name of the
+    attempt's run folder in the archive."""
 
     identity: str
     kind: str
@@ -73,7 +73,7 @@ class RecordedTest:
 
 @dataclass(slots=True)
 class NightRecord:
-    """The record of a night. state: running, interrupted, finished, or abandoned if the night was not continued."""
+    """The record of a night. `state`: running, interrupted, finished, or abandoned if the night was not continued."""
 
     zone: tzinfo | None = None
     created: JsonObject = field(default_factory=dict)

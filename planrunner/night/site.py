@@ -61,7 +61,7 @@ REPORTS = (".html", ".md")
 
 @dataclass(frozen=True, slots=True)
 class BuiltSite:
-    """A site that was written. page: the file to open in a browser. runs, devices: number of runs and of devices."""
+    """A site that was written. `page`: the file to open in a browser. `runs`, `devices`: number of runs and of devices."""
 
     page: Path
     runs: int
@@ -70,7 +70,7 @@ class BuiltSite:
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """The value of a coefficient in one run. run: index of the run in the list of runs."""
+    """The value of a coefficient in one run. `run`: index of the run in the list of runs."""
 
     run: int
     row: CoefficientRow
@@ -122,7 +122,7 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
 
 
 def _night(runs: Sequence[RunRow]) -> str:
-    """The moment from which on the wall display shows runs: a fixed time before the newest run. runs: all runs, the newest first."""
+    """The moment from which on the wall display shows runs: a fixed time before the newest run. `runs`: all runs, the newest first."""
     if not runs:
         return ""
     return (datetime.fromisoformat(runs[0].created) - NIGHT).isoformat(timespec="microseconds")

@@ -50,9 +50,11 @@ class EndOfTest(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BenchHours:
-    """The hours in which a bench may work, and the warm-up that it needs. openings: None if the bench may work at any time.
-    warm_up: duration of the warm-up, s. stays_warm: time for which the bench stays warm after a warm-up or a test, s; inf if it
-    never cools down."""
+    """The hours in which a bench may work, and the warm-up that it needs.
+
+    `openings`: None if the bench may work at any time. `warm_up`: duration of the warm-up, s. `stays_warm`: time for which the
+    bench stays warm after a warm-up or a test, s; inf if it never cools down.
+    """
 
     openings: tuple[Opening, ...] | None = None
     warm_up: float = 0.0
@@ -61,7 +63,7 @@ class BenchHours:
 
 @dataclass(frozen=True, slots=True)
 class NightHours:
-    """The hours of a night, as instants. begins, closes: instants at which the night begins and ends; `closes` is inf without a
+    """The hours of a night, as instants. `begins`, `closes`: instants at which the night begins and ends; `closes` is inf without a
     window and a budget."""
 
     begins: float
@@ -88,8 +90,11 @@ class WarmUp:
 
 @dataclass(slots=True)
 class _Test:
-    """The state of a test in a night. since: the earliest instant at which the test may begin. pending: number of tests that must
-    end before it begins. failed: how its last attempt ended, if the test waits for a repetition."""
+    """The state of a test in a night.
+
+    `since`: the earliest instant at which the test may begin. `pending`: number of tests that must end before it begins. `failed`:
+    how its last attempt ended, if the test waits for a repetition.
+    """
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
     ending: EndOfTest | None = None
@@ -101,12 +106,14 @@ class _Test:
 
 @dataclass(slots=True)
 class _Bench:
-    """The state of a bench during a night. warm_at: instant at which its last warm-up ended. last_used: instant at which its last
-    test ended. stopped: the reason why no further test begins on the bench; empty if there is none.
+    """The state of a bench during a night.
 
-    ready: maps each device to its tests that now wait only for the bench, the device and the hours, in the order of the suite.
-    first: a heap with the first such test of each device. longest: two heaps of the waiting tests, with and without a warm-up, as
-    (−planned seconds, test). An entry of a heap that is no longer valid is removed when it reaches the top.
+    `warm_at`: instant at which its last warm-up ended. `last_used`: instant at which its last test ended. `stopped`: the reason why
+    no further test begins on the bench; empty if there is none.
+
+    `ready`: maps each device to its tests that now wait only for the bench, the device and the hours, in the order of the suite.
+    `first`: a heap with the first such test of each device. `longest`: two heaps of the waiting tests, with and without a warm-up,
+    as (−planned seconds, test). An entry of a heap that is no longer valid is removed when it reaches the top.
     """
 
     running: int | None = None
@@ -120,7 +127,7 @@ class _Bench:
 
 @dataclass(slots=True)
 class NightCourse:
-    """The state of a night, and the rules by which the night continues. durations: planned time of each test, s; None if it is
+    """The state of a night, and the rules by which the night continues. `durations`: planned time of each test, s; None if it is
     unknown, in which case the test counts as short.
 
     The next action is found without examining every test: the computing time for a night grows in proportion to the number of its
@@ -395,8 +402,8 @@ class NightCourse:
         )
 
     def _starts(self, index: int, now: float, *, soonest: bool = False) -> float | None:
-        """The first instant, from now on, at which the hours permit a test to begin; None if the test no longer fits. soonest: True
-        to ignore the waiting time before a repetition of the test."""
+        """The first instant, from now on, at which the hours permit a test to begin; None if the test no longer fits. `soonest`:
+        True to ignore the waiting time before a repetition of the test."""
         test, state = self.tests[index], self._tests[index]
         limits, bench = self.hours.benches[test.bench], self._benches[test.bench]
         earliest = max(now, self.hours.begins, -math.inf if soonest else state.since, bench.warm_at or -math.inf)
@@ -453,7 +460,7 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class NightForecast:
-    """The forecast of a night. left_out: index of each test that will not run, with the reason."""
+    """The forecast of a night. `left_out`: index of each test that will not run, with the reason."""
 
     hours: NightHours
     slots: tuple[Slot, ...]

@@ -50,15 +50,15 @@ class AngleSpikes:
     """Examines the samples of one channel in one pass over a segment."""
 
     def __init__(self, channel: str, radian: float, count: float, factor: float) -> None:
-        """radian: one radian in the channel's unit. count: declared resolution in the channel's unit; 0 if none is declared.
-        factor: number of standard deviations that a spike must exceed."""
+        """`radian`: one radian in the channel's unit. `count`: declared resolution in the channel's unit; 0 if none is declared.
+        `factor`: number of standard deviations that a spike must exceed."""
         self.channel, self.radian, self.count, self.factor = channel, radian, count, factor
         self.parts: list[tuple[Array, RowNumbers, Array]] = []
         self.held, self.begun = 0, False
         self.found: list[Find] = []
 
     def add(self, values: Array, first: int, time: Array) -> None:
-        """Adds the next samples. first: row number of the first of these samples. Samples that are not finite are left out."""
+        """Adds the next samples. `first`: row number of the first of these samples. Samples that are not finite are left out."""
         for low in range(0, len(values), _PIECE):
             part = slice(low, low + _PIECE)
             self._add(values[part], first + low, time[part])

@@ -36,9 +36,12 @@ _ROUNDS = 4
 
 @dataclass
 class Averaged:
-    """One segment, averaged in bins. begin: time of the first sample, s; step: time between samples, s; time: (n,), times of the
-    bins, s; table: the means (n,) of each channel, in the channel's unit; rejected: number of rows left out because of a NaN. The
-    other fields are as in `Bins`, in SI."""
+    """One segment, averaged in bins.
+
+    `begin`: time of the first sample, s. `step`: time between samples, s. `time`: array of shape (n,), times of the bins, s.
+    `table`: the means (n,) of each channel, in the channel's unit. `rejected`: number of rows left out because of a NaN. The other
+    fields are as in `Bins`, in SI.
+    """
 
     begin: float = np.nan
     step: float = np.nan
@@ -88,8 +91,8 @@ def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
 
 
 def seen_along(bins: Bins, along: Array) -> Bins:
-    """Bins of the readings of a triad after these have been projected onto one direction for each segment. along: (S, 3), unit
-    vectors. The projected readings have no count size."""
+    """Bins of the readings of a triad after these have been projected onto one direction for each segment. `along`: array of shape
+    (S, 3), unit vectors. The projected readings have no count size."""
     energy = np.einsum("si,sij,sj->s", along, bins.energy, along)[:, None, None]
     return replace(bins, energy=energy, spikes=bins.spikes.sum(keepdims=True), levels=(np.empty(0),))
 
@@ -103,9 +106,12 @@ def averaged(
     size: int,
     encoder: tuple[str, float] | None = None,
 ) -> Averaged:
-    """Averages a segment in bins of `size` samples, in one pass. names: names of the channels, first those of the K measured
-    channels; factors: (K,), factors from the channels' units to SI; counts: (K,), size of one count, SI; smallest: (K,), smallest
-    noise that the detection of outliers assumes, SI. encoder: name of a channel that wraps, and the number of its units per turn."""
+    """Averages a segment in bins of `size` samples, in one pass.
+
+    `names`: names of the channels, first those of the K measured channels. `factors`: array of shape (K,), factors from the
+    channels' units to SI. `counts`: array of shape (K,), size of one count, SI. `smallest`: array of shape (K,), smallest noise
+    that the detection of outliers assumes, SI. `encoder`: name of a channel that wraps, and the number of its units per turn.
+    """
     out = Averaged(energy=np.zeros((len(factors),) * 2), spikes=np.zeros(len(factors), dtype=np.int64))
     out.levels = [np.empty(0) for _ in factors]
     times, means, last = [], [], None

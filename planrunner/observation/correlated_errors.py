@@ -23,10 +23,13 @@ _RESOLVED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrelatedError:
-    """An error that changes several observations together. changes: by the index of each affected output, the changes (n, r) of the
-    observations per unit of each input. parts: names of the r inputs, as for `Influence`. within: by the index of an output, the
-    contribution (n,) of the error to the variance within the segments, per unit² of the input. channel: for an error that is noise
-    of a channel, the name of this channel; otherwise empty."""
+    """An error that changes several observations together.
+
+    `changes`: by the index of each affected output, the changes (n, r) of the observations per unit of each input. `parts`: names
+    of the r inputs, as for `Influence`. `within`: by the index of an output, the contribution (n,) of the error to the variance
+    within the segments, per unit² of the input. `channel`: for an error that is noise of a channel, the name of this channel;
+    otherwise empty.
+    """
 
     quantity: InputQuantity
     changes: Mapping[int, Array]
@@ -42,8 +45,8 @@ class CorrelatedError:
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
 
     def through(self, functionals: Array, in_scatter: bool = False) -> Influence:
-        """The influence of the error on q quantities. functionals: (q, m, n), coefficients with which each quantity depends
-        linearly on the observations."""
+        """The influence of the error on q quantities. `functionals`: array of shape (q, m, n), coefficients with which each
+        quantity depends linearly on the observations."""
         moved = sum(functionals[:, output] @ change for output, change in self.changes.items())
         return Influence(self.quantity, np.asarray(moved), in_scatter, self.parts)
 

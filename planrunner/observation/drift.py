@@ -57,10 +57,13 @@ def thermometer() -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourse:
-    """One course of a drift, as columns for a fit. columns: (n, r), the same course for r parts of an output, without the unit of
-    the output. per: the unit by which the unit of the output is divided to give the unit of a fitted amplitude. parts: names of the
-    parts if there are several. order: power of the time if the course is a function of time, otherwise 0. changed: change of the
-    recorded temperature between segments, K, if the course follows the temperature and the change is significant; otherwise 0."""
+    """One course of a drift, as columns for a fit.
+
+    `columns`: array of shape (n, r), the same course for r parts of an output, without the unit of the output. `per`: the unit by
+    which the unit of the output is divided to give the unit of a fitted amplitude. `parts`: names of the parts if there are
+    several. `order`: power of the time if the course is a function of time, otherwise 0. `changed`: change of the recorded
+    temperature between segments, K, if the course follows the temperature and the change is significant; otherwise 0.
+    """
 
     name: str
     per: str
@@ -72,9 +75,12 @@ class DriftCourse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourses:
-    """The courses of a drift that may be fitted. by_evidence: True if a course is fitted only if the data show it; False if all
-    courses are fitted. fits: number of separate fits in which the same drift is looked for. shown: names of the courses that one of
-    these fits shows; every fit includes them if its segments allow it."""
+    """The courses of a drift that may be fitted.
+
+    `by_evidence`: True if a course is fitted only if the data show it; False if all courses are fitted. `fits`: number of separate
+    fits in which the same drift is looked for. `shown`: names of the courses that one of these fits shows; every fit includes them
+    if its segments allow it.
+    """
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = True
@@ -111,8 +117,8 @@ def drift_of(
 ) -> DriftCourses:
     """The courses for the observations of recorded segments.
 
-    channel: the thermometer that the plan names, or None. segments: the segments of the observations, in the same order; empty if
-    the observations are parts of segments and have no known temperature. test: all segments that the estimate uses. Raises
+    `channel`: the thermometer that the plan names, or None. `segments`: the segments of the observations, in the same order; empty
+    if the observations are parts of segments and have no known temperature. `test`: all segments that the estimate uses. Raises
     `EstimationError` if the plan requests a drift with a temperature that is not recorded.
     """
     names, by_evidence = asked(words), BY_EVIDENCE in words
@@ -146,9 +152,9 @@ def courses_by_evidence(
 ) -> tuple[DriftCourses, DriftCourses]:
     """The courses that n observations may show; and the same courses for all r rows, which are the observations and further times.
 
-    start, end: (r,), s, first those of the observations, then those of the further times; seconds: (r,), recorded time of each
-    observation, s, and 0 at the further times; kelvin: (r,), temperatures, K, None if they are not recorded. observed: number n of
-    observations.
+    `start`, `end`: arrays of shape (r,) in s, first those of the observations, then those of the further times. `seconds`: array of
+    shape (r,), recorded time of each observation, s, and 0 at the further times. `kelvin`: array of shape (r,), temperatures, K,
+    None if they are not recorded. `observed`: number n of observations.
     """
     rows = list(range(observed))
     names = asked((BY_EVIDENCE,))
@@ -178,8 +184,8 @@ def _courses(
 
 
 def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)) -> tuple[DriftCourse, ...]:
-    """Courses that are powers of the time [h] since the middle of the test, up to the highest order. start, end: (n,), s; seconds:
-    (n,), recorded time of the used samples, s."""
+    """Courses that are powers of the time [h] since the middle of the test, up to the highest order. `start`, `end`: arrays of
+    shape (n,) in s. `seconds`: array of shape (n,), recorded time of the used samples, s."""
     middle = (float(start.min()) + float(end.max())) / 2
     low, high = (start - middle) / _HOUR, (end - middle) / _HOUR
     made = []
@@ -191,9 +197,9 @@ def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)
 
 
 def _with_temperature(middle: Array, kelvin: Array, seconds: Array, names: Sequence[str]) -> tuple[DriftCourse, ...]:
-    """The courses with the temperature whose names are among `names`. middle: (n,), middle times of the segments, s; kelvin: (n,),
-    temperatures of the segments, K. The rate of change of the temperature is computed from the temperatures of the neighbouring
-    segments."""
+    """The courses with the temperature whose names are among `names`. `middle`: array of shape (n,), middle times of the segments,
+    s. `kelvin`: array of shape (n,), temperatures of the segments, K. The rate of change of the temperature is computed from the
+    temperatures of the neighbouring segments."""
     if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
         return ()
     by_level, by_rate = WITH_TEMPERATURE
@@ -218,8 +224,9 @@ def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | Non
 def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: bool) -> str | None:
     """The channel that contains the temperature; None if there is no such channel and the plan does not require one.
 
-    units: units of the channels that every segment has; channel: the channel that the plan names, or None. Raises `EstimationError`
-    if the named channel is not a recorded temperature, or if the plan requires a thermometer and there is not exactly one.
+    `units`: units of the channels that every segment has. `channel`: the channel that the plan names, or None. Raises
+    `EstimationError` if the named channel is not a recorded temperature, or if the plan requires a thermometer and there is not
+    exactly one.
     """
     thermometers = [name for name in sorted(units) if _is_temperature(units[name])]
     if channel is not None:

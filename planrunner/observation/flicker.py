@@ -39,8 +39,8 @@ def drift_span() -> Quantity:
 
 
 def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """The correlated error of each output whose bias instability is stated. span: time span around the test, over which a constant
-    is the average, s."""
+    """The correlated error of each output whose bias instability is stated. `span`: time span around the test, over which a
+    constant is the average, s."""
     outputs = observations.channels
     stated = {
         k: quantity for k, name in enumerate(outputs) if (quantity := inputs.of_output(Aspect.BIAS_INSTABILITY, name))
@@ -74,8 +74,8 @@ def _root(covariance: Array) -> Array:
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
     """The flicker with B = 1, in the output's unit, of each output for which the bench file states no bias instability. For
-    expected observations there is none, because these contain only declared effects. span: time span around the test, over which a
-    constant is the average, s."""
+    expected observations there is none, because these contain only declared effects. `span`: time span around the test, over which
+    a constant is the average, s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
     return _effects(observations, silent, span)
@@ -91,8 +91,8 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
     """The covariance (n, n) of means over n segments of flicker noise with B = 1, after its average over `span` [s] around the
     segments has been subtracted.
 
-    start, end: (n,), start and end times of the segments, s. A span shorter than the time from the first start to the last end is
-    extended to that time.
+    `start`, `end`: arrays of shape (n,), start and end times of the segments, s. A span shorter than the time from the first start
+    to the last end is extended to that time.
     """
     first, last = float(start.min()), float(end.max())
     middle, half = (first + last) / 2, max(span, last - first) / 2
@@ -104,8 +104,8 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
 
 def weighted_covariance(weights: Array, step: float, span: float) -> Array:
     """The covariance (…, q, q) of q weighted sums of means over n consecutive intervals of the length `step` [s]. The means are
-    those of flicker noise with B = 1, after its average over `span` [s] around the intervals has been subtracted. weights: (…, q,
-    n).
+    those of flicker noise with B = 1, after its average over `span` [s] around the intervals has been subtracted. `weights`: array
+    of shape (…, q, n).
 
     For intervals of equal length, the result agrees with that of `mean_covariance`. The covariance of two means then depends only
     on the distance between their intervals. The product of this covariance with the weights is therefore a convolution (a Toeplitz
@@ -166,7 +166,7 @@ def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) ->
     A mean over the time T has the variance (c − ln T + 3/2)/π, where c is a constant. The variance of one batch mean is therefore
     larger than that of the mean of all batches by ln b/π. If functions of time are fitted to the batch means, the fit removes a
     part of the flicker. The contribution is then tr(R·K·R)/(b·ν), where R is the projection onto what the fit leaves, K the
-    covariance of the batch means, and ν the number of degrees of freedom. courses: the fitted functions, as in `Observations`.
+    covariance of the batch means, and ν the number of degrees of freedom. `courses`: the fitted functions, as in `Observations`.
     """
     b = np.maximum(batches, 2).astype(float)
     plain = np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)

@@ -22,10 +22,13 @@ _UNIT = 0.05  # deviation of the norm of a quaternion from 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionShown:
-    """A motion that recorded channels show. table: angle, rate and acceleration of an axis with an encoder, (n,) each; zero without
-    an encoder. course: the motion if channels other than an encoder show it; None if an encoder shows it. averaging: number of
-    consecutive samples to average. usable: (n,), True for samples with neighbours on both sides. differences: True if rates are
-    computed as differences between the two neighbours of a sample."""
+    """A motion that recorded channels show.
+
+    `table`: angle, rate and acceleration of an axis with an encoder, (n,) each; zero without an encoder. `course`: the motion if
+    channels other than an encoder show it; None if an encoder shows it. `averaging`: number of consecutive samples to average.
+    `usable`: array of shape (n,), True for samples with neighbours on both sides. `differences`: True if rates are computed as
+    differences between the two neighbours of a sample.
+    """
 
     table: Mapping[str, Array]
     course: BodyMotion | None
@@ -46,8 +49,10 @@ class MotionShown:
 def recorded_course(
     motion: RecordedMotion, attitude: Array | None, site: Site, time: Array, shown: Mapping[str, Array]
 ) -> MotionShown:
-    """The motion at n samples, computed from recorded channels. attitude: attitude of the sensor at the first sample of the
-    segment; time: (n,), s; shown: the values (n,) of each channel, SI.
+    """The motion at n samples, computed from recorded channels.
+
+    `attitude`: attitude of the sensor at the first sample of the segment. `time`: array of shape (n,) in s. `shown`: the values
+    (n,) of each channel, SI.
 
     Raises `ObservationError` if the motion cannot be computed from these channels.
     """

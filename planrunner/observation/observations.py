@@ -31,13 +31,14 @@ SIGNIFICANCE = (
 class Observations:
     """Means of k channels over n segments, in the channels' units.
 
-    mean: (n, k). standard_error: (n, k), standard error of each mean, estimated from the scatter within its segment; NaN if the
-    segment is too short. batches: (n,), number of batches from which the standard errors of a segment are estimated. start, end:
-    (n,), start and end of the recorded interval, s on the run's clock; the end does not belong to the interval. correlation: (k,
-    k), correlation between the noise of the channels, over all segments. expected: True if the observations are predicted from a
-    schedule; the means then contain no noise, and the standard errors come from the declared noise. share: (n,), fraction of the
-    samples of each segment that are used; None if all are used. courses: (n,), for each segment the functions of its motion that
-    are fitted together with its mean, as `course` in `Statistics`; None without motion. within: number of observations at the end
+    `mean`: array of shape (n, k). `standard_error`: array of shape (n, k), standard error of each mean, estimated from the scatter
+    within its segment; NaN if the segment is too short. `batches`: array of shape (n,), number of batches from which the standard
+    errors of a segment are estimated. `start`, `end`: arrays of shape (n,), start and end of the recorded interval, s on the run's
+    clock; the end does not belong to the interval. `correlation`: array of shape (k, k), correlation between the noise of the
+    channels, over all segments. `expected`: True if the observations are predicted from a schedule; the means then contain no
+    noise, and the standard errors come from the declared noise. `share`: array of shape (n,), fraction of the samples of each
+    segment that are used; None if all are used. `courses`: array of shape (n,), for each segment the functions of its motion that
+    are fitted together with its mean, as `course` in `Statistics`; None without motion. `within`: number of observations at the end
     that are not means but contrasts within segments; the standard errors of these are known.
     """
 
@@ -98,9 +99,11 @@ class Weighting(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WithinSegmentNoise:
-    """The standard uncertainty of the means of one channel due to the noise within segments. sigma: (n,), standard uncertainties,
-    all positive. known: False if the samples give no information about the noise; sigma is then 1. degrees_of_freedom: degrees of
-    freedom of sigma, over all segments together."""
+    """The standard uncertainty of the means of one channel due to the noise within segments.
+
+    `sigma`: array of shape (n,), standard uncertainties, all positive. `known`: False if the samples give no information about the
+    noise; sigma is then 1. `degrees_of_freedom`: degrees of freedom of sigma, over all segments together.
+    """
 
     sigma: Array
     known: bool
@@ -169,8 +172,8 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 
 def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Array], Array]) -> float:
     """Standard error of a channel's mean over a segment, from the scatter about a known course of the channel. The samples are read
-    once more. If there are no samples but only published statistics, the standard error is that of these statistics. course: gives
-    the course at times (k,), s since the start of the segment, in the unit of the channel."""
+    once more. If there are no samples but only published statistics, the standard error is that of these statistics. `course`:
+    gives the course at times (k,), s since the start of the segment, in the unit of the channel."""
     whole = recorded.statistics
 
     def left() -> Iterator[Block]:
@@ -232,8 +235,8 @@ def within_segment_noise(
     The variance of a mean multiplied by its recorded time is pooled over the segments, unless Bartlett's test (Snedecor and
     Cochran, Statistical Methods, 13.10) finds that this product differs between the segments. In that case, each segment keeps its
     own value. With equal noise, the weights therefore depend only on the recorded time, and chance differences between short
-    segments do not influence them. explained: (n,), part of the variance of the means that has another known cause; it is
-    subtracted.
+    segments do not influence them. `explained`: array of shape (n,), part of the variance of the means that has another known
+    cause; it is subtracted.
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
@@ -247,8 +250,11 @@ def within_segment_noise(
 
 
 def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentNoise:
-    """The noise of n means, pooled as in `within_segment_noise`. error: (n,), standard errors; seconds: (n,), recorded times, s;
-    freedom: (n,), degrees of freedom of the standard errors."""
+    """The noise of n means, pooled as in `within_segment_noise`.
+
+    `error`: array of shape (n,), standard errors. `seconds`: array of shape (n,), recorded times, s. `freedom`: array of shape
+    (n,), degrees of freedom of the standard errors.
+    """
     degrees = np.where(np.isfinite(error), freedom, 0.0)
     usable = (degrees > 0) & (error > 0)
     n = len(error)

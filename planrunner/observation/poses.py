@@ -66,9 +66,9 @@ def poses(
 ) -> Observed:
     """Recorded poses as input of a diagnosis. There is one channel `accel`, the reading of the accelerometers along gravity.
 
-    nominal: terms that the nominal simulation fits; they are used to find the directions of gravity. Gyros are left out, because at
-    rest in an unknown orientation they show only a bias. Raises `ObservationError` if there is no complete triad of accelerometers,
-    or if the readings are not near a sphere.
+    `nominal`: terms that the nominal simulation fits; they are used to find the directions of gravity. Gyros are left out, because
+    at rest in an unknown orientation they show only a bias. Raises `ObservationError` if there is no complete triad of
+    accelerometers, or if the readings are not near a sphere.
     """
     recording = in_time_order(recording)
     found = [channel for channel in channels_of(recording[0], sensor, only) if channel.kind == "accel"]

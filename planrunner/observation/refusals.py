@@ -15,7 +15,7 @@ class EstimationError(Exception):
     """Reports that the data or the segments are not suitable for an estimate. The message states the reason in words that a quality
     engineer understands.
 
-    hint: what to do, unless this is to choose other segments or another estimator. key: the key of the estimate that must be
+    `hint`: what to do, unless this is to choose other segments or another estimator. `key`: the key of the estimate that must be
     corrected, if any.
     """
 

@@ -53,14 +53,14 @@ def observed(
     """Makes the input of a diagnosis from the recorded segments of a run. The segments are put in order of time, because slow noise
     and hysteresis require it.
 
-    only: names of the channels to use, by default all; measured: channels that are used as measurements, whatever their names and
-    units. By default, the name of a channel gives its axis (`axis_of`), and its unit makes it a gyro (angular rate) or an
-    accelerometer (acceleration). angle_channel: encoder of the table; temperature_channel: thermometer; supply_channel: voltmeter
-    of the supply; pressure_channel: barometer. If the channel of a quantity is not given, the values of this quantity in the plan
-    are used. power_on: time of power-on, in the time of the recording, s. free_angle: True if an input once per turn whose phase is
-    unknown counts as noise, as in a diagnosis (`Observed.unknown_phase`). The angle of a table without encoder is then the one that
-    agrees best with the Earth's rate. If it is False, this angle is zero at the first sample, unless gravity shows it. Raises
-    `ObservationError` if the recording cannot be diagnosed.
+    `only`: names of the channels to use, by default all. `measured`: channels that are used as measurements, whatever their names
+    and units. By default, the name of a channel gives its axis (`axis_of`), and its unit makes it a gyro (angular rate) or an
+    accelerometer (acceleration). `angle_channel`: encoder of the table. `temperature_channel`: thermometer. `supply_channel`:
+    voltmeter of the supply. `pressure_channel`: barometer. If the channel of a quantity is not given, the values of this quantity
+    in the plan are used. `power_on`: time of power-on, in the time of the recording, s. `free_angle`: True if an input once per
+    turn whose phase is unknown counts as noise, as in a diagnosis (`Observed.unknown_phase`). The angle of a table without encoder
+    is then the one that agrees best with the Earth's rate. If it is False, this angle is zero at the first sample, unless gravity
+    shows it. Raises `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -144,7 +144,7 @@ def _part(
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
     """Reads one segment, without the rows that contain a NaN. Returns its planned states with its samples or, if `size` is given,
     means over `size` samples; the rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and
-    the motion, if attitude and angle do not describe it. limits: full scale of each output."""
+    the motion, if attitude and angle do not describe it. `limits`: full scale of each output."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
         return _moved_part(item, motion, site, limits, channels, monitors, power_on, size)
@@ -248,9 +248,9 @@ def rows_of(
     size: int | None = None,
     encoder: str | None = None,
 ) -> Averaged:
-    """Reads the rows of a segment that contain no NaN; if `size` is given, means over this number of rows. extra: names of further
-    channels, of which the channel `encoder` wraps. Raises `ObservationError` if a channel is missing or there are too few usable
-    rows."""
+    """Reads the rows of a segment that contain no NaN; if `size` is given, means over this number of rows. `extra`: names of
+    further channels, of which the channel `encoder` wraps. Raises `ObservationError` if a channel is missing or there are too few
+    usable rows."""
     names = [*(channel.name for channel in channels), *extra]
     missing = [name for name in names if name not in item.units]
     if missing:

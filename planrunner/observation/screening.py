@@ -153,8 +153,11 @@ def threshold(samples: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """A run of equal samples. row, time: row and time of the first sample of the run; last: time of its last sample, s; before,
-    after: values of the samples next to the run on either side."""
+    """A run of equal samples.
+
+    `row`, `time`: row and time of the first sample of the run. `last`: time of its last sample, s. `before`, `after`: values of the
+    samples next to the run on either side.
+    """
 
     row: int
     length: int
@@ -176,9 +179,11 @@ class _Last:
 
 @dataclass
 class _Window:
-    """A piece of one channel, together with neighbouring samples as far as they exist. low, high: bounds of the piece, which is
-    values[low:high]; usual, count: mean change between neighbours, and size of a count, as known when the piece was examined;
-    places: (n,), index of the sample before each large change in the piece."""
+    """A piece of one channel, together with neighbouring samples as far as they exist.
+
+    `low`, `high`: bounds of the piece, which is values[low:high]. `usual`, `count`: mean change between neighbours, and size of a
+    count, as known when the piece was examined. `places`: (n,), index of the sample before each large change in the piece.
+    """
 
     values: Array
     rows: RowNumbers
@@ -205,10 +210,13 @@ class _Window:
 
 @dataclass
 class _Runs:
-    """The runs of equal samples in one channel. lengths: number of runs by their length, where the last entry counts all longer
-    runs; long: the longest runs; row, time: row and time of the first sample of the current run; before: value of the sample before
-    the current run; length: number of samples in the current run so far; count: smallest change between samples; bend, bends: sum
-    of the absolute second differences, and their number."""
+    """The runs of equal samples in one channel.
+
+    `lengths`: number of runs by their length, where the last entry counts all longer runs. `long`: the longest runs. `row`, `time`:
+    row and time of the first sample of the current run. `before`: value of the sample before the current run. `length`: number of
+    samples in the current run so far. `count`: smallest change between samples. `bend`, `bends`: sum of the absolute second
+    differences, and their number.
+    """
 
     lengths: RowNumbers = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
     long: list[_Run] = field(default_factory=list)
@@ -258,7 +266,7 @@ class _Runs:
         self.row, self.time, self.length = int(rows[-1]), float(times[-1]), 1
 
     def _hold(self, values: Array, rows: RowNumbers, times: Array, before: int, last: int, length: int) -> None:
-        """Stores a run that ends at the index `last`. before: index of the sample before the run; negative if the run began in an
+        """Stores a run that ends at the index `last`. `before`: index of the sample before the run; negative if the run began in an
         earlier piece."""
         went_on = before < 0
         row, time = (self.row, self.time) if went_on else (int(rows[before + 1]), float(times[before + 1]))
@@ -299,9 +307,10 @@ class Screening:
         stopping: bool = False,
         angles: Sequence[AngleSpikes] = (),
     ):
-        """counts: declared count of each channel, 0 if none is declared; full_scales: full scale of each channel, for both signs.
-        Counts and full scales are in the channel's unit. steady: True if the segment is planned at rest or at a constant rate, so
-        that the motion causes no changes within it. stopping: True if the segment is planned as turns with stops in between."""
+        """`counts`: declared count of each channel, 0 if none is declared. `full_scales`: full scale of each channel, for both
+        signs. Counts and full scales are in the channel's unit. `steady`: True if the segment is planned at rest or at a constant
+        rate, so that the motion causes no changes within it. `stopping`: True if the segment is planned as turns with stops in
+        between."""
         self.channels, self.steady, self.stopping, self.angles = tuple(counts), steady, stopping, angles
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
@@ -332,7 +341,7 @@ class Screening:
         self.work = np.empty(room)  # differences of time
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
-        """Adds the next samples. Rows with a missing number are skipped. ranges: smallest and largest sample of each channel; by
+        """Adds the next samples. Rows with a missing number are skipped. `ranges`: smallest and largest sample of each channel; by
         default they are computed when they are needed."""
         count = len(block.time)
         rows: Numbered = range(self.row, self.row + count)
@@ -403,8 +412,8 @@ class Screening:
     def _look(
         self, time: Array, rows: Numbered, columns: list[Array], low: Array, high: Array, steps: tuple[float, float]
     ) -> None:
-        """Examines whole pieces or the last, shorter piece. low, high: bounds within which all samples of each channel lie; steps:
-        smallest and largest step of the time, if known."""
+        """Examines whole pieces or the last, shorter piece. `low`, `high`: bounds within which all samples of each channel lie.
+        `steps`: smallest and largest step of the time, if known."""
         for k, window in self.waiting:
             window.extended(columns[k][:_BESIDE], _numbers(rows[:_BESIDE]), time[:_BESIDE])
         self._examine_waiting()
@@ -573,8 +582,8 @@ class Screening:
 
     def _changes_around(self, x: Array, changes: Array) -> Array:
         """The mean change from sample to sample around each of n samples. In a segment of turns and stops, the mean is taken over a
-        short time. A change to a sample and back again is subtracted, because it is not part of a turn. x: (n,); changes: (n - 1,),
-        absolute differences of x."""
+        short time. A change to a sample and back again is subtracted, because it is not part of a turn. `x`: array of shape (n,).
+        `changes`: array of shape (n - 1,), absolute differences of x."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
             return _mean_around(padded, _FAR)
@@ -647,7 +656,7 @@ class Screening:
 
     def _flat_tops(self, k: int, known: Sequence[Find]) -> list[Find]:
         """Finds noise that is cut off at the largest or smallest value: many more samples have this value than values close to it.
-        known: other findings, whose samples may be at the extreme values."""
+        `known`: other findings, whose samples may be at the extreme values."""
         runs = self.runs[k]
         if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []

@@ -22,9 +22,9 @@ _MOST_BATCHES = 64
 
 @dataclass(frozen=True, slots=True)
 class StillSpan:
-    """A span of time in which the sensor is still. count: number of samples. mean, standard_error: (k,), means of the detection's
-    channels, and their standard errors, in the units of the channels. The standard errors are computed from `batches` consecutive
-    batch means; NaN if there are fewer than two."""
+    """A span of time in which the sensor is still. `count`: number of samples. `mean`, `standard_error`: arrays of shape (k,),
+    means of the detection's channels, and their standard errors, in the units of the channels. The standard errors are computed
+    from `batches` consecutive batch means; NaN if there are fewer than two."""
 
     span: Span
     count: int
@@ -75,8 +75,8 @@ _CHANNELS = "name the accelerometers of the sensor under `channels` of `segments
 
 
 def detection_limits(detection: Detection, units: Mapping[str, str], what: str) -> Array:
-    """The threshold (k,) in the unit of each channel. units: units of the recorded channels; what: name of the recording, used in
-    messages. Raises `EstimationError` if a channel is missing or is not an acceleration."""
+    """The threshold (k,) in the unit of each channel. `units`: units of the recorded channels. `what`: name of the recording, used
+    in messages. Raises `EstimationError` if a channel is missing or is not an acceleration."""
     limits = []
     for channel in detection.channels:
         if channel not in units:
@@ -124,7 +124,7 @@ def _centred(
 def _sliding_variance(values: Array, length: int) -> Array:
     """The sample variance in every window of `length` rows, shape (n − length + 1, k).
 
-    values: (n, k), without missing numbers."""
+    `values`: array of shape (n, k), without missing numbers."""
     centred = values - values.mean(axis=0)
     zero = np.zeros((1, values.shape[1]))
     sums = np.vstack([zero, np.cumsum(centred, axis=0)])

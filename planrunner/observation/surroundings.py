@@ -28,9 +28,12 @@ _ALIKE = 0.01  # probability at and above which the temperatures of segments cou
 
 @dataclass(frozen=True, slots=True)
 class Temperature:
-    """The temperature during one segment. celsius: (n,), temperature, degC; rate: (n,), rate of change, K/s; uncertainty: standard
+    """The temperature during one segment.
+
+    `celsius`: array of shape (n,), temperature, degC. `rate`: array of shape (n,), rate of change, K/s. `uncertainty`: standard
     uncertainty of a constant temperature due to the noise of the thermometer; NaN if the temperature changes or comes from the
-    plan."""
+    plan.
+    """
 
     celsius: Array
     rate: Array
@@ -76,7 +79,7 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
     """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer does not show a
-    difference between them (χ² test at 1 %). known: standard uncertainty of the temperature of each segment, NaN if it is not
+    difference between them (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if it is not
     constant."""
     from scipy.special import chdtrc
 
@@ -112,8 +115,10 @@ def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Arr
 @dataclass(frozen=True, slots=True)
 class Monitors:
     """Names of the channels that show the state of the sensor besides its motion; None for a state that comes from the plan.
-    thermometer: channel with the temperature of the sensor; voltmeter: channel with its supply voltage; barometer: channel with the
-    ambient pressure. nominal_supply: nominal supply voltage, V."""
+
+    `thermometer`: channel with the temperature of the sensor. `voltmeter`: channel with its supply voltage. `barometer`: channel
+    with the ambient pressure. `nominal_supply`: nominal supply voltage, V.
+    """
 
     thermometer: str | None = None
     voltmeter: str | None = None

@@ -39,9 +39,9 @@ class Unreachable(ValueError):  # noqa: N818 - reads as what the table says
 class TableAxis:
     """One axis of a table. The axes of a table are listed outermost first.
 
-    direction: unit vector of the axis at joint angle zero, in East-North-Up, before the azimuth of the site is applied. max_rate:
-    largest rate, rad/s; max_acceleration: largest acceleration, rad/s^2; lowest, highest: limits of the joint angle, rad (infinite
-    for a continuous axis with slip rings).
+    `direction`: unit vector of the axis at joint angle zero, in East-North-Up, before the azimuth of the site is applied.
+    `max_rate`: largest rate, rad/s. `max_acceleration`: largest acceleration, rad/s^2. `lowest`, `highest`: limits of the joint
+    angle, rad (infinite for a continuous axis with slip rings).
     """
 
     name: str
@@ -78,7 +78,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """The sensor's axes (3, 3) as rows in East-North-Up. angles: (n,), joint angles, rad; azimuth: azimuth of the site, rad."""
+    """The sensor's axes (3, 3) as rows in East-North-Up. `angles`: (n,), joint angles, rad. `azimuth`: azimuth of the site, rad."""
     platform = rotation_about((0.0, 0.0, 1.0), -azimuth)
     for axis, angle in zip(axes, angles, strict=True):
         platform = platform @ rotation_about(axis.direction, angle)

@@ -19,10 +19,10 @@ from planrunner.physics.earth import Site
 class BodyMotion:
     """The input of a moving sensor at n samples, along the sensor's axes.
 
-    attitude: (n, 3, 3), transforms vectors from site axes to the sensor's axes; zeros if the recording does not show the attitude.
-    turn: (n, 3), rotation rate of the sensor, rad/s, relative to the Earth if the attitude is known; swing: (n, 3), angular
-    acceleration, rad/s². omega: (n, 3), rotation rate relative to inertial space, rad/s. force: (n, 3), specific force, m/s²; zeros
-    if the recording does not show it.
+    `attitude`: array of shape (n, 3, 3), transforms vectors from site axes to the sensor's axes; zeros if the recording does not
+    show the attitude. `turn`: array of shape (n, 3), rotation rate of the sensor, rad/s, relative to the Earth if the attitude is
+    known. `swing`: array of shape (n, 3), angular acceleration, rad/s². `omega`: array of shape (n, 3), rotation rate relative to
+    inertial space, rad/s. `force`: array of shape (n, 3), specific force, m/s²; zeros if the recording does not show it.
     """
 
     attitude: Array
@@ -36,7 +36,7 @@ class BodyMotion:
         return BodyMotion(*(averaged(part, size) for part in self._parts))
 
     def at(self, rows: NDArray[np.bool_]) -> BodyMotion:
-        """The motion at the selected samples. rows: (n,), True for these samples."""
+        """The motion at the selected samples. `rows`: array of shape (n,), True for these samples."""
         return BodyMotion(*(part[rows] for part in self._parts))
 
     @property
@@ -52,7 +52,7 @@ def averaged(values: Array, size: int) -> Array:
 
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
     """The motion, computed from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to
-    East-North-Up. force: (n, 3), measured specific force; by default, that of a sensor that only rotates."""
+    East-North-Up. `force`: array of shape (n, 3), measured specific force; by default, that of a sensor that only rotates."""
     from scipy.spatial.transform import Rotation
 
     attitude = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().swapaxes(1, 2)
@@ -63,9 +63,9 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 
 
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
-    """The motion, computed from measured angular rates (n, 3) relative to inertial space. start: (3, 3), attitude at the first
-    sample, or None if it is unknown. force: (n, 3), measured specific force; by default, that of a sensor that only rotates. If the
-    attitude is unknown, the specific force is zero unless `force` is given."""
+    """The motion, computed from measured angular rates (n, 3) relative to inertial space. `start`: array of shape (3, 3), attitude
+    at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, that of a
+    sensor that only rotates. If the attitude is unknown, the specific force is zero unless `force` is given."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))
@@ -105,8 +105,8 @@ def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
 
 
 def rates_of(time: Array, attitude: Array) -> Array:
-    """The angular rates (n, 3) in the body's axes, as differences between the two neighbours of each sample. attitude: (n, 3, 3),
-    transforms vectors to the body's axes."""
+    """The angular rates (n, 3) in the body's axes, as differences between the two neighbours of each sample. `attitude`: array of
+    shape (n, 3, 3), transforms vectors to the body's axes."""
     from scipy.spatial.transform import Rotation
 
     before, after = np.r_[0, np.arange(len(time) - 1)], np.r_[np.arange(1, len(time)), len(time) - 1]

@@ -28,9 +28,12 @@ NOTHING = 1e-6  # of a period: negligible, because errors are known to a few per
 
 @dataclass(frozen=True)
 class RotationCycle:
-    """A cycle of stops and turns of one table axis. turns: angle of each turn, rad, positive about the axis; before each turn, the
-    axis rests for `stop` s. rate: rate of the turns, rad/s, above zero; acceleration: in rad/s^2, infinite for turns without ramps.
-    Raises `ValueError` if the cycle takes no time."""
+    """A cycle of stops and turns of one table axis.
+
+    `turns`: angle of each turn, rad, positive about the axis; before each turn, the axis rests for `stop` s. `rate`: rate of the
+    turns, rad/s, above zero. `acceleration`: in rad/s^2, infinite for turns without ramps. Raises `ValueError` if the cycle takes
+    no time.
+    """
 
     turns: tuple[float, ...]
     stop: float

@@ -39,9 +39,9 @@ def motion_at(
 ) -> dict[str, Array]:
     """The angle, rate and acceleration of the table at the times `since` [s] after the first sample of a segment.
 
-    left: factor by which averaging over a bin reduces the rate and the angle of a rocking table (see `fading`). The rate is then
+    `left`: factor by which averaging over a bin reduces the rate and the angle of a rocking table (see `fading`). The rate is then
     the mean over the bin, while the angle and the acceleration belong to its middle. With an encoder, the planned form of the
-    motion (a constant rate or a sine) is fitted to the measured angle, so that the phase agrees with the actual motion. start:
+    motion (a constant rate or a sine) is fitted to the measured angle, so that the phase agrees with the actual motion. `start`:
     angle of a turning table without encoder at the first sample, rad.
     """
     zero = np.zeros(len(since))
@@ -85,7 +85,7 @@ def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 
 def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequence[int]) -> AngleFrom:
-    """The source from which the angle of a table without encoder is known. accelerometers: the sensor axes (0, 1, 2) that have an
+    """The source from which the angle of a table without encoder is known. `accelerometers`: the sensor axes (0, 1, 2) that have an
     accelerometer."""
     if not isinstance(motion, Spin):
         return AngleFrom.PLAN
@@ -96,12 +96,13 @@ def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequ
 def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offset: float) -> float:
     """The angle [rad] of a turning table at its first sample with which the outputs agree best with the expected input.
 
-    values: (n, K), SI, outputs after the expected input along the axis of the table has been subtracted; expected: (K,), complex,
-    result of `once_per_turn`; offset: standard deviation of the constant error of a channel, SI, infinite if unknown. The model of
-    channel k is Re(z·eₖ·exp(iφ)) + oₖ. The complex factor z is the same for all channels, and its argument is the angle. The offset
-    oₖ has the prior N(0, `offset`²). The fit uses weighted least squares. The noise is estimated from the differences between
-    successive samples. If |z| is `FOREIGN` or more, the change once per turn has another cause, and its phase does not show the
-    angle. The result is then 0; the same holds if there are fewer than three samples.
+    `values`: array of shape (n, K) in SI units, outputs after the expected input along the axis of the table has been subtracted.
+    `expected`: array of shape (K,), complex, result of `once_per_turn`. `offset`: standard deviation of the constant error of a
+    channel, SI, infinite if unknown. The model of channel k is Re(z·eₖ·exp(iφ)) + oₖ. The complex factor z is the same for all
+    channels, and its argument is the angle. The offset oₖ has the prior N(0, `offset`²). The fit uses weighted least squares. The
+    noise is estimated from the differences between successive samples. If |z| is `FOREIGN` or more, the change once per turn has
+    another cause, and its phase does not show the angle. The result is then 0; the same holds if there are fewer than three
+    samples.
     """
     if len(since) < 3:
         return 0.0
@@ -125,7 +126,7 @@ def period_of(motion: Motion) -> float:
 
 def fading(motion: Motion, size: int, rate: float) -> float:
     """The factor by which averaging over a bin of `size` samples reduces the rate of a rocking table. It is Dirichlet's kernel
-    sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. rate: samples per second."""
+    sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. `rate`: samples per second."""
     if size == 1 or not isinstance(motion, Rock):
         return 1.0
     half = np.pi * motion.frequency / rate

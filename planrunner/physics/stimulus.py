@@ -26,10 +26,12 @@ class StimulusError(ValueError):
 class Stimulus:
     """The input of the sensor at n times, or averaged over n segments.
 
-    omega: (n, 3), rad/s, angular rate relative to inertial space, along the sensor's x, y, z axes. specific_force: (n, 3), m/s^2,
-    along the same axes. temperature: (n,), K, NaN where it is unknown. time: (n,), s; for a segment, its middle. table_rate: (n,),
-    rate of the table, rad/s. table_angle: (n,), angle by which the table has turned since the start of the dwell, rad. moving:
-    (n,), True if the attitude changed during averaging; the mean of a product then differs from the product of the means.
+    `omega`: array of shape (n, 3) in rad/s, angular rate relative to inertial space, along the sensor's x, y, z axes.
+    `specific_force`: array of shape (n, 3) in m/s^2, along the same axes. `temperature`: array of shape (n,) in K, NaN where it is
+    unknown. `time`: array of shape (n,) in s; for a segment, its middle. `table_rate`: array of shape (n,), rate of the table,
+    rad/s. `table_angle`: array of shape (n,), angle by which the table has turned since the start of the dwell, rad. `moving`:
+    array of shape (n,), True if the attitude changed during averaging; the mean of a product then differs from the product of the
+    means.
     """
 
     omega: Array
@@ -47,10 +49,10 @@ class Stimulus:
 def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[float | None] | None = None) -> Stimulus:
     """The mean stimulus over the dwell of each segment.
 
-    durations: recorded durations of the dwells, s; by default the planned dwells. A segment with a spin starts at its planned
+    `durations`: recorded durations of the dwells, s; by default the planned dwells. A segment with a spin starts at its planned
     attitude. Its mean is taken over the angle that it covers or, if its duration is unknown, over whole turns. Raises
-    `StimulusError` if an attitude is unknown, or if a segment moves in another way than by a spin (rocking, a cycle), because a mean
-    then does not represent the stimulus.
+    `StimulusError` if an attitude is unknown, or if a segment moves in another way than by a spin (rocking, a cycle), because a
+    mean then does not represent the stimulus.
     """
     return Poses.of(segments, durations).felt(site)
 
@@ -59,9 +61,10 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
 class Poses:
     """The attitudes and rotations of n segments, from which the mean stimulus at any site follows.
 
-    attitude: (n, 3, 3), attitude at the start of each segment. mean: (n, 3, 3), transforms a vector that is fixed at the site to
-    its mean over the segment, in the sensor's axes. spin: (n, 3), mean rotation rate of the table in the sensor's axes, rad/s.
-    table_rate, table_angle, temperature, time: the same quantities as in `Stimulus`.
+    `attitude`: array of shape (n, 3, 3), attitude at the start of each segment. `mean`: array of shape (n, 3, 3), transforms a
+    vector that is fixed at the site to its mean over the segment, in the sensor's axes. `spin`: array of shape (n, 3), mean
+    rotation rate of the table in the sensor's axes, rad/s. `table_rate`, `table_angle`, `temperature`, `time`: the same quantities
+    as in `Stimulus`.
     """
 
     attitude: Array

@@ -23,8 +23,8 @@ _GRANTED = 1 + 1e-9  # allowance for rounding at a limit
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """A requirement of a motion that an axis does not meet. kind: 'rings' (the table has too few axes), 'axis' (no axis has the
-    direction), 'rate', 'acceleration' or 'travel'; message: what the motion requires and what the axis offers."""
+    """A requirement of a motion that an axis does not meet. `kind`: 'rings' (the table has too few axes), 'axis' (no axis has the
+    direction), 'rate', 'acceleration' or 'travel'. `message`: what the motion requires and what the axis offers."""
 
     kind: str
     message: str
@@ -32,8 +32,11 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class SpinCourse:
-    """A spin as a table executes it. joint: index of the axis that turns; rate: signed rate of this joint, rad/s; ramp: time from
-    rest to the rate, which is also the time back to rest, s."""
+    """A spin as a table executes it.
+
+    `joint`: index of the axis that turns. `rate`: signed rate of this joint, rad/s. `ramp`: time from rest to the rate, which is
+    also the time back to rest, s.
+    """
 
     joint: int
     rate: float
@@ -43,8 +46,8 @@ class SpinCourse:
     def of(
         cls, motion: Spin, axes: Sequence[TableAxis], joints: Sequence[float] | Array, azimuth: float = 0.0
     ) -> SpinCourse:
-        """Finds how a table executes a spin. joints: joint angles at the start of the spin, rad; azimuth: azimuth of the site, rad.
-        Raises `Unreachable` if no axis has the direction of the spin."""
+        """Finds how a table executes a spin. `joints`: joint angles at the start of the spin, rad. `azimuth`: azimuth of the site,
+        rad. Raises `Unreachable` if no axis has the direction of the spin."""
         index = spin_axis(axes, joints, motion.about, azimuth)
         along = float(joint_directions(axes, joints, azimuth)[index] @ np.asarray(motion.about))
         ramp = abs(motion.rate) / axes[index].max_acceleration
@@ -59,7 +62,7 @@ class SpinCourse:
 def spin_excess(
     axes: Sequence[TableAxis], joints: Sequence[float] | Array, course: SpinCourse, seconds: float | None
 ) -> list[Excess]:
-    """The requirements of a spin that exceed the limits of the axis; the spin starts at the joint angles `joints` [rad]. seconds:
+    """The requirements of a spin that exceed the limits of the axis; the spin starts at the joint angles `joints` [rad]. `seconds`:
     time for which the rate is held; None if unknown."""
     axis = axes[course.joint]
     found = _beyond(axis, "spinning", abs(course.rate))
@@ -78,8 +81,8 @@ def spin_excess(
 
 
 def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | None, motion: Rock) -> list[Excess]:
-    """The requirements of a rocking motion that exceed the limits of the axes. joints: the joint angles about which the axes rock,
-    rad; None if unknown."""
+    """The requirements of a rocking motion that exceed the limits of the axes. `joints`: the joint angles about which the axes
+    rock, rad; None if unknown."""
     found: list[Excess] = []
     if len(motion.phases) > len(axes):
         found.append(Excess("rings", f"{len(motion.phases)} rings are planned to rock, but the table has {len(axes)}"))
@@ -100,7 +103,7 @@ def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | Non
 
 
 def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Excess]:
-    """The requirements of a cycle that exceed the limits of the axis. start: joint angle at the start of the cycle, rad; None if
+    """The requirements of a cycle that exceed the limits of the axis. `start`: joint angle at the start of the cycle, rad; None if
     unknown."""
     found = _beyond(axis, "turning", motion.rate)
     low, high = RotationCycle.of(motion, axis.max_acceleration).reach
@@ -119,8 +122,8 @@ def about_one_axis(motion: Motion) -> bool:
 
 
 def _beyond(axis: TableAxis, what: str, rate: float, acceleration: float = 0.0) -> list[Excess]:
-    """The requirements that exceed the largest rate or the largest acceleration of an axis. rate: required rate, rad/s;
-    acceleration: required acceleration, rad/s²."""
+    """The requirements that exceed the largest rate or the largest acceleration of an axis. `rate`: required rate, rad/s.
+    `acceleration`: required acceleration, rad/s²."""
     found = []
     if rate > axis.max_rate * _GRANTED:
         able = f"the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"

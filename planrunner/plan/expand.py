@@ -26,9 +26,9 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 class StatedSegment:
     """One segment of a plan: its state, which includes the inherited keys, and the place of each value in the file.
 
-    prompts: prompts to the operator that precede the segment, in order, each with its place in the file. conditioning: True if the
-    plan declares that the segment only brings the sensor to a state. sound: False if the state is not known completely: the segment
-    inherits a value from `defaults` that could not be read, or its label names a key that is not swept.
+    `prompts`: prompts to the operator that precede the segment, in order, each with its place in the file. `conditioning`: True if
+    the plan declares that the segment only brings the sensor to a state. `sound`: False if the state is not known completely: the
+    segment inherits a value from `defaults` that could not be read, or its label names a key that is not swept.
     """
 
     label: str

@@ -70,8 +70,10 @@ def _takes_numbers(pattern: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A text. pattern: a regular expression that the whole text must match. what: a description of the required form, for messages.
-    hint: advice on how to write the text.
+    """A text.
+
+    `pattern`: a regular expression that the whole text must match. `what`: a description of the required form, for messages.
+    `hint`: advice on how to write the text.
 
     A text that is a plain number in the file is accepted as written, unless the pattern rejects it.
     """
@@ -210,7 +212,7 @@ Sign = Literal["any", "positive", "not negative"]
 
 
 def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: str = "") -> bool:
-    """Whether a quantity has the required sign; adds a finding if it does not. name: the key that the finding names."""
+    """Whether a quantity has the required sign; adds a finding if it does not. `name`: the key that the finding names."""
     if sign == "any" or quantity.value > 0 or (sign == "not negative" and quantity.value == 0):
         return True
     hint = "write zero or more" if sign == "not negative" else "write a value above zero"
@@ -223,7 +225,7 @@ def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: st
 class QuantityOf:
     """A number with a unit of the named dimension, or with any unit if the dimension is None.
 
-    uncertain: True if an uncertainty may be stated; results then include it. elsewhere: a text that says where to state the
+    `uncertain`: True if an uncertainty may be stated; results then include it. `elsewhere`: a text that says where to state the
     uncertainty if it may not be stated here.
     """
 
@@ -252,7 +254,7 @@ class QuantityOf:
 
 @dataclass(frozen=True, slots=True)
 class ListOf:
-    """A list. single: True if one item may be written without a list. maximum: largest number of items; 0 means any number."""
+    """A list. `single`: True if one item may be written without a list. `maximum`: largest number of items; 0 means any number."""
 
     item: Kind
     single: bool = False
@@ -294,8 +296,8 @@ class ListOf:
 
 @dataclass(frozen=True, slots=True)
 class MapOf:
-    """A mapping from names to values of one kind. names: the permitted names; if there are none, every name that matches `pattern`
-    is permitted. of_channels: True if the names are channels of the sensor."""
+    """A mapping from names to values of one kind. `names`: the permitted names; if there are none, every name that matches
+    `pattern` is permitted. `of_channels`: True if the names are channels of the sensor."""
 
     item: Kind
     names: tuple[str, ...] = ()
@@ -370,8 +372,8 @@ class WordOr:
 class Origin:
     """The places in the file where the keys of a record stand. It is empty for a record made in code.
 
-    broken: the keys whose values could not be read completely. meant: maps an absent key to the places of the unknown keys that may
-    be misspellings of it.
+    `broken`: the keys whose values could not be read completely. `meant`: maps an absent key to the places of the unknown keys that
+    may be misspellings of it.
     """
 
     def __init__(
@@ -440,10 +442,12 @@ def key(
     fallback: Any = None,
     traits: object = None,
 ) -> Any:
-    """A dataclass field that is also a key of the language. Every key has a description and an example. name: spelling of the key
-    in YAML, if this spelling is not a valid Python name. fallback: value that replaces a required value that is missing or wrong,
-    so that the rest of the record can still be checked. traits: properties that the module of the record needs, such as whether the
-    key may be swept."""
+    """A dataclass field that is also a key of the language. Every key has a description and an example.
+
+    `name`: spelling of the key in YAML, if this spelling is not a valid Python name. `fallback`: value that replaces a required
+    value that is missing or wrong, so that the rest of the record can still be checked. `traits`: properties that the module of the
+    record needs, such as whether the key may be swept.
+    """
     metadata = {
         "kind": kind,
         "description": description,
@@ -590,7 +594,7 @@ def _used(key: source.Scalar, value: source.Node) -> Mark:
 
 @dataclass(frozen=True, slots=True)
 class RecordOf:
-    """A mapping that is read into a `Record`. check: function of the record and the log that may add findings about several keys
+    """A mapping that is read into a `Record`. `check`: function of the record and the log that may add findings about several keys
     together."""
 
     record: type[Record]

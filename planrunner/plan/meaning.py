@@ -171,7 +171,7 @@ def _check_limit(limit: Limit, log: Findings) -> None:
 def check_channels(parameters: Record, outputs: Collection[str] | None, log: Findings) -> None:
     """Adds a finding for each channel that the sensor does not have, and for each channel that is named twice.
 
-    outputs: names of the sensor's outputs; None if it is not known what will be recorded. An estimator's default channels, which
+    `outputs`: names of the sensor's outputs; None if it is not known what will be recorded. An estimator's default channels, which
     the plan does not name, may be absent from the outputs: the estimator decides whether it needs them.
     """
     seen: set[str] = set()

@@ -214,8 +214,8 @@ class EstimateSpec(Record):
 
 
 class SymmetricKind:
-    """A symmetric bound, `±0.5 deg/h`, kept as written. dimension: the dimension that the unit of the bound must have; None if any
-    dimension is permitted."""
+    """A symmetric bound, `±0.5 deg/h`, kept as written. `dimension`: the dimension that the unit of the bound must have; None if
+    any dimension is permitted."""
 
     def __init__(self, dimension: str | None = None):
         self.dimension = dimension
@@ -405,7 +405,7 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
 
 
 def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
-    """Reads the plan in `text`; returns the plan and all its findings. shown: the file name that the findings state. It never
+    """Reads the plan in `text`; returns the plan and all its findings. `shown`: the file name that the findings state. It never
     raises an error, whatever the text contains."""
     log = Findings()
     try:

@@ -29,7 +29,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """An orientation. text: the orientation in words, for reviewers; matrix: shape (3, 3) as nested tuples, whose rows are the
+    """An orientation. `text`: the orientation in words, for reviewers. `matrix`: shape (3, 3) as nested tuples, whose rows are the
     sensor's axes in East-North-Up; None if the orientation is unknown."""
 
     text: str

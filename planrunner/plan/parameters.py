@@ -53,7 +53,7 @@ def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """The text of a plan with other values for its parameters. places: maps each parameter to the place of its value in `text`."""
+    """The text of a plan with other values for its parameters. `places`: maps each parameter to the place of its value in `text`."""
 
     text: str
     places: Mapping[str, Mark]
@@ -61,8 +61,8 @@ class Varied:
 
 @dataclass(frozen=True, slots=True)
 class _Anchored:
-    """A value with an anchor. start: index of the anchor in the text. begin, end: indices of the text of the value, without its
-    anchor; they are equal if the value is not a scalar on one line."""
+    """A value with an anchor. `start`: index of the anchor in the text. `begin`, `end`: indices of the text of the value, without
+    its anchor; they are equal if the value is not a scalar on one line."""
 
     mark: Mark
     start: int

@@ -53,7 +53,7 @@ DISTRIBUTIONS = {"rectangular": math.sqrt(3), "triangular": math.sqrt(6), "u-sha
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """`value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written. distribution:
+    """`value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written. `distribution`:
     distribution of the value's uncertainty, one of `DISTRIBUTIONS`."""
 
     value: float
@@ -191,7 +191,7 @@ def _parts(text: str) -> re.Match[str] | None:
 
 @cache
 def _grammar(latin: bool) -> re.Pattern[str]:
-    """The regular expression that `_parts` uses. latin: True for a text of Latin-1 characters only, which is the usual case. A
+    """The regular expression that `_parts` uses. `latin`: True for a text of Latin-1 characters only, which is the usual case. A
     smaller expression is then enough; compiling the full one takes milliseconds."""
     return re.compile(re.sub(r"\\u(?!00)[0-9a-f]{4}|[^\x00-\xff]", "", _PARTS) if latin else _PARTS)
 
@@ -256,8 +256,8 @@ def read_quantity(
 ) -> Quantity | None:
     """Reads the quantity in a node, which is a text or a mapping. Returns None after a finding was added to `log`.
 
-    uncertain: True if results use the uncertainty; if it is False, a stated uncertainty causes a finding. elsewhere: text that says
-    where to state the uncertainty instead; '' if there is no such place.
+    `uncertain`: True if results use the uncertainty; if it is False, a stated uncertainty causes a finding. `elsewhere`: text that
+    says where to state the uncertainty instead; '' if there is no such place.
     """
     if uncertain:
         return _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)
@@ -376,7 +376,7 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
 def _width(
     node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
 ) -> tuple[Quantity | None, str]:
-    """The stated standard uncertainty or half-width of a quantity, and its distribution. misspelt: places of unknown keys, one of
+    """The stated standard uncertainty or half-width of a quantity, and its distribution. `misspelt`: places of unknown keys, one of
     which may be a misspelling of the missing `half_width`."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"

@@ -102,9 +102,9 @@ def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) ->
 def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: Mapping[tuple[int, int], str]) -> str:
     """Splits sweeps over orientations into separate segments, each with its own dwell, and returns the new text.
 
-    dwells, orientations: map the (line, column) where an orientation begins to its new dwell, or to the new orientation. A dwell or
-    orientation that is not in these maps stays unchanged. Raises `RewriteError` if an orientation in `dwells` is not written in a
-    sweep of this kind.
+    `dwells`, `orientations`: map the (line, column) where an orientation begins to its new dwell, or to the new orientation. A
+    dwell or orientation that is not in these maps stays unchanged. Raises `RewriteError` if an orientation in `dwells` is not
+    written in a sweep of this kind.
     """
     left = dict(dwells)
     spans = []
@@ -158,7 +158,7 @@ def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
 def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: Sequence[int] | None = None) -> str:
     """Replaces the rates of the sweep that begins at (line, column), which count from 1, and returns the new text.
 
-    turns: the dwell for each rate, in whole turns; if given, the segment with the sweep is replaced by one segment for each rate.
+    `turns`: the dwell for each rate, in whole turns; if given, the segment with the sweep is replaced by one segment for each rate.
     Raises `RewriteError` if no sweep begins there.
     """
     for item in _mappings(yaml.compose(text)):

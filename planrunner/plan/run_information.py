@@ -39,7 +39,7 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
 
 
 def gather_for_issue(names: Collection[str], settings: Sequence[str], file: Path | None) -> dict[str, str]:
-    """The run information that the user gives when a report is issued after the run. names: the permitted items. Raises
+    """The run information that the user gives when a report is issued after the run. `names`: the permitted items. Raises
     `InputError`."""
     log = Findings()
     given = _read(settings, file, log)

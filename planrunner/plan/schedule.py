@@ -33,7 +33,8 @@ class Rock:
 
     The rocking has its full amplitude for `duration` s. `phases` has one entry for each ring, the outermost first. t: time since
     the record began, s. The rocking fades in during one period before `steady`, and fades out during one period after `steady` +
-    `duration`. delay: time at rest at the beginning of the record, s; if it is zero, the rocking fades in before the record begins.
+    `duration`. `delay`: time at rest at the beginning of the record, s; if it is zero, the rocking fades in before the record
+    begins.
     """
 
     amplitude: float
@@ -87,10 +88,10 @@ class Cycle:
 class RecordedMotion:
     """A motion that channels of the recording show, and that no table was commanded to make.
 
-    angle: channel of the encoder of an axis along the site direction `about`; the angle is zero in the segment's orientation.
-    attitude: the four channels of a unit quaternion from the sensor's axes to East-North-Up, real part first. rates, forces: three
-    channels of angular rate and three channels of specific force along the sensor's x, y, z. At least one of these four is stated.
-    averaging: time over which outputs and motion are averaged, s; 0 if the samples are used as they are.
+    `angle`: channel of the encoder of an axis along the site direction `about`; the angle is zero in the segment's orientation.
+    `attitude`: the four channels of a unit quaternion from the sensor's axes to East-North-Up, real part first. `rates`, `forces`:
+    three channels of angular rate and three channels of specific force along the sensor's x, y, z. At least one of these four is
+    stated. `averaging`: time over which outputs and motion are averaged, s; 0 if the samples are used as they are.
     """
 
     angle: str = ""
@@ -111,9 +112,12 @@ Motion = Rest | Spin | Rock | Cycle | RecordedMotion
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """The condition under which readings count as settled. limits: maps each reading to its largest permitted value in SI units,
-    for example `temperature_drift` to a value in K/s. duration: time [s] for which the readings must stay within the limits without
-    interruption. patience: time [s] after which the readings should have settled."""
+    """The condition under which readings count as settled.
+
+    `limits`: maps each reading to its largest permitted value in SI units, for example `temperature_drift` to a value in K/s.
+    `duration`: time [s] for which the readings must stay within the limits without interruption. `patience`: time [s] after which
+    the readings should have settled.
+    """
 
     limits: Mapping[str, float]
     duration: float
@@ -122,9 +126,12 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Conditions that must hold while a segment records. limits: largest permitted value of each reading, as in `Stability`. lost,
-    corrupt: permitted fractions of lost and of corrupt frames; None if any fraction is permitted. doubts: True if an instrument's
-    doubts about its samples count as an exceeded limit. retakes: how often the segment may be repeated after a limit was exceeded."""
+    """Conditions that must hold while a segment records.
+
+    `limits`: largest permitted value of each reading, as in `Stability`. `lost`, `corrupt`: permitted fractions of lost and of
+    corrupt frames; None if any fraction is permitted. `doubts`: True if an instrument's doubts about its samples count as an
+    exceeded limit. `retakes`: how often the segment may be repeated after a limit was exceeded.
+    """
 
     limits: Mapping[str, float] = field(default_factory=dict)
     lost: float | None = None

@@ -46,7 +46,7 @@ _SPECIAL = {
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A text with the name of its file. file: the file name that findings state."""
+    """A text with the name of its file. `file`: the file name that findings state."""
 
     file: str
     text: str | None = None
@@ -63,7 +63,7 @@ class Position(Protocol):
 
 
 class _Placed:
-    """A part of a text. begin, end: the places where the part begins and ends; None for a part that was made in code.
+    """A part of a text. `begin`, `end`: the places where the part begins and ends; None for a part that was made in code.
 
     Its `mark` is made only when it is needed, because a plan has hundreds of nodes and few of them are named in a finding.
     """
@@ -151,7 +151,7 @@ def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> 
 
 
 def refused_input(refused: RefusedFileError, name: str) -> InputError:
-    """The finding about a file that is refused. name: file name that the finding states."""
+    """The finding about a file that is refused. `name`: file name that the finding states."""
     mark, message, hint = Mark(name), str(refused), refused.hint
     match refused.kind:
         case "missing":
@@ -168,7 +168,7 @@ def refused_input(refused: RefusedFileError, name: str) -> InputError:
 
 
 def decode(data: bytes, name: str) -> str:
-    """Decodes a UTF-8 file, with or without a byte-order mark. Raises `InputError`. name: file name that findings state."""
+    """Decodes a UTF-8 file, with or without a byte-order mark. Raises `InputError`. `name`: file name that findings state."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -190,7 +190,7 @@ def load(path: Path, shown: str | None = None, log: Findings | None = None) -> M
 
 
 def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
-    """Parses the mapping in `text`. file: file name that findings state.
+    """Parses the mapping in `text`. `file`: file name that findings state.
 
     Raises `InputError`. If `log` is given, faults that leave the rest readable, such as duplicate keys, are added to it instead.
     """
@@ -285,7 +285,7 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
 
 @dataclass(slots=True)
 class _Open:
-    """A sequence or mapping whose end has not been read yet. around: the nodes before it in the enclosing collection. before:
+    """A sequence or mapping whose end has not been read yet. `around`: the nodes before it in the enclosing collection. `before`:
     number of all nodes before it in the file, where an alias counts as all the nodes that it stands for."""
 
     start: yaml.CollectionStartEvent
@@ -380,8 +380,8 @@ class _Builder:
         self._put(node, None, size)
 
     def _put(self, node: Node, anchor: str | None, size: int, inside: int = 0) -> None:
-        """Adds a node to the open collection. size: number of nodes that it adds, where an alias counts as all the nodes that it
-        stands for; inside: number of nodes within it that have already been counted."""
+        """Adds a node to the open collection. `size`: number of nodes that it adds, where an alias counts as all the nodes that it
+        stands for. `inside`: number of nodes within it that have already been counted."""
         self._nodes += 1
         self._written_out += size
         if self._nodes > MAX_NODES:

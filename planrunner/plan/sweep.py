@@ -43,7 +43,7 @@ from planrunner.plan.quantity import (
 
 @dataclass(frozen=True, slots=True)
 class SweepValue:
-    """One value of a sweep. name: the part of a label that shows the value. short: the text that replaces a {placeholder} in a
+    """One value of a sweep. `name`: the part of a label that shows the value. `short`: the text that replaces a {placeholder} in a
     label."""
 
     name: str
@@ -96,11 +96,11 @@ def _product(axes: tuple[SweepAxis, ...], serpentine: bool) -> Iterator[tuple[Sw
 class StateTraits:
     """Properties of a key of a state in addition to its value.
 
-    swept: True if the key may be swept with `for_each`. directed: True if the sign of the quantity is a direction, so that labels
-    show + as well as −. decisive: True if a value that could not be read prevents the checks of the rest of the segment. replaces:
-    another key by which the plan can state the same property in another form. A segment has only one of these two keys: setting
-    this key removes an inherited value of the other key. sweep_example: an example of a sweep, if the example of one value does not
-    show how to write a sweep.
+    `swept`: True if the key may be swept with `for_each`. `directed`: True if the sign of the quantity is a direction, so that
+    labels show + as well as −. `decisive`: True if a value that could not be read prevents the checks of the rest of the segment.
+    `replaces`: another key by which the plan can state the same property in another form. A segment has only one of these two keys:
+    setting this key removes an inherited value of the other key. `sweep_example`: an example of a sweep, if the example of one
+    value does not show how to write a sweep.
     """
 
     swept: bool = False
@@ -117,7 +117,7 @@ def traits_of(state: type[Record]) -> dict[str, StateTraits]:
 
 @dataclass(frozen=True, slots=True)
 class SweptKey:
-    """A key of a state that `for_each` accepts. quantity: the kind of the values if they are quantities; otherwise None."""
+    """A key of a state that `for_each` accepts. `quantity`: the kind of the values if they are quantities; otherwise None."""
 
     name: str
     kind: Kind

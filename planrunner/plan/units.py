@@ -263,7 +263,7 @@ def suggestion(text: str, dimension: Dimension | None = None) -> str:
     """The unit that an invalid text probably means: the same letters in another case, or the closest common unit; '' if there is
     none.
 
-    dimension: only units of this dimension are suggested.
+    `dimension`: only units of this dimension are suggested.
     """
     if text.strip().lower() in _OTHERWISE:
         return f"did you mean '{_OTHERWISE[text.strip().lower()]}'?"

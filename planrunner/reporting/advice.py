@@ -21,7 +21,7 @@ CLEAR = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """Advice about one named effect. remedy: a sentence that contains the fitted parameters."""
+    """Advice about one named effect. `remedy`: a sentence that contains the fitted parameters."""
 
     effect: str
     name: str
@@ -36,7 +36,7 @@ class Advice:
 
 
 def advice(effect: Effect, fitted: Sequence[ParameterEstimate]) -> Advice:
-    """The advice about an effect. fitted: the estimates of all effects that the diagnosis names."""
+    """The advice about an effect. `fitted`: the estimates of all effects that the diagnosis names."""
     own = [one for one in fitted if one.effect == effect.id]
     shape_name = effect.shape_name if isinstance(effect, HasShape) else None
     shape = next((one for one in own if one.name == shape_name), None)

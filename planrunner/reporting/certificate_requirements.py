@@ -43,8 +43,8 @@ STANDARD = "ISO/IEC 17025:2017"
 
 @dataclass(frozen=True, slots=True)
 class CertificateItem:
-    """An item of run information that a certificate shows. required: True if no certificate is written without it. instead: name of
-    another item of run information that is accepted in place of this one."""
+    """An item of run information that a certificate shows. `required`: True if no certificate is written without it. `instead`:
+    name of another item of run information that is accepted in place of this one."""
 
     name: str
     clause: str
@@ -92,7 +92,7 @@ DATES = ("date_received", "date_issued")
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """Missing information that a certificate requires. remedy: what to add, and where."""
+    """Missing information that a certificate requires. `remedy`: what to add, and where."""
 
     clause: str
     what: str
@@ -115,8 +115,8 @@ def room_condition(information: str) -> str | None:
 
 
 def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
-    """The required information that the bench file lacks. known: names of the run information that is given, or that the plan asks
-    for. holds_temperature: True if the plan holds a temperature."""
+    """The required information that the bench file lacks. `known`: names of the run information that is given, or that the plan
+    asks for. `holds_temperature`: True if the plan holds a temperature."""
     found = []
     if bench.laboratory is None:
         remedy = "add laboratory: {name: …, address: …} to the bench file"
@@ -132,7 +132,7 @@ def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool
 
 
 def lacks_of_information(known: Collection[str], remedy: str) -> list[Lack]:
-    """The required run information that is not among the `known` names. remedy: a text in which {name} stands for the name of the
+    """The required run information that is not among the `known` names. `remedy`: a text in which {name} stands for the name of the
     missing item."""
     return [
         Lack(item.clause, f"'{item.name}': {item.about}", remedy.format(name=item.name))
@@ -149,7 +149,7 @@ def _list(names: list[str]) -> str:
 def check_certificate(
     plan: Plan, bench: Bench, schedule: Schedule | None, known: Collection[str], log: Findings
 ) -> None:
-    """Adds errors, at the first certificate in the plan's `report`, for information that the certificate could not show. known:
+    """Adds errors, at the first certificate in the plan's `report`, for information that the certificate could not show. `known`:
     names of existing reports; unknown names are reported elsewhere."""
     places = [index for index, name in enumerate(plan.report) if is_certificate(name) and name in known]
     if not places:

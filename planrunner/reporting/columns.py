@@ -13,8 +13,8 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True, slots=True)
 class Shown(Generic[Row]):
-    """One column of a table, and how its cells are made. cell: function that makes the column's cell for a row. idle: cells that
-    carry no information; a column that contains only such cells is omitted."""
+    """One column of a table, and how its cells are made. `cell`: function that makes the column's cell for a row. `idle`: cells
+    that carry no information; a column that contains only such cells is omitted."""
 
     column: TableColumn
     cell: Callable[[Row], Cell]

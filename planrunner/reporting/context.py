@@ -32,11 +32,13 @@ class Traced:
 
 @dataclass(frozen=True, slots=True)
 class PrintedSignature:
-    """A signature of the run in the form in which pages print it (21 CFR 11.50). meaning: `reviewed`, `approved` or `released`; for
-    a bench, `recorded` or `evaluated`. name: name of the signer. at: time according to the signer's clock, UTC. key: fingerprint of
-    the key. analyses: numbers of the analyses that the signature covers. standing: valid (made with a key in the key ring), unknown
-    (made with a key that nobody has confirmed), or invalid. owner: name of the key in the key ring. why: the reason why the
-    signature is not valid."""
+    """A signature of the run in the form in which pages print it (21 CFR 11.50).
+
+    `meaning`: `reviewed`, `approved` or `released`; for a bench, `recorded` or `evaluated`. `name`: name of the signer. `at`: time
+    according to the signer's clock, UTC. `key`: fingerprint of the key. `analyses`: numbers of the analyses that the signature
+    covers. `standing`: valid (made with a key in the key ring), unknown (made with a key that nobody has confirmed), or invalid.
+    `owner`: name of the key in the key ring. `why`: the reason why the signature is not valid.
+    """
 
     meaning: str
     name: str
@@ -52,12 +54,13 @@ class PrintedSignature:
 class CertificateFacts:
     """The data that only certificates show. Dates are ISO 8601.
 
-    laboratory: the entry `laboratory` of the bench file. told: run information that was given with the run and when the certificate
-    was issued. corrected: for each item that was changed when the certificate was issued, the value that was recorded with the run.
-    performed: first and last day of the run. conditions: pairs of the name of a condition and its value as text. events: deviations
-    from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. approvals: approvals of the plan, each
-    with person, time and key. before: estimates of the run before the adjustment, by the name of the estimate. duration: time from
-    the first to the last sample, s. simulated: True if no real item was measured. replayed: True if a recording was played back.
+    `laboratory`: the entry `laboratory` of the bench file. `told`: run information that was given with the run and when the
+    certificate was issued. `corrected`: for each item that was changed when the certificate was issued, the value that was recorded
+    with the run. `performed`: first and last day of the run. `conditions`: pairs of the name of a condition and its value as text.
+    `events`: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. `approvals`:
+    approvals of the plan, each with person, time and key. `before`: estimates of the run before the adjustment, by the name of the
+    estimate. `duration`: time from the first to the last sample, s. `simulated`: True if no real item was measured. `replayed`:
+    True if a recording was played back.
     """
 
     run: str
@@ -80,7 +83,7 @@ class CertificateFacts:
 
 @dataclass(frozen=True, slots=True)
 class SegmentSummary:
-    """A summary of one segment as it was executed. statistics: None if no data were kept. units: maps each channel to its unit."""
+    """A summary of one segment as it was executed. `statistics`: None if no data were kept. `units`: maps each channel to its unit."""
 
     segment: Segment
     statistics: Statistics | None = None
@@ -97,13 +100,13 @@ class SegmentSummary:
 class ReportContext:
     """All data that reports show. Mappings keep their order.
 
-    run_information: information given for this run (operator, device_serial, work_order, fixture, ambient_pressure …). bench: facts
-    about the bench (name, description …). instruments: maps each role to the instrument's description of itself. failures: maps
-    each estimate that could not be made to the reason. provenance: versions, hashes of plan, bench, journal head and seal, number
-    of the analysis, UTC times. probability: coverage probability of the expanded uncertainties. certificate: additional data for
-    certificates. on_top: the facts shown first: item, operator, date, duration, analysis. origin: whether the samples are measured,
-    simulated or played back, if known. seal: SHA-256 of seal.json, if the run is sealed. signatures: signatures that the run had
-    when the page was made.
+    `run_information`: information given for this run (operator, device_serial, work_order, fixture, ambient_pressure …). `bench`:
+    facts about the bench (name, description …). `instruments`: maps each role to the instrument's description of itself.
+    `failures`: maps each estimate that could not be made to the reason. `provenance`: versions, hashes of plan, bench, journal head
+    and seal, number of the analysis, UTC times. `probability`: coverage probability of the expanded uncertainties. `certificate`:
+    additional data for certificates. `on_top`: the facts shown first: item, operator, date, duration, analysis. `origin`: whether
+    the samples are measured, simulated or played back, if known. `seal`: SHA-256 of seal.json, if the run is sealed. `signatures`:
+    signatures that the run had when the page was made.
     """
 
     title: str

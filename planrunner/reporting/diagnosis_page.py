@@ -44,9 +44,12 @@ Data = Mapping[str, Json]
 
 @dataclass(frozen=True)
 class DiagnosisContext:
-    """The input of the page of a diagnosis. title: title of the plan. diagnosis: the diagnosis as plain data. facts: facts about
-    the diagnosed recording. remarks: warnings about the recording. next_plan: text of the proposed plan, empty if there is none.
-    origin: whether the samples are measured, simulated or played back."""
+    """The input of the page of a diagnosis.
+
+    `title`: title of the plan. `diagnosis`: the diagnosis as plain data. `facts`: facts about the diagnosed recording. `remarks`:
+    warnings about the recording. `next_plan`: text of the proposed plan, empty if there is none. `origin`: whether the samples are
+    measured, simulated or played back.
+    """
 
     title: str
     diagnosis: Data

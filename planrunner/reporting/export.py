@@ -44,8 +44,8 @@ class ExportError(Exception):
 
 
 def export(estimate: Estimate, form: str, provenance: Mapping[str, str] | None = None) -> str:
-    """Makes the text of one file of coefficients. form: csv, matlab, yaml or c (see `FORMS`). provenance: facts that the comment at
-    the beginning of the file states.
+    """Makes the text of one file of coefficients. `form`: csv, matlab, yaml or c (see `FORMS`). `provenance`: facts that the
+    comment at the beginning of the file states.
 
     Raises `ExportError` for an unknown form.
     """

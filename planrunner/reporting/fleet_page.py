@@ -273,7 +273,7 @@ def facts(found: Data) -> dict[str, str]:
 def render_page(
     found: Data, remarks: Sequence[str] = (), origin: DataOrigin | None = None, folder: Path | None = None
 ) -> str:
-    """Renders one self-contained HTML page. remarks: warnings about the recordings. origin: whether the samples are measured,
+    """Renders one self-contained HTML page. `remarks`: warnings about the recordings. `origin`: whether the samples are measured,
     simulated or played back. Raises `ReportError`."""
     from markupsafe import Markup
 

@@ -23,7 +23,7 @@ _STEPS = (60, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 17280
 
 @dataclass(frozen=True, slots=True)
 class Timetable:
-    """A suite and the forecast of its night. durations: planned duration of each test, s; None if a recording determines it."""
+    """A suite and the forecast of its night. `durations`: planned duration of each test, s; None if a recording determines it."""
 
     suite: Suite
     file: str

@@ -35,7 +35,7 @@ def project(direction: Array) -> tuple[float, float]:
 def orientation_svg(attitude: Array | None, name: str = "") -> str:
     """The picture as an `<svg>` element with a title for screen readers.
 
-    attitude: shape (3, 3), whose rows are the sensor's x, y, z axes in East-North-Up; None draws the frame with a question mark.
+    `attitude`: shape (3, 3), whose rows are the sensor's x, y, z axes in East-North-Up; None draws the frame with a question mark.
     """
     words = "unknown orientation" if attitude is None else in_words(np.asarray(attitude, dtype=float))
     title = f"{name}: {words}" if name else words

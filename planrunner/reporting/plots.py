@@ -62,7 +62,7 @@ _STYLE: dict[RcKeyType, object] = {
 def plot_svg(plot: Plot, key: str) -> str:
     """One chart: points with error bars (±1 standard uncertainty) over labels, points and lines over numbers, or curves.
 
-    key: a name unique in the page, of letters, digits and hyphens, with which the ids in the picture begin.
+    `key`: a name unique in the page, of letters, digits and hyphens, with which the ids in the picture begin.
     """
     labels = _labels(plot.x)
     with drawing(WIDTH, 3.1) as (figure, save):

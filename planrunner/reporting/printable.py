@@ -36,7 +36,7 @@ def _shown(char: str) -> bool:
 
 
 class PrintableStream(io.TextIOBase):
-    """A text stream on which printed text cannot control the terminal. stream: the underlying stream."""
+    """A text stream on which printed text cannot control the terminal. `stream`: the underlying stream."""
 
     def __init__(self, stream: TextIO):
         self.stream = stream

@@ -18,8 +18,11 @@ from planrunner.reporting.view import report_view
 
 @dataclass(frozen=True, slots=True)
 class RunDeviation:
-    """A deviation of the run that a reviewer must judge. kind: kind of the deviation in words. segment: label of the affected
-    segment, if any. estimate: name of the affected estimate, if any. grave: True if the deviation prevents the release of the run."""
+    """A deviation of the run that a reviewer must judge.
+
+    `kind`: kind of the deviation in words. `segment`: label of the affected segment, if any. `estimate`: name of the affected
+    estimate, if any. `grave`: True if the deviation prevents the release of the run.
+    """
 
     kind: str
     text: str
@@ -30,8 +33,8 @@ class RunDeviation:
 
 @dataclass(frozen=True, slots=True)
 class DigestedFile:
-    """A file of the run folder. segment: label of the segment whose samples the file contains. size: number of bytes; None if it
-    was not recorded."""
+    """A file of the run folder. `segment`: label of the segment whose samples the file contains. `size`: number of bytes; None if
+    it was not recorded."""
 
     name: str
     sha256: str
@@ -41,7 +44,7 @@ class DigestedFile:
 
 @dataclass(frozen=True, slots=True)
 class ReviewContext:
-    """The input of the review page. report: the input for a report of the analysis. events: unusual events, as (UTC time, kind,
+    """The input of the review page. `report`: the input for a report of the analysis. `events`: unusual events, as (UTC time, kind,
     text)."""
 
     report: ReportContext

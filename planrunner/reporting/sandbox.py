@@ -62,7 +62,7 @@ def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
 def lay_out(name: str, given: Mapping[str, Json], folder: Path | None = None, most: int = MAX_OUTPUT) -> str:
     """Renders the template `name` (with or without `.j2`) with the data `given` in this process; returns the text.
 
-    folder: a user's template folder, which is searched before the shipped one. most: maximum number of characters of the text.
+    `folder`: a user's template folder, which is searched before the shipped one. `most`: maximum number of characters of the text.
     Raises `ReportError`.
     """
     import jinja2

@@ -31,7 +31,7 @@ _IDLE = ("–", "0")
 class ShowContext:
     """A schedule and its expected results.
 
-    designs: maps each estimate to its design, whose `predicted` coefficients have the expected standard uncertainties.
+    `designs`: maps each estimate to its design, whose `predicted` coefficients have the expected standard uncertainties.
     """
 
     title: str
@@ -183,7 +183,7 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
     """A table with one row for each segment: start, transition, state, duration. Columns without information are omitted.
 
-    brief: True to make the table fit a terminal: soaking and settling share a column, the end time is left out, and so is the
+    `brief`: True to make the table fit a terminal: soaking and settling share a column, the end time is left out, and so is the
     orientation if there is only one.
     """
     segments = schedule.segments

@@ -61,7 +61,7 @@ def console(width: int | None = None, file: TextIO | None = None) -> Console:
 
 
 def coefficients_table(estimate: Estimate, only: Sequence[str] | None = None) -> RenderableType:
-    """A table of coefficients with their standard and expanded uncertainties. only: names of the coefficients to show, such as
+    """A table of coefficients with their standard and expanded uncertainties. `only`: names of the coefficients to show, such as
     `estimate.headline`."""
     shown = [item for item in estimate.coefficients if only is None or item.name in only]
     return _coefficients(f"{estimate.name} ({estimate.estimator})", shown, "value")
@@ -138,7 +138,7 @@ class _Columns:
     """A table that is divided into several parts, one below the other, if its columns do not fit side by side.
 
     Numbers are never wrapped or cut. Titles and text are wrapped first. Then columns move to a further part, which repeats the
-    first column. columns: pairs of a title and True if the column has numbers.
+    first column. `columns`: pairs of a title and True if the column has numbers.
     """
 
     title: str

@@ -12,7 +12,7 @@ from planrunner.estimators.results import DataOrigin
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """The headline of a report. kind: `warned` means passed with warnings, `none` that the plan sets no limits."""
+    """The headline of a report. `kind`: `warned` means passed with warnings, `none` that the plan sets no limits."""
 
     kind: VerdictKind
     text: str
@@ -49,8 +49,8 @@ def _and(verdict: str, beside: str, why: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """The mark next to every verdict on samples that were not measured in this run. about: a sentence that explains the mark.
-    alarming: True if no real item was measured."""
+    """The mark next to every verdict on samples that were not measured in this run. `about`: a sentence that explains the mark.
+    `alarming`: True if no real item was measured."""
 
     word: str
     about: str

@@ -99,7 +99,7 @@ def stamped(origin: DataOrigin | None) -> JsonObject:
 
 
 def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObject:
-    """One estimate as data for templates, with its pictures. index: number of the estimate, from which ids that are unique in the
+    """One estimate as data for templates, with its pictures. `index`: number of the estimate, from which ids that are unique in the
     page are made."""
     from planrunner.reporting.plots import correlation, correlation_svg, plot_svg, strong
 
@@ -267,7 +267,7 @@ class Picture:
 def render_report(context: ReportContext, template: str, folder: Path | None = None) -> str:
     """Renders the report of the context with `template` (such as `report.html` or `summary.md`): one self-contained text.
 
-    folder: a user's template folder, which is searched before the shipped one. The same context gives the same text. Raises
+    `folder`: a user's template folder, which is searched before the shipped one. The same context gives the same text. Raises
     `ReportError`.
     """
     return render(template, report_view(context), folder)

@@ -91,8 +91,8 @@ def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
 def write_envelope(
     plan: Path, envelope: Envelope, signed: str, text: bytes | None = None, storage: Storage | None = None
 ) -> str:
-    """Writes an approval or withdrawal next to a plan; returns the name of its file. signed: the time of signing that the envelope
-    states, ISO 8601. text: the plan as it was approved. Raises `InputError` if it cannot be written."""
+    """Writes an approval or withdrawal next to a plan; returns the name of its file. `signed`: the time of signing that the
+    envelope states, ISO 8601. `text`: the plan as it was approved. Raises `InputError` if it cannot be written."""
     storage = storage or Storage()
     folder = approvals_folder(plan)
     stem = f"{re.sub(r'[^0-9T]', '', signed[:19])}Z-{payload_digest(envelope)[:16]}"
@@ -123,9 +123,9 @@ def _unreadable(folder: Path, error: Exception) -> InputError:
 class KeptApprovals:
     """The approval data in a run folder.
 
-    plan, bench: canonical JSON of the meanings that the approvals cover. ring: text of the key ring at the beginning of the run.
-    day: date on which the run began. approvals: the approvals that counted. keys, folder: the places where the key ring and the
-    approvals were found.
+    `plan`, `bench`: canonical JSON of the meanings that the approvals cover. `ring`: text of the key ring at the beginning of the
+    run. `day`: date on which the run began. `approvals`: the approvals that counted. `keys`, `folder`: the places where the key
+    ring and the approvals were found.
     """
 
     plan: str
@@ -145,8 +145,8 @@ class KeptApprovals:
         return hashlib.sha256(self.bench.encode()).hexdigest()
 
     def to_bytes(self, runs: Path) -> bytes:
-        """The content of `approvals.json`. runs: the folder that contains the run folders. Paths in it are relative to this folder.
-        They therefore name no folder above the lowest one that contains both the runs and the approvals."""
+        """The content of `approvals.json`. `runs`: the folder that contains the run folders. Paths in it are relative to this
+        folder. They therefore name no folder above the lowest one that contains both the runs and the approvals."""
         given = [entry_of(one) for one in self.approvals]
         return to_bytes(
             {

@@ -64,8 +64,11 @@ class ApprovedBench:
 
 @dataclass(frozen=True, slots=True)
 class Approved:
-    """The plan and the benches that an approval covers. plan: digest of the meaning of the plan without its bench. title, author:
-    as the plan states them. until: last day on which the approval is valid; None if there is no such day."""
+    """The plan and the benches that an approval covers.
+
+    `plan`: digest of the meaning of the plan without its bench. `title`, `author`: as the plan states them. `until`: last day on
+    which the approval is valid; None if there is no such day.
+    """
 
     plan: str
     title: str
@@ -76,10 +79,10 @@ class Approved:
 
 @dataclass(frozen=True, slots=True)
 class StatedApproval:
-    """An approval as a file states it. digest: SHA-256 of the payload of its envelope. All values are claims of the signer until
+    """An approval as a file states it. `digest`: SHA-256 of the payload of its envelope. All values are claims of the signer until
     `judged` has checked them.
 
-    name: name of the reviewer. signed: time of signing, UTC. version: version of planrunner.
+    `name`: name of the reviewer. `signed`: time of signing, UTC. `version`: version of planrunner.
     """
 
     file: str
@@ -94,7 +97,7 @@ class StatedApproval:
 
 @dataclass(frozen=True, slots=True)
 class StatedWithdrawal:
-    """A withdrawal of approvals as a file states it. withdrawn: digests of the payloads of the approvals that it withdraws."""
+    """A withdrawal of approvals as a file states it. `withdrawn`: digests of the payloads of the approvals that it withdraws."""
 
     file: str
     envelope: Envelope
@@ -116,7 +119,7 @@ ApprovalRecord = StatedApproval | StatedWithdrawal | DamagedApproval
 
 
 def approval_envelope(what: Approved, name: str, statement: str, signer: Signer, signed: str) -> Envelope:
-    """Signs an approval. signed: time of signing, UTC in ISO 8601."""
+    """Signs an approval. `signed`: time of signing, UTC in ISO 8601."""
     predicate = {
         "title": what.title,
         "author": list(what.author),
@@ -128,7 +131,7 @@ def approval_envelope(what: Approved, name: str, statement: str, signer: Signer,
 
 
 def withdrawal_envelope(withdrawn: Mapping[str, str], name: str, why: str, signer: Signer, signed: str) -> Envelope:
-    """Signs the withdrawal of approvals. withdrawn: maps the file of each approval to the digest of the approval's payload."""
+    """Signs the withdrawal of approvals. `withdrawn`: maps the file of each approval to the digest of the approval's payload."""
     return _signed(WITHDRAWAL, withdrawn, _told(name, why, signed), signer)
 
 
@@ -252,8 +255,8 @@ def _moment(value: Json) -> datetime:
 
 @dataclass(frozen=True, slots=True)
 class JudgedApproval:
-    """An approval with the result of its check. why: the reason why the approval does not count, in words; empty if it counts. key:
-    the signing key as the key ring lists it; None if the ring does not contain it."""
+    """An approval with the result of its check. `why`: the reason why the approval does not count, in words; empty if it counts.
+    `key`: the signing key as the key ring lists it; None if the ring does not contain it."""
 
     stated: StatedApproval | DamagedApproval
     standing: ApprovalStanding
@@ -293,10 +296,10 @@ class JudgedApproval:
 
 @dataclass(frozen=True, slots=True)
 class ApprovalRequest:
-    """The plan, the bench and the time for which approvals are checked. plan, bench: digests of the meanings from `procedure_of`
-    and `equipment_of`. author: the authors that the plan states.
+    """The plan, the bench and the time for which approvals are checked. `plan`, `bench`: digests of the meanings from
+    `procedure_of` and `equipment_of`. `author`: the authors that the plan states.
 
-    moment: time at which the plan is to run, with a time zone. day: the date at that time in the time zone of the bench.
+    `moment`: time at which the plan is to run, with a time zone. `day`: the date at that time in the time zone of the bench.
     """
 
     plan: str

@@ -27,9 +27,10 @@ class Fact:
 class Compared:
     """The two sides of a comparison and the difference between them.
 
-    names: names of the two sides, as the user gives them. meanings: the meaning of each side; for a run, the meaning of its plan on
-    its bench. schedules: the schedule of each plan; None if it could not be made. unforeseen: the reason why the consequences are
-    missing. facts: facts that differ between two runs. conditions: measured conditions that differ between two runs.
+    `names`: names of the two sides, as the user gives them. `meanings`: the meaning of each side; for a run, the meaning of its
+    plan on its bench. `schedules`: the schedule of each plan; None if it could not be made. `unforeseen`: the reason why the
+    consequences are missing. `facts`: facts that differ between two runs. `conditions`: measured conditions that differ between two
+    runs.
     """
 
     kind: ComparedKind

@@ -21,7 +21,7 @@ from planrunner.plan.schedule import Cycle, Rock, Schedule, Spin
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """The result of checking one plan on its bench. findings: the findings to be shown. schedule: None if the plan has errors."""
+    """The result of checking one plan on its bench. `findings`: the findings to be shown. `schedule`: None if the plan has errors."""
 
     schedule: Schedule | None = None
     designs: Mapping[str, Design] = field(default_factory=dict)
@@ -54,9 +54,11 @@ class Undetermined:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """One demand that two plans make on their benches, for example the largest rate. before, after: the extreme value that the
-    first and the second plan command. limits: the limits of the benches of the two plans. All values are in `unit`; a value that
-    does not exist is None. lowest: True if the limits are lower limits."""
+    """One demand that two plans make on their benches, for example the largest rate.
+
+    `before`, `after`: the extreme value that the first and the second plan command. `limits`: the limits of the benches of the two
+    plans. All values are in `unit`; a value that does not exist is None. `lowest`: True if the limits are lower limits.
+    """
 
     name: str
     unit: str
@@ -81,10 +83,10 @@ class Demand:
 class Consequences:
     """The consequences of a change of a plan.
 
-    total: planned times before and after the change, s; None without a schedule. predicted: coefficients whose predicted
-    uncertainty differs. lost: terms that can no longer be determined. won: terms that can be determined only after the change.
-    demands: demands on the bench that differ. new, gone: findings that appear or disappear because of the change, compared without
-    their places.
+    `total`: planned times before and after the change, s; None without a schedule. `predicted`: coefficients whose predicted
+    uncertainty differs. `lost`: terms that can no longer be determined. `won`: terms that can be determined only after the change.
+    `demands`: demands on the bench that differ. `new`, `gone`: findings that appear or disappear because of the change, compared
+    without their places.
     """
 
     total: tuple[float | None, float | None]

@@ -29,9 +29,11 @@ Tendency = Literal["loosened", "tightened", "both", ""]
 
 @dataclass(frozen=True, slots=True)
 class PartChange:
-    """One part of a plan or bench that differs. before, after: canonical content of the part in each file; None if the part is
-    absent. shown: the part as each file writes it; empty if the part is absent. gained, lost: added and removed values, if the part
-    is a list of values in both files."""
+    """One part of a plan or bench that differs.
+
+    `before`, `after`: canonical content of the part in each file; None if the part is absent. `shown`: the part as each file writes
+    it; empty if the part is absent. `gained`, `lost`: added and removed values, if the part is a list of values in both files.
+    """
 
     place: KeyPath
     before: Json
@@ -44,8 +46,8 @@ class PartChange:
 
 @dataclass(frozen=True, slots=True)
 class SegmentChange:
-    """One segment that differs. before, after: label of the segment in each plan; None if the plan lacks the segment. positions:
-    place of the segment in each plan, counted from 1."""
+    """One segment that differs. `before`, `after`: label of the segment in each plan; None if the plan lacks the segment.
+    `positions`: place of the segment in each plan, counted from 1."""
 
     before: str | None
     after: str | None
@@ -62,8 +64,8 @@ class SegmentChange:
 class MeaningDifference:
     """The difference between two plans or two benches.
 
-    parts: all differences outside the segments and limits. texts: texts for readers that changed; they do not count as a
-    difference. rounded: quantities in different units that agree to the written digits; they do not count as a difference either.
+    `parts`: all differences outside the segments and limits. `texts`: texts for readers that changed; they do not count as a
+    difference. `rounded`: quantities in different units that agree to the written digits; they do not count as a difference either.
     """
 
     kind: str
@@ -84,7 +86,7 @@ class MeaningDifference:
 def difference(
     before: Meaning, after: Meaning, bench_before: Meaning | None = None, bench_after: Meaning | None = None
 ) -> MeaningDifference:
-    """Compares two meanings of the same kind. bench_before, bench_after: the benches of two plans; if they are given, their
+    """Compares two meanings of the same kind. `bench_before`, `bench_after`: the benches of two plans; if they are given, their
     differences are listed too."""
     rounded: list[PartChange] = []
     texts = tuple(

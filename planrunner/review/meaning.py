@@ -45,8 +45,11 @@ DIGITS = 12
 
 @dataclass(frozen=True, slots=True)
 class StatedValue:
-    """One value in a meaning. content: its canonical form, for digests. shown: the value as the file writes it, for readers.
-    quantity: the quantity with its unit as written, if the value is a quantity; otherwise None."""
+    """One value in a meaning.
+
+    `content`: its canonical form, for digests. `shown`: the value as the file writes it, for readers. `quantity`: the quantity with
+    its unit as written, if the value is a quantity; otherwise None.
+    """
 
     content: Json
     shown: str
@@ -59,8 +62,11 @@ Branch = StatedValue | dict[str, "Branch"] | list["Branch"]
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """The meaning of a file. kind: `plan` or `bench`. content: the parts of the meaning by key. texts: texts for readers, which are
-    not part of the meaning."""
+    """The meaning of a file.
+
+    `kind`: `plan` or `bench`. `content`: the parts of the meaning by key. `texts`: texts for readers, which are not part of the
+    meaning.
+    """
 
     kind: str
     content: dict[str, Branch]
@@ -95,7 +101,7 @@ def canonical_json(value: Json) -> bytes:
 def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
     """SHA-256 of the meaning of a plan, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
 
-    bench: the bench on which the plan runs; if it is given, its meaning enters the digest too. Without a bench, the digest covers
+    `bench`: the bench on which the plan runs; if it is given, its meaning enters the digest too. Without a bench, the digest covers
     only the name of the plan's bench.
     """
     return meaning_of_plan(plan, bench).digest()
@@ -107,7 +113,7 @@ def digest_of_bench(bench: Bench) -> str:
 
 
 def meaning_of_plan(plan: Plan, bench: Bench | None = None) -> Meaning:
-    """The meaning of a plan. bench: as for `digest_of_plan`. Raises `InputError` with the findings if the plan has errors."""
+    """The meaning of a plan. `bench`: as for `digest_of_plan`. Raises `InputError` with the findings if the plan has errors."""
     log = Findings()
     for name in sorted(plan.origin.broken):
         log.error("review-unread", plan.at(name), f"'{name}' could not be read completely", "correct it first")

@@ -25,8 +25,11 @@ OVERRIDE = "urn:planrunner:check-standard-override:v1"
 
 @dataclass(frozen=True, slots=True)
 class Overridden:
-    """The bench, the check standard and the reason that an override covers. bench: digest of the meaning of the bench. device: the
-    check standard. why: the reason for the override. until: last day on which the override is valid."""
+    """The bench, the check standard and the reason that an override covers.
+
+    `bench`: digest of the meaning of the bench. `device`: the check standard. `why`: the reason for the override. `until`: last day
+    on which the override is valid.
+    """
 
     bench: str
     device: str
@@ -36,7 +39,7 @@ class Overridden:
 
 @dataclass(frozen=True, slots=True)
 class StatedOverride:
-    """An override as a file states it. All values are claims of the signer until `objection` has checked them. signed: time of
+    """An override as a file states it. All values are claims of the signer until `objection` has checked them. `signed`: time of
     signing, UTC."""
 
     envelope: Envelope
@@ -45,7 +48,7 @@ class StatedOverride:
 
 
 def override_envelope(what: Overridden, signer: Signer, signed: datetime) -> Envelope:
-    """Signs an override. signed: time of signing, UTC."""
+    """Signs an override. `signed`: time of signing, UTC."""
     predicate = {
         "device": what.device,
         "why": what.why,
@@ -79,10 +82,12 @@ def read_override(data: bytes) -> StatedOverride | None:
 def objection(
     one: StatedOverride, ring: KeyRing, by: str, what: Overridden, moment: datetime, day: date | None = None
 ) -> str:
-    """The reason why an override does not count; empty if it counts. by: the person who should have given the override, named as in
-    the key ring. what: the present bench, check standard and reason, which the override must state too; its `until` is ignored.
-    moment: time for which the override is checked, with a time zone. day: date in the time zone of the bench; by default, the date
-    of `moment`."""
+    """The reason why an override does not count; empty if it counts.
+
+    `by`: the person who should have given the override, named as in the key ring. `what`: the present bench, check standard and
+    reason, which the override must state too; its `until` is ignored. `moment`: time for which the override is checked, with a time
+    zone. `day`: date in the time zone of the bench; by default, the date of `moment`.
+    """
     known, day = ring.find(one.envelope.key), day or moment.date()
     if known is None:
         return f"its key {one.envelope.key} is not in the key ring"
@@ -106,8 +111,9 @@ def objection(
 def kept_objection(
     given: JsonObject, ring: KeyRing, bench: str | None, device: str, moment: datetime, day: date
 ) -> str:
-    """The same as `objection`, for an override that a run folder keeps with its signature. bench: digest of the meaning of the
-    bench when the override was used; None if it is not to be compared. moment, day: time and date at which the override was used."""
+    """The same as `objection`, for an override that a run folder keeps with its signature. `bench`: digest of the meaning of the
+    bench when the override was used; None if it is not to be compared. `moment`, `day`: time and date at which the override was
+    used."""
     stated = read_override(to_bytes(given["signature"]))
     if stated is None:
         return "it is damaged"

@@ -26,10 +26,12 @@ from planrunner.uncertainty.influences import BudgetLine
 
 @dataclass(frozen=True, slots=True)
 class CoefficientDifference:
-    """The difference of one coefficient between two runs, in `unit`. difference: value in the second run minus value in the first.
-    common: the correlated fraction of the variances, 2·Σ (c₁u)(c₂u)/(u₁² + u₂²). p: the probability defined in the docstring of the
-    module; NaN if it cannot be computed, for example for a standard deviation. holm: p corrected for the number of coefficients
-    compared."""
+    """The difference of one coefficient between two runs, in `unit`.
+
+    `difference`: value in the second run minus value in the first. `common`: the correlated fraction of the variances, 2·Σ
+    (c₁u)(c₂u)/(u₁² + u₂²). `p`: the probability defined in the docstring of the module; NaN if it cannot be computed, for example
+    for a standard deviation. `holm`: p corrected for the number of coefficients compared.
+    """
 
     estimate: str
     coefficient: str
@@ -46,7 +48,7 @@ class CoefficientDifference:
 
 @dataclass(frozen=True, slots=True)
 class RunDifference:
-    """The difference between two runs. coefficients: the coefficients that both runs have. only: names of the coefficients that
+    """The difference between two runs. `coefficients`: the coefficients that both runs have. `only`: names of the coefficients that
     only the first run has, and of those that only the second run has."""
 
     coefficients: tuple[CoefficientDifference, ...]
@@ -54,8 +56,8 @@ class RunDifference:
 
 
 def run_difference(before: Mapping[str, Estimate], after: Mapping[str, Estimate], same_bench: bool) -> RunDifference:
-    """The differences of all coefficients between two runs. same_bench: True if the declared errors of the bench belong to the same
-    instruments in both runs."""
+    """The differences of all coefficients between two runs. `same_bench`: True if the declared errors of the bench belong to the
+    same instruments in both runs."""
     found = []
     only: tuple[list[str], list[str]] = ([], [])
     for name in dict.fromkeys([*before, *after]):

@@ -27,7 +27,7 @@ def pae(kind: str, payload: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """An envelope with its payload and its signature. key: fingerprint of the key that is said to have signed; `signed_by` checks
+    """An envelope with its payload and its signature. `key`: fingerprint of the key that is said to have signed; `signed_by` checks
     the signature."""
 
     kind: str
@@ -51,8 +51,8 @@ def seal_envelope(kind: str, payload: bytes, signer: Signer) -> Envelope:
 
 
 def parse_envelope(data: bytes, kind: str) -> Envelope:
-    """Reads the envelope in a file. kind: the only type of payload that is accepted. Raises `EnvelopeError` for a file that is not
-    such an envelope."""
+    """Reads the envelope in a file. `kind`: the only type of payload that is accepted. Raises `EnvelopeError` for a file that is
+    not such an envelope."""
     try:
         value = from_bytes(data)
     except ValueError:

@@ -62,8 +62,8 @@ class KeyRingFile(Record):
 
 @dataclass(frozen=True, slots=True)
 class KnownKey:
-    """A key in the key ring, with its owner. Dates that the ring does not state are None. owner: the person who owns the key; empty
-    if the name of the key is the person's name."""
+    """A key in the key ring, with its owner. Dates that the ring does not state are None. `owner`: the person who owns the key;
+    empty if the name of the key is the person's name."""
 
     name: str
     public: PublicKey
@@ -114,7 +114,7 @@ def read_ring(path: Path) -> KeyRing:
 
 
 def parse_ring(text: str, shown: str) -> KeyRing:
-    """Reads a key ring from a text. shown: file name that findings state. Raises `InputError`."""
+    """Reads a key ring from a text. `shown`: file name that findings state. Raises `InputError`."""
     log = Findings()
     file = RecordOf(KeyRingFile).read(source.parse(text, shown), log)
     if file is None or log.errors:

@@ -30,7 +30,7 @@ FEWEST_LETTERS = 8
 
 @dataclass(frozen=True, slots=True)
 class PublicKey:
-    """An Ed25519 public key. raw: the 32 bytes of the key (RFC 8032, 5.1.5)."""
+    """An Ed25519 public key. `raw`: the 32 bytes of the key (RFC 8032, 5.1.5)."""
 
     raw: bytes
 

@@ -58,9 +58,11 @@ _FILE = re.compile(rf"([0-9]{{4}})-({'|'.join((*MEANINGS, *BENCH_MEANINGS))})\.d
 
 @dataclass(frozen=True, slots=True)
 class BenchSigning:
-    """What the files of a run state about the signatures of its bench. key: public key in the bench file; None if the bench file
-    names none. name: name of the bench. earlier_seals: SHA-256 of the seals that existed before the run was opened again, according
-    to its journal."""
+    """What the files of a run state about the signatures of its bench.
+
+    `key`: public key in the bench file; None if the bench file names none. `name`: name of the bench. `earlier_seals`: SHA-256 of
+    the seals that existed before the run was opened again, according to its journal.
+    """
 
     key: PublicKey | None = None
     name: str = ""
@@ -68,8 +70,8 @@ class BenchSigning:
 
 
 def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> BenchSigning:
-    """Reads what the files of a run state about the signatures of its bench. bench: text of the run's bench file. earlier_seals: as
-    in `BenchSigning`."""
+    """Reads what the files of a run state about the signatures of its bench. `bench`: text of the run's bench file.
+    `earlier_seals`: as in `BenchSigning`."""
     stated, name = declared(bench, "signing"), declared(bench, "name")
     text = stated.get("key") if isinstance(stated, dict) else None
     try:
@@ -88,11 +90,11 @@ def signing_of(found: Examined) -> BenchSigning:
 class RunSignature:
     """One signature of a run.
 
-    file: name of the file in `signatures/`. standing: `unknown key` if no key ring was given or if the ring lacks the key; all
-    other values are then claims only. why: the reason why the signature is not valid; empty if it is valid. owner: the name of the
-    key in the ring. name, signed, comment, result: as the signer states them; `signed` is UTC, ISO 8601. analyses: numbers of the
-    analyses that the signature covers. current: True if the signature covers the present seal; False if a bench made it for a seal
-    from before the run was reopened.
+    `file`: name of the file in `signatures/`. `standing`: `unknown key` if no key ring was given or if the ring lacks the key; all
+    other values are then claims only. `why`: the reason why the signature is not valid; empty if it is valid. `owner`: the name of
+    the key in the ring. `name`, `signed`, `comment`, `result`: as the signer states them; `signed` is UTC, ISO 8601. `analyses`:
+    numbers of the analyses that the signature covers. `current`: True if the signature covers the present seal; False if a bench
+    made it for a seal from before the run was reopened.
     """
 
     file: str
@@ -119,7 +121,7 @@ class RunSignature:
 def statement(
     run: str, subjects: Mapping[str, str], result: TestResult, meaning: SignatureMeaning, name: str, comment: str
 ) -> JsonObject:
-    """The in-toto statement for a signature that is made now. subjects: maps each file in the run folder to its SHA-256."""
+    """The in-toto statement for a signature that is made now. `subjects`: maps each file in the run folder to its SHA-256."""
     given = [{"name": file, "digest": {"sha256": subjects[file]}} for file in (PLAN, BENCH)]
     return {
         "_type": STATEMENT,
@@ -148,8 +150,8 @@ def sign_run(
     """Signs a run that was verified as sealed and unchanged; returns the name of the new file. The caller must hold the lock of the
     folder.
 
-    run: name of the run. analyses: numbers of the analyses that the signature covers; by default, all analyses. Raises `InputError`
-    if the name or the comment cannot be printed or if the key cannot sign, and `OSError`.
+    `run`: name of the run. `analyses`: numbers of the analyses that the signature covers; by default, all analyses. Raises
+    `InputError` if the name or the comment cannot be printed or if the key cannot sign, and `OSError`.
     """
     require_line(str(folder.path), "name", name, 1)
     require_line(str(folder.path), "comment", comment)
@@ -171,7 +173,7 @@ def signatures_of(
 ) -> tuple[RunSignature, ...]:
     """All signatures of a run in the order of their numbers, each checked against the key ring and the present files.
 
-    bench: what the run states about the signatures of its bench; by default, this is read from the run folder. Raises `OSError`.
+    `bench`: what the run states about the signatures of its bench; by default, this is read from the run folder. Raises `OSError`.
     """
     bench = bench or bench_signing(folder.read(BENCH, MOST_GIVEN))
     return tuple(_examined(folder, file, ring, bench) for file in _files(folder))
@@ -231,8 +233,8 @@ def _examined(folder: GuardedFolder, file: str, ring: KeyRing | None, bench: Ben
 
 
 def _other_signer(claimed: RunSignature, known: KnownKey | None, *, own: bool) -> str:
-    """The reason why this key is not permitted to make a signature of this meaning; empty if it is permitted. own: True if the key
-    is the one in the bench file."""
+    """The reason why this key is not permitted to make a signature of this meaning; empty if it is permitted. `own`: True if the
+    key is the one in the bench file."""
     bench = known is not None and BENCH_ROLE in known.roles
     if not claimed.by_bench:
         return "a person must sign it, but the key is that of a bench" if own or bench else ""
@@ -257,8 +259,8 @@ def lacking_signatures(
     """The signatures of a sealed run that its bench must make but that are missing, each as a code and a message.
 
     The bench file requires signatures if it names a key. The key ring also requires them if it contains a key of the bench that is
-    valid on the day of the run. The requirement therefore remains even if the bench file is changed or the key is revoked. made:
-    time when the run began. analyses: numbers of the analyses of the run. A person's signature of an analysis can replace the
+    valid on the day of the run. The requirement therefore remains even if the bench file is changed or the key is revoked. `made`:
+    time when the run began. `analyses`: numbers of the analyses of the run. A person's signature of an analysis can replace the
     bench's signature, because a person may evaluate a run elsewhere; if a key ring is given, it must contain the person's key.
     """
     day = made.date()
@@ -321,8 +323,8 @@ def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], r
     """Describes the first difference between the signed digests and the present files in words; empty if there is none. Analyses
     and signatures that were added later are not a difference.
 
-    earlier: True if the signature covers a seal from before the run was reopened. The journal contains the digest of that seal, so
-    the present seal and journal may then differ from the signed ones.
+    `earlier`: True if the signature covers a seal from before the run was reopened. The journal contains the digest of that seal,
+    so the present seal and journal may then differ from the signed ones.
     """
     try:
         present = _subjects(folder, before=file)
@@ -347,8 +349,8 @@ def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], r
 def _subjects(
     folder: GuardedFolder, before: str | None = None, analyses: Iterable[int] | None = None
 ) -> dict[str, str]:
-    """Maps each file that a signature covers to its SHA-256 digest. before: file of a signature; this signature and all later ones
-    are left out. analyses: numbers of the analyses; by default, all analyses. Raises `OSError`."""
+    """Maps each file that a signature covers to its SHA-256 digest. `before`: file of a signature; this signature and all later
+    ones are left out. `analyses`: numbers of the analyses; by default, all analyses. Raises `OSError`."""
     limits = {
         RUN: MOST_GIVEN,
         PLAN: MOST_GIVEN,

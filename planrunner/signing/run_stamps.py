@@ -33,9 +33,12 @@ StampStanding = Literal["valid", "unknown authority", "invalid"]
 
 @dataclass(frozen=True, slots=True)
 class RunStamp:
-    """One time stamp of a run. events: number of events in the stamped part of the journal; None for a stamp of the seal. time: the
-    time that the authority states, UTC, ISO 8601; empty if it cannot be read. standing: `unknown authority` if only the certificate
-    in the bench file of the run verifies the stamp. why: the reason why the stamp is not valid; empty if it is valid."""
+    """One time stamp of a run.
+
+    `events`: number of events in the stamped part of the journal; None for a stamp of the seal. `time`: the time that the authority
+    states, UTC, ISO 8601; empty if it cannot be read. `standing`: `unknown authority` if only the certificate in the bench file of
+    the run verifies the stamp. `why`: the reason why the stamp is not valid; empty if it is valid.
+    """
 
     file: str
     events: int | None
@@ -65,7 +68,7 @@ def stamped_seals(folder: GuardedFolder) -> set[str]:
 
 
 def verify_stamps(found: Examined, given: StampAuthority | None) -> tuple[RunStamp, ...]:
-    """Verifies all time stamps of an examined run. Adds faults to the findings of `found`. given: the authority that the verifier
+    """Verifies all time stamps of an examined run. Adds faults to the findings of `found`. `given`: the authority that the verifier
     trusts. Raises `OSError`."""
     mark, stated = Mark(str(found.folder.path)), declared_stamps(found)
     own = _stated_authority(stated)

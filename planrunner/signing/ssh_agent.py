@@ -59,7 +59,7 @@ def _listed(data: bytes) -> Iterator[bytes]:
 
 def _answer(request: bytes, patience: float) -> bytes:
     """The reply of the agent, without the length that precedes it; empty if the reply is too long. Raises `InputError` if no agent
-    is running or the agent does not answer. patience: the longest time to wait, s."""
+    is running or the agent does not answer. `patience`: the longest time to wait, s."""
     path = os.environ.get("SSH_AUTH_SOCK", "")
     if not path or sys.platform == "win32":
         hint = "start ssh-agent and add the key with ssh-add"

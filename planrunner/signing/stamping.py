@@ -17,7 +17,7 @@ LAST_PATIENCE = 30.0
 
 
 class Stamper:
-    """The `Witness` that stamps the journal of one run. every: the shortest time between two requests, s."""
+    """The `Witness` that stamps the journal of one run. `every`: the shortest time between two requests, s."""
 
     def __init__(self, url: str, authority: StampAuthority, every: float):
         self._url, self._authority, self._every = url, authority, every

@@ -22,7 +22,7 @@ def payload_of(value: Json) -> bytes:
 
 
 def read_statement(payload: bytes, predicate: str) -> JsonObject:
-    """Reads the statement in a payload. predicate: the only type of predicate that is accepted. Raises ValueError or KeyError for
+    """Reads the statement in a payload. `predicate`: the only type of predicate that is accepted. Raises ValueError or KeyError for
     any other content, and for a statement that is not in canonical form."""
     value = from_bytes(payload)
     if not isinstance(value, dict) or payload_of(value) != payload:
@@ -39,8 +39,8 @@ def printable_line(text: str) -> bool:
 
 
 def require_line(where: str, what: str, text: str, least: int = 0) -> None:
-    """Raises `InputError` for a text that cannot be printed as one line or has a wrong length. where: the file to be signed, for
-    the message. least: the smallest permitted number of characters."""
+    """Raises `InputError` for a text that cannot be printed as one line or has a wrong length. `where`: the file to be signed, for
+    the message. `least`: the smallest permitted number of characters."""
     if not least <= len(text.strip()) or len(text) > MOST_LETTERS or not printable_line(text):
         message = f"the {what} must be one line of printable text with at most {MOST_LETTERS} characters"
         raise InputError.at(Mark(where), "sign-text", message, "shorten it, or correct it")

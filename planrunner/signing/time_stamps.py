@@ -39,7 +39,7 @@ class StampError(ValueError):
 @dataclass(frozen=True, slots=True)
 class StampAuthority:
     """The certificates that verify time stamps: those of the authority itself, or those of the root and intermediate authorities
-    above it. revocations: lists of revoked certificates; each list is signed with one of these certificates."""
+    above it. `revocations`: lists of revoked certificates; each list is signed with one of these certificates."""
 
     certificates: tuple[x509.Certificate, ...]
     revocations: tuple[x509.CertificateRevocationList, ...] = ()

@@ -19,9 +19,11 @@ SIGNED = "head.dsse.json"
 
 @dataclass(frozen=True, slots=True)
 class RememberedHead:
-    """A tree head of a log, as read from a file. key: fingerprint of the key that is said to have signed the head; empty if it is
-    not signed. owner: the name that the key ring gives this key, if the signature is valid. why: the fault of the signature; empty
-    if none is known."""
+    """A tree head of a log, as read from a file.
+
+    `key`: fingerprint of the key that is said to have signed the head; empty if it is not signed. `owner`: the name that the key
+    ring gives this key, if the signature is valid. `why`: the fault of the signature; empty if none is known.
+    """
 
     head: TreeHead
     key: str = ""

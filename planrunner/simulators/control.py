@@ -21,8 +21,8 @@ Handler = Callable[[Mapping[str, Json]], Mapping[str, Json]]
 
 
 class Control:
-    """The control channel of a simulated bench. handle: function that answers a request; if it raises a `ValueError`, the reply is
-    an error. token: text that every request that changes something must contain."""
+    """The control channel of a simulated bench. `handle`: function that answers a request; if it raises a `ValueError`, the reply
+    is an error. `token`: text that every request that changes something must contain."""
 
     def __init__(self, host: str, port: int, handle: Handler):
         self.host, self.port, self.handle = host, port, handle

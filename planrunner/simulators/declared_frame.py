@@ -22,8 +22,8 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @dataclass(frozen=True, slots=True)
 class FieldPlace:
-    """The position and the encoding of a number in a frame. kind: number format, such as `i24`, `u16` or `f32`; a value v in `unit`
-    is sent as (v − zero)/scale."""
+    """The position and the encoding of a number in a frame. `kind`: number format, such as `i24`, `u16` or `f32`; a value v in
+    `unit` is sent as (v − zero)/scale."""
 
     at: int
     kind: str
@@ -95,8 +95,8 @@ class DeclaredFrame:
     """Bytes at given positions that are the same in all frames, such as a status word."""
 
     def frames(self, channels: Mapping[str, Array], numbers: Array) -> Bytes:
-        """Makes frames (n, length) from the channels (n,), which are in the units of the fields. numbers: (n,), running numbers of
-        the frames."""
+        """Makes frames (n, length) from the channels (n,), which are in the units of the fields. `numbers`: array of shape (n,),
+        running numbers of the frames."""
         frames = np.zeros((numbers.size, self.length), dtype=np.uint8)
         frames[:, : len(self.sync)] = np.frombuffer(self.sync, dtype=np.uint8)
         for at, data in self.steady:
@@ -128,7 +128,7 @@ class Alarms:
     set_is_good: bool
 
     def told(self, ails: Collection[str]) -> tuple[int, bytes]:
-        """The position of the status word and its bytes. ails: faults of the sensor. A fault affects the bits whose meaning
+        """The position of the status word and its bytes. `ails`: faults of the sensor. A fault affects the bits whose meaning
         contains its name, or all bits if there are no such bits."""
         wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
         high = set(self.bits) - wrong if self.set_is_good else wrong
@@ -137,8 +137,11 @@ class Alarms:
 
 @dataclass(slots=True)
 class DeclaredUnit:
-    """The electronics of a sensor that the bench file describes. units: units of the channels of the virtual sensor. words: for
-    each command line, the mode to which it switches; switch: function that is called with this mode."""
+    """The electronics of a sensor that the bench file describes.
+
+    `units`: units of the channels of the virtual sensor. `words`: for each command line, the mode to which it switches. `switch`:
+    function that is called with this mode.
+    """
 
     units: Mapping[str, str]
     form: DeclaredFrame

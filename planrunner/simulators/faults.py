@@ -117,8 +117,8 @@ class FaultScript(Record):
 
 
 def read_script(path: Path, roles: Mapping[str, str]) -> tuple[Fault, ...]:
-    """Reads the faults of a script. roles: role of each instrument of the bench, by name. Raises `InputError` with all findings if
-    the script is not valid."""
+    """Reads the faults of a script. `roles`: role of each instrument of the bench, by name. Raises `InputError` with all findings
+    if the script is not valid."""
     data = source.read_bytes(path, str(path))
     log = Findings()
     script: FaultScript | None = RecordOf(FaultScript).read(
@@ -156,8 +156,11 @@ def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
 
 @dataclass(slots=True)
 class DeclaredFault:
-    """A fault with the times at which it begins and ends. begins, ends: s on the bench's clock; begun: True if the fault has taken
-    effect; left: number of replies that it still affects, None if there is no limit."""
+    """A fault with the times at which it begins and ends.
+
+    `begins`, `ends`: s on the bench's clock. `begun`: True if the fault has taken effect. `left`: number of replies that it still
+    affects, None if there is no limit.
+    """
 
     number: int
     fault: Fault

@@ -61,8 +61,11 @@ _REVERSED = np.packbits(
 
 @dataclass(frozen=True)
 class Crc:
-    """A cyclic redundancy check. width: number of bits, 8 to 32; start: content of the register before the first byte; reflected:
-    True if every byte, and the result, starts with its lowest bit; inverted: True if the bits of the result are inverted."""
+    """A cyclic redundancy check.
+
+    `width`: number of bits, 8 to 32. `start`: content of the register before the first byte. `reflected`: True if every byte, and
+    the result, starts with its lowest bit. `inverted`: True if the bits of the result are inverted.
+    """
 
     width: int
     polynomial: int

@@ -31,7 +31,7 @@ class PlantController(Controller, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Conversation:
-    """A simulated table or chamber, which exchanges messages. framed: True if the replies over TCP are framed in the way that the
+    """A simulated table or chamber, which exchanges messages. `framed`: True if the replies over TCP are framed in the way that the
     key `simulation` of the bench states."""
 
     controller: PlantController

@@ -48,7 +48,7 @@ class Glide:
 @dataclass(frozen=True, slots=True)
 class Swing:
     """A sine about the angle `centre`. During its first period, the amplitude [rad] changes gradually from `before` to `amplitude`.
-    zero: time at which the phase was `phase` [rad], s; frequency: in Hz."""
+    `zero`: time at which the phase was `phase` [rad], s. `frequency`: in Hz."""
 
     begin: float
     centre: float
@@ -80,7 +80,7 @@ PathPiece = Glide | Swing
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The pieces of one joint's motion in order of time. The last piece has no end. arrival: time at which the commanded state is
+    """The pieces of one joint's motion in order of time. The last piece has no end. `arrival`: time at which the commanded state is
     reached, s."""
 
     pieces: tuple[PathPiece, ...]

@@ -26,7 +26,7 @@ from planrunner.plan.quantity import Quantity
 
 
 class RunningClock:
-    """Counts the seconds since the simulated bench was switched on. speed: seconds of the bench per second of real time."""
+    """Counts the seconds since the simulated bench was switched on. `speed`: seconds of the bench per second of real time."""
 
     def __init__(self, speed: float = 1.0, monotonic: Callable[[], float] = time.monotonic):
         self.speed = speed
@@ -62,8 +62,8 @@ class RunsFreely(Protocol):
 
 @dataclass(slots=True)
 class LiveWorld:
-    """The virtual world and its instruments, with a running clock. table, chamber: the virtual instruments, which know the true
-    state; None if the bench has none. recorders: functions that are called with the present time before the world changes."""
+    """The virtual world and its instruments, with a running clock. `table`, `chamber`: the virtual instruments, which know the true
+    state; None if the bench has none. `recorders`: functions that are called with the present time before the world changes."""
 
     world: World
     clock: Clock
@@ -88,7 +88,7 @@ _FREE_RUNNING = 2  # second part of the key of its noise: apart from those of se
 
 
 class SensorFeed:
-    """The samples of the sensor in a live world. rate: sample rate, Hz; each sample is a mean over its sampling interval."""
+    """The samples of the sensor in a live world. `rate`: sample rate, Hz; each sample is a mean over its sampling interval."""
 
     def __init__(self, live: LiveWorld, sensor: RunsFreely, rate: float):
         self.live = live

@@ -19,8 +19,8 @@ Writer = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """How messages and replies are separated. sent_ends: bytes each of which ends a message; framing: `none`; `words` or `ascii`,
-    which are two forms of an error code and a length before a reply; or `prompt`, a separate line with `>` after a reply."""
+    """How messages and replies are separated. `sent_ends`: bytes each of which ends a message. `framing`: `none`; `words` or
+    `ascii`, which are two forms of an error code and a length before a reply; or `prompt`, a separate line with `>` after a reply."""
 
     sent_ends: bytes = b"\n"
     reply_ends: bytes = b"\n"
@@ -36,7 +36,7 @@ class Manner:
 
 
 class MessagePort:
-    """Exchanges messages between one simulated instrument and its clients. now: function that returns the time on the bench's
+    """Exchanges messages between one simulated instrument and its clients. `now`: function that returns the time on the bench's
     clock."""
 
     def __init__(self, name: str, controller: Controller, manner: Manner, board: FaultBoard, now: Callable[[], float]):

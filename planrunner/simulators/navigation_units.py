@@ -29,8 +29,8 @@ def _vectors(outputs: Outputs, block: Block) -> tuple[Array, Array]:
 
 @dataclass(slots=True)
 class XsensUnit:
-    """A simulated Xsens MTi. rate: number of packets per second. silent: True while the sensor is being configured; it then sends
-    no measurements."""
+    """A simulated Xsens MTi. `rate`: number of packets per second. `silent`: True while the sensor is being configured; it then
+    sends no measurements."""
 
     outputs: Outputs
     form: xsens.Xsens
@@ -99,7 +99,7 @@ def _turns(angles: Array) -> Array:
 
 @dataclass(slots=True)
 class VectorNavUnit:
-    """A simulated VectorNav VN-100. form: its binary messages; text: the kind of text line that it sends instead of these, or
+    """A simulated VectorNav VN-100. `form`: its binary messages. `text`: the kind of text line that it sends instead of these, or
     nothing. Neither form contains a status."""
 
     outputs: Outputs

@@ -42,7 +42,7 @@ class Port(Protocol):
 
 
 class PseudoTerminal:
-    """A pseudo-terminal; a program opens its other end at the path `link`. heard: function that `attend` calls with the data that
+    """A pseudo-terminal; a program opens its other end at the path `link`. `heard`: function that `attend` calls with the data that
     it has received.
 
     While the other end is not open, data that are written are lost, as on a line to which nobody listens."""
@@ -176,8 +176,11 @@ _HERE = ("127.0.0.1", "localhost")
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """The address of a simulated instrument. host, port: parts of a TCP address; link: path of a pseudo-terminal, None for TCP;
-    before, after: text before and after the address in the bench file."""
+    """The address of a simulated instrument.
+
+    `host`, `port`: parts of a TCP address. `link`: path of a pseudo-terminal, None for TCP. `before`, `after`: text before and
+    after the address in the bench file.
+    """
 
     before: str
     after: str
@@ -209,7 +212,7 @@ class Address:
         return Address(self.before, self.after, self.host, 0, link)
 
     def written(self, port: int | None = None) -> str:
-        """The address as it is written in a bench file. port: number of the port if the system chose it."""
+        """The address as it is written in a bench file. `port`: number of the port if the system chose it."""
         return f"{self.before}{self.link or port or self.port}{self.after}"
 
 
@@ -229,8 +232,8 @@ class LineCounts:
 
 
 class SerialLine:
-    """A simulated serial line. baud: bit rate of the line, bits per second; speed: seconds of the bench per second of real time, by
-    which the bytes are accelerated as well."""
+    """A simulated serial line. `baud`: bit rate of the line, bits per second. `speed`: seconds of the bench per second of real
+    time, by which the bytes are accelerated as well."""
 
     def __init__(self, port: Port, baud: float, speed: float, now: float):
         self.port = port
@@ -255,7 +258,7 @@ class SerialLine:
         self.waiting += data
 
     def pump(self, now: float) -> None:
-        """Sends as many bytes as the line can have transmitted by now. now: real time, s."""
+        """Sends as many bytes as the line can have transmitted by now. `now`: real time, s."""
         self.credit = min(self.credit + (now - self.last) * self.bytes_a_second, float(self.capacity))
         self.last = now
         length = min(len(self.waiting), int(self.credit))

@@ -26,7 +26,7 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class SensorUnit(Protocol):
-    """The electronics of a sensor, between its samples and its line. ails: faults (`overload`, `self-test`) that its status
+    """The electronics of a sensor, between its samples and its line. `ails`: faults (`overload`, `self-test`) that its status
     reports, as far as its frames can show them."""
 
     ails: frozenset[str]
@@ -40,7 +40,7 @@ class SensorUnit(Protocol):
 
 @dataclass(slots=True)
 class Outputs:
-    """Converts the outputs of a virtual sensor to the units of a frame. units: units of the sensor's channels, by name."""
+    """Converts the outputs of a virtual sensor to the units of a frame. `units`: units of the sensor's channels, by name."""
 
     units: Mapping[str, str]
 
@@ -74,7 +74,7 @@ class SampleNumber:
 
 @dataclass(slots=True)
 class Stim300Unit:
-    """A simulated STIM300. rate: number of datagrams per second, which determines the step of the counter."""
+    """A simulated STIM300. `rate`: number of datagrams per second, which determines the step of the counter."""
 
     outputs: Outputs
     form: Stim300
@@ -137,8 +137,11 @@ def _with_check(text: str) -> bytes:
 
 @dataclass(slots=True)
 class KvhUnit:
-    """A simulated KVH 1775 or DSP-1760. degrees: True if gyro outputs are in deg instead of rad; increments: True if outputs are
-    angles instead of rates; hundredths: True if temperatures are in hundredths of a degree."""
+    """A simulated KVH 1775 or DSP-1760.
+
+    `degrees`: True if gyro outputs are in deg instead of rad. `increments`: True if outputs are angles instead of rates.
+    `hundredths`: True if temperatures are in hundredths of a degree.
+    """
 
     outputs: Outputs
     form: Kvh1775

@@ -27,8 +27,8 @@ TICK = 0.005  # s between two looks at everything
 
 
 class Serving:
-    """A simulated bench in operation: its instruments, ports, faults and control channel. addresses: address of each instrument, as
-    it is written in a bench file; known after `open`."""
+    """A simulated bench in operation: its instruments, ports, faults and control channel. `addresses`: address of each instrument,
+    as it is written in a bench file; known after `open`."""
 
     def __init__(self, simulated: Simulated, control: tuple[str, int], speed: float, folder: Path | None = None):
         self.simulated, self.live, self.speed, self.folder = simulated, simulated.live, speed, folder

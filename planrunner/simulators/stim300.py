@@ -37,8 +37,10 @@ INTERNAL_RATE = 2000.0  # Hz, what the counter counts
 
 @dataclass(frozen=True, slots=True)
 class Stim300:
-    """The configuration of a STIM300. acceleration_range: in g; increments: True if outputs are angles instead of rates; crlf: True
-    if CR LF ends a datagram."""
+    """The configuration of a STIM300.
+
+    `acceleration_range`: in g. `increments`: True if outputs are angles instead of rates. `crlf`: True if CR LF ends a datagram.
+    """
 
     datagram: int = 0xA7
     acceleration_range: int = 10
@@ -51,9 +53,12 @@ class Stim300:
         return 8 + len(clusters) * (17 if warm else 10) + (4 if extra else 0) + (2 if self.crlf else 0)
 
     def frames(self, columns: Mapping[str, Values], counter: Values, latency: Values) -> Bytes:
-        """Makes datagrams (n, length). columns: the values (n,) by name: `gyro_x` … in deg/s (in deg for increments); `acc_x` … and
-        `incl_x` … in g; `gyro_T_x` … in degC; `pps` or `aux` as raw numbers; `gyro_status` and other status bytes where they are
-        not zero. counter: (n,), number of internal samples; latency: in µs."""
+        """Makes datagrams (n, length).
+
+        `columns`: the values (n,) by name: `gyro_x` … in deg/s (in deg for increments); `acc_x` … and `incl_x` … in g; `gyro_T_x` …
+        in degC; `pps` or `aux` as raw numbers; `gyro_status` and other status bytes where they are not zero. `counter`: (n,),
+        number of internal samples. `latency`: in µs.
+        """
         clusters, warm, extra = DATAGRAMS[self.datagram]
         count = counter.size
         nothing = np.zeros(count)

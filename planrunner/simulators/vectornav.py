@@ -25,7 +25,7 @@ _COMMON = {
 
 @dataclass(frozen=True, slots=True)
 class VectorNav:
-    """The binary messages of a VectorNav. fields: names of the outputs of the common group."""
+    """The binary messages of a VectorNav. `fields`: names of the outputs of the common group."""
 
     fields: Sequence[str] = ("time_startup", "imu", "mag_pres")
 
@@ -34,8 +34,8 @@ class VectorNav:
         return 6 + sum(4 * _COMMON[name][1] or 8 for name in self.fields)
 
     def frames(self, columns: Mapping[str, Values]) -> Bytes:
-        """Makes messages (n, length). columns: the values of each output, (n,) or (n, components), in ns, deg, rad/s, m/s^2, gauss,
-        degC or kPa."""
+        """Makes messages (n, length). `columns`: the values of each output, (n,) or (n, components), in ns, deg, rad/s, m/s^2,
+        gauss, degC or kPa."""
         count = len(next(iter(columns.values())))
         chosen = sorted((_COMMON[name][0], name) for name in self.fields)
         word = sum(1 << bit for bit, _ in chosen)

@@ -21,8 +21,8 @@ _FINE_TICKS = 10_000.0  # of SampleTimeFine in a second
 
 @dataclass(frozen=True, slots=True)
 class Xsens:
-    """The packets of an Xsens MTi. items: data identifiers in the order of the packet; their low bits state the format of the real
-    numbers (0 f32, 1 12.20, 2 16.32, 3 f64)."""
+    """The packets of an Xsens MTi. `items`: data identifiers in the order of the packet; their low bits state the format of the
+    real numbers (0 f32, 1 12.20, 2 16.32, 3 f64)."""
 
     items: Sequence[int] = (PACKET_COUNTER, SAMPLE_TIME_FINE, 0x4020, 0x8020, TEMPERATURE, STATUS_WORD)
 
@@ -38,7 +38,7 @@ class Xsens:
         return _INTEGERS.get(item) or _COMPONENTS[whole] * (4, 4, 6, 8)[item & 3]
 
     def frames(self, columns: Mapping[int, Values]) -> Bytes:
-        """Makes packets (n, length). columns: the values by identifier (without its format), (n,) or (n, components), in SI units
+        """Makes packets (n, length). `columns`: the values by identifier (without its format), (n,) or (n, components), in SI units
         and degC."""
         count = len(next(iter(columns.values())))
         parts = []

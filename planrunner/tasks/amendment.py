@@ -26,8 +26,11 @@ MAY_DIFFER = ("estimates", "limits", "report", "diagnosis")
 
 @dataclass(frozen=True, slots=True)
 class Amendment:
-    """An amendment of the evaluation of a run. by: the person who makes the amendment. why: the reason. plan: a plan with other
-    estimates or limits; None to use the plan of the run. amends: number of the analysis to amend; by default, the newest."""
+    """An amendment of the evaluation of a run.
+
+    `by`: the person who makes the amendment. `why`: the reason. `plan`: a plan with other estimates or limits; None to use the plan
+    of the run. `amends`: number of the analysis to amend; by default, the newest.
+    """
 
     by: str
     why: str

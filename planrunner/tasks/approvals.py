@@ -67,7 +67,7 @@ def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
 
 
 def ring_of_run(rule: ApprovalRule, kept: KeptApprovals, bench_file: Path | None) -> RingFile:
-    """The key ring with which a run is continued. The bench names this ring; the run folder does not contain it. bench_file: file
+    """The key ring with which a run is continued. The bench names this ring; the run folder does not contain it. `bench_file`: file
     of a bench that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
     return _ring(rule, Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys)
 
@@ -94,8 +94,11 @@ def _ring(rule: ApprovalRule, path: Path) -> RingFile:
 
 @dataclass(frozen=True, slots=True)
 class _Reason:
-    """How a finding reports the reason why an approval does not count. code: code of the finding. hint: what to do. key: the key of
-    the bench's rule for approvals that the reason concerns, if any."""
+    """How a finding reports the reason why an approval does not count.
+
+    `code`: code of the finding. `hint`: what to do. `key`: the key of the bench's rule for approvals that the reason concerns, if
+    any.
+    """
 
     code: str
     hint: str
@@ -127,7 +130,7 @@ def required_approvals(
     """The approval data that the run folder must keep. Returns None if the bench requires no approvals, or if approvals are
     missing; in the second case, findings give the reasons.
 
-    The approvals are read from the folder next to the plan file, and the key ring from its place next to the bench file. moment:
+    The approvals are read from the folder next to the plan file, and the key ring from its place next to the bench file. `moment`:
     time at which the plan is to run, with a time zone.
     """
     rule = bench.approvals
@@ -196,7 +199,7 @@ def _tell(
     remedy: str = "",
 ) -> None:
     """Adds one error about missing approvals, and for each key a further error with the reason why the newest approval with that
-    key does not count. remedy: text of the hint; by default, the advice to approve the plan."""
+    key does not count. `remedy`: text of the hint; by default, the advice to approve the plan."""
     persons = sorted({one.person for one in found if one.standing == "counts"})
     counted = (
         f"only the approval by {persons[0]} counts"
@@ -233,9 +236,9 @@ def still_approved(
     """The approvals that were added since the run began or was last continued, as entries for its journal. Raises `InputError` if
     too few approvals count today.
 
-    bench_file: file of a bench that replaces the one in the run folder. further: plan file next to which there are approvals that
-    were given after the run began. If it is not given, only the approvals with which the run began or was continued can count. An
-    approval does not count if it has expired or been withdrawn in the meantime, or if its key has been revoked.
+    `bench_file`: file of a bench that replaces the one in the run folder. `further`: plan file next to which there are approvals
+    that were given after the run began. If it is not given, only the approvals with which the run began or was continued can count.
+    An approval does not count if it has expired or been withdrawn in the meantime, or if its key has been revoked.
     """
     rule = bench.approvals
     if rule is None:
@@ -282,7 +285,7 @@ def _renewals(
 
 @dataclass(frozen=True, slots=True)
 class RunApproval:
-    """An approval under which a plan ran. verified: True if the approval was verified with a key ring that the user gave.
+    """An approval under which a plan ran. `verified`: True if the approval was verified with a key ring that the user gave.
     Otherwise, it was checked with the ring in the run folder, which proves nothing about the owner of the key."""
 
     judged: JudgedApproval
@@ -298,7 +301,7 @@ class RunApproval:
 
 
 def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, ...]:
-    """The approvals of a run, checked for the time at which the run began. Faults become findings. ring: key ring with the keys
+    """The approvals of a run, checked for the time at which the run began. Faults become findings. `ring`: key ring with the keys
     that the user knows."""
     path = found.folder.path
     if not {PLAN, BENCH} <= found.given.keys() or not found.run:
@@ -373,7 +376,7 @@ def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None
 def _tell_invalid(
     found: Examined, where: Path, seen: Sequence[JudgedApproval], outdated: Sequence[ApprovalStanding], *, met: bool
 ) -> None:
-    """Reports approvals that do not count, except those that later approvals have replaced. met: True if enough approvals count."""
+    """Reports approvals that do not count, except those that later approvals have replaced. `met`: True if enough approvals count."""
     why = "; ".join(f"{_name(one)}: {one.why}" for one in seen if one.standing not in ("counts", *outdated))
     if not met or why:
         lacking = "the approvals that the bench requires are not all valid"

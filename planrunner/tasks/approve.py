@@ -47,8 +47,9 @@ _ANYBODY = ApprovalRule(keys="", author_may_approve=True)
 
 @dataclass(frozen=True, slots=True)
 class PreparedApproval:
-    """The content of an approval before it is signed. sound: the checked plan on each bench. last: the newest approval of a plan
-    with another meaning, with the difference from the present plan; None if there is no such approval or its text is not available."""
+    """The content of an approval before it is signed. `sound`: the checked plan on each bench. `last`: the newest approval of a
+    plan with another meaning, with the difference from the present plan; None if there is no such approval or its text is not
+    available."""
 
     plan: Path
     what: Approved
@@ -58,8 +59,8 @@ class PreparedApproval:
 
 @dataclass(frozen=True, slots=True)
 class BenchApprovals:
-    """The approvals of a plan on one bench. rule: the bench's rule for approvals; None if the bench requires none. met: True if the
-    approvals meet the rule."""
+    """The approvals of a plan on one bench. `rule`: the bench's rule for approvals; None if the bench requires none. `met`: True if
+    the approvals meet the rule."""
 
     bench: str
     rule: ApprovalRule | None
@@ -70,11 +71,11 @@ class BenchApprovals:
 def prepare(
     plan: Path, benches: Sequence[str] = (), until: date | None = None, *, foresee: bool = True
 ) -> PreparedApproval:
-    """Prepares an approval of a plan. benches: names of shipped benches or bench files; by default, the bench that the plan names.
-    until: last day on which the approval is valid.
+    """Prepares an approval of a plan. `benches`: names of shipped benches or bench files; by default, the bench that the plan
+    names. `until`: last day on which the approval is valid.
 
-    foresee: True to compute the consequences of the difference from the last approved version, too. Raises `InputError` for a plan
-    that does not pass its checks on every bench, and for a day in the past.
+    `foresee`: True to compute the consequences of the difference from the last approved version, too. Raises `InputError` for a
+    plan that does not pass its checks on every bench, and for a day in the past.
     """
     document = Document(source.read_bytes(plan), str(plan))
     sound = tuple(check_plan(document, bench).sound() for bench in benches or (None,))
@@ -139,7 +140,7 @@ def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage |
 
 
 def approvals_on(plan: Path, sound: Sound, ring: KeyRing | None = None) -> BenchApprovals:
-    """The approvals of a plan on a bench that are valid now. ring: the key ring to use instead of the ring that the bench names.
+    """The approvals of a plan on a bench that are valid now. `ring`: the key ring to use instead of the ring that the bench names.
     Raises `InputError`."""
     rule = sound.bench.approvals
     if ring is None:

@@ -37,7 +37,7 @@ def _quoted(text: str) -> str:
 
 
 def bench_of(look: Look, name: str) -> str:
-    """Makes the text of a bench file that plays the recording back. name: name of the bench."""
+    """Makes the text of a bench file that plays the recording back. `name`: name of the bench."""
     lines = [
         "planrunner_bench: 1",
         f"name: {name}",
@@ -101,7 +101,7 @@ def bench_of(look: Look, name: str) -> str:
 
 
 def plan_of(look: Look, name: str) -> str:
-    """Makes the text of a first plan for the recording. name: name of the bench that the plan uses."""
+    """Makes the text of a first plan for the recording. `name`: name of the bench that the plan uses."""
     outputs = [one.name for one in look.channels if one.sensed in ("gyro", "accel")]
     live = [one.name for one in look.channels if one.name in outputs and not one.stands]
     lines = [

@@ -51,7 +51,7 @@ def key_of(bench: Bench) -> PublicKey | None:
 
 
 def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
-    """Adds an error if the public key in the bench file cannot be read. key_needed: True if a run on this computer may follow the
+    """Adds an error if the public key in the bench file cannot be read. `key_needed`: True if a run on this computer may follow the
     check. A private key that is not available then causes only a warning, because the run is worth more than its signature."""
     if bench.signing is None:
         return
@@ -89,7 +89,7 @@ def sign_analysis(
     signed or does not need a signature.
 
     The bench signs an analysis only if it also signed the seal. The signed seal guarantees that the samples are those that the
-    bench recorded. elsewhere: True if another computer computed the results, which the bench then does not sign.
+    bench recorded. `elsewhere`: True if another computer computed the results, which the bench then does not sign.
     """
     public = key_of(bench)
     if public is None or not reader.sealed:
@@ -154,8 +154,8 @@ def locked(folder: GuardedFolder) -> Iterator[None]:
 
 def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[int, Results]) -> None:
     """Makes the signatures that should have been made automatically: of the seal of a verified run, and of analyses that were
-    recomputed. The caller must hold the lock of the run folder. proven: maps the number of each recomputed analysis to its results.
-    Raises `InputError` and `OSError`."""
+    recomputed. The caller must hold the lock of the run folder. `proven`: maps the number of each recomputed analysis to its
+    results. Raises `InputError` and `OSError`."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     run = reader.run["run"]
     good = [one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid" and one.by_bench]

@@ -43,7 +43,7 @@ def facts(
     before: Mapping[str, Estimate] | None = None,
     before_run: str = "",
 ) -> CertificateFacts:
-    """The contents of a certificate for this run. given: run information that is given when the certificate is issued; it takes
+    """The contents of a certificate for this run. `given`: run information that is given when the certificate is issued; it takes
     precedence over the information in the run."""
     recorded = recorded_information(reader)
     segments = tuple(recording)

@@ -48,8 +48,8 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """The result of checking a plan: the plan and the bench, as far as they could be read, and the findings. plan_bytes,
-    bench_bytes: the exact bytes that were read; in the plan, the values given for parameters have been entered. approvals: the
+    """The result of checking a plan: the plan and the bench, as far as they could be read, and the findings. `plan_bytes`,
+    `bench_bytes`: the exact bytes that were read; in the plan, the values given for parameters have been entered. `approvals`: the
     approvals that the bench requires; None if it requires none or if the plan lacks them."""
 
     file: str
@@ -126,9 +126,9 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A plan that has passed its checks; `findings` may contain warnings. parameters: the values that the user gave for parameters.
-    approvals: the approvals that the bench requires; None if it requires none. A bench that requires approvals does not run a plan
-    without them."""
+    """A plan that has passed its checks; `findings` may contain warnings. `parameters`: the values that the user gave for
+    parameters. `approvals`: the approvals that the bench requires; None if it requires none. A bench that requires approvals does
+    not run a plan without them."""
 
     file: str
     findings: Findings
@@ -166,12 +166,12 @@ def check_plan(
 ) -> Checked:
     """Makes all checks of a plan before it runs. It raises no error, whatever the files contain.
 
-    plan_file: path of the plan file, or its contents as a `Document`. For a `Document`, the bench is searched relative to the name
-    that it shows. Approvals are searched only next to the file of a path. A `Document` can therefore pass the checks, but does not
-    run on a bench that requires approvals. bench: the bench to use instead of the one in the plan: the name of a shipped bench, a
-    path relative to the working folder, or a `Document`. today: the day on which calibrations must be valid; by default, the
-    current day. parameters: values for parameters of the plan. Findings about such a value state the place where the value was
-    given.
+    `plan_file`: path of the plan file, or its contents as a `Document`. For a `Document`, the bench is searched relative to the
+    name that it shows. Approvals are searched only next to the file of a path. A `Document` can therefore pass the checks, but does
+    not run on a bench that requires approvals. `bench`: the bench to use instead of the one in the plan: the name of a shipped
+    bench, a path relative to the working folder, or a `Document`. `today`: the day on which calibrations must be valid; by default,
+    the current day. `parameters`: values for parameters of the plan. Findings about such a value state the place where the value
+    was given.
     """
     file = plan_file.shown if isinstance(plan_file, Document) else str(plan_file)
     checked = Checked(file, Findings(), {name: given.value for name, given in parameters.items()})

@@ -118,8 +118,8 @@ def shown_name(override: JsonObject) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """The permission for a run to begin. record: data about the check standard that are stored in run.json. findings: warnings for
-    the user."""
+    """The permission for a run to begin. `record`: data about the check standard that are stored in run.json. `findings`: warnings
+    for the user."""
 
     record: JsonObject | None = None
     findings: tuple[Finding, ...] = ()
@@ -133,8 +133,8 @@ def control_state(
     now: datetime | None = None,
     fresh: Freshness = Freshness(),  # noqa: B008 - frozen
 ) -> ControlState | None:
-    """The state of the check standard of a bench according to the runs in an archive; None if the bench has no check standard. now:
-    time for which the state is determined; by default, the current time. Raises `InputError` if the index cannot be used."""
+    """The state of the check standard of a bench according to the runs in an archive; None if the bench has no check standard.
+    `now`: time for which the state is determined; by default, the current time. Raises `InputError` if the index cannot be used."""
     rule = bench.check_standard
     if rule is None:
         return None
@@ -196,7 +196,7 @@ def admit(
     signature: JsonObject | None = None,
 ) -> Admission:
     """Checks whether a run may begin on a bench. Raises `InputError` if the check standard of the bench is not in control and no
-    authorised person has given an override, or if an override is given but cannot be used. signature: the signed statement of the
+    authorised person has given an override, or if an override is given but cannot be used. `signature`: the signed statement of the
     override, if the caller has already verified that it was valid at the time when the run began."""
     rule = bench.check_standard
     if rule is None:
@@ -238,8 +238,8 @@ def admit_again(
     bench_file: Path | None = None,
 ) -> Admission:
     """Checks whether a run may be continued. The state of the check standard is determined again, from the archive that contains
-    the run. An override with which the run began stays valid for the whole run. bench: the bench on which the run is continued.
-    bench_file: the file of this bench, if it replaces the file in the run folder. Raises `InputError` like `admit`."""
+    the run. An override with which the run began stays valid for the whole run. `bench`: the bench on which the run is continued.
+    `bench_file`: the file of this bench, if it replaces the file in the run folder. Raises `InputError` like `admit`."""
     signature: JsonObject | None = None
     rule, began = bench.check_standard, run.run.get("check_standard", {}).get("override")
     own = None if began is None else Override(str(began["by"]), str(began["why"]))

@@ -28,9 +28,11 @@ from planrunner.tasks.check import Checked, Document, check_plan
 
 @dataclass(frozen=True, slots=True)
 class PlanOnBench:
-    """The result of checking a plan on a bench. seconds: planned duration, s; None if the length of a recording determines the
-    duration. size: largest possible size of the run folder, bytes. asks: maps the name of each item of run information in the plan
-    to True if the item is required."""
+    """The result of checking a plan on a bench.
+
+    `seconds`: planned duration, s; None if the length of a recording determines the duration. `size`: largest possible size of the
+    run folder, bytes. `asks`: maps the name of each item of run information in the plan to True if the item is required.
+    """
 
     findings: tuple[Finding, ...]
     ok: bool
@@ -42,7 +44,7 @@ class PlanOnBench:
 
 @dataclass(slots=True)
 class CheckedSuite:
-    """The result of checking a suite: the suite, as far as it could be read, and the findings. virtual: True if all benches have
+    """The result of checking a suite: the suite, as far as it could be read, and the findings. `virtual`: True if all benches have
     simulated time."""
 
     file: str
@@ -77,8 +79,8 @@ class CheckedSuite:
 
 @dataclass(frozen=True, slots=True)
 class SoundSuite:
-    """A suite that has passed its checks; `findings` may contain warnings. asks: for each test, the run information that its plan
-    requests. size: largest possible size of all run folders together, bytes."""
+    """A suite that has passed its checks; `findings` may contain warnings. `asks`: for each test, the run information that its plan
+    requests. `size`: largest possible size of all run folders together, bytes."""
 
     file: str
     findings: Findings
@@ -121,9 +123,9 @@ def check_suite(
 ) -> CheckedSuite:
     """Makes all checks of a suite before a night. It raises no error, whatever the files contain.
 
-    at: the local time from which on the night may begin, in the time zone of the suite (ISO 8601); by default, now. workers:
-    processes that share the checks of the plans; by default, processes on this computer. archive: folder with the runs of the check
-    standards; if it is not given, the state of the check standards is not checked.
+    `at`: the local time from which on the night may begin, in the time zone of the suite (ISO 8601); by default, now. `workers`:
+    processes that share the checks of the plans; by default, processes on this computer. `archive`: folder with the runs of the
+    check standards; if it is not given, the state of the check standards is not checked.
     """
     checked = CheckedSuite(file.shown if isinstance(file, Document) else str(file), Findings())
     log = checked.findings
@@ -291,7 +293,7 @@ _Item = tuple[Path, str, Mapping[str, Given]]
 
 def _look_elsewhere(today: date, given: tuple[_Item, Path, Path]) -> PlanOnBench | None:
     """Checks a plan on a worker of a cluster. Returns None if the result depends on this computer, so that the plan must be checked
-    here. given: the case to check, the path of its plan, and the path of its bench."""
+    here. `given`: the case to check, the path of its plan, and the path of its bench."""
     file, bench, parameters = given[0]
     found = check_plan(file, bench, today=today, parameters=parameters)
     return _seen(found) if found.portable else None

@@ -66,8 +66,11 @@ class ClosingRound:
 
 @dataclass(frozen=True)
 class Closed:
-    """The result of `close`. first: diagnosis of the recording. last: diagnosis of the gap that remains at the end. bench: text of
-    the bench file with all effects entered; empty if there are no effects, or if the simulations were computed without a bench."""
+    """The result of `close`.
+
+    `first`: diagnosis of the recording. `last`: diagnosis of the gap that remains at the end. `bench`: text of the bench file with
+    all effects entered; empty if there are no effects, or if the simulations were computed without a bench.
+    """
 
     first: Diagnosed
     rounds: tuple[ClosingRound, ...]
@@ -80,10 +83,10 @@ class Closed:
 def comparison(
     made: Diagnosed, stop: StopRequest, simulation: str | None = None, stated: Stated | None = None
 ) -> GapComparison:
-    """Compares the recording of a diagnosis with two simulations, without and with effects. simulation: the virtual bench that
+    """Compares the recording of a diagnosis with two simulations, without and with effects. `simulation`: the virtual bench that
     simulates the plan, as a name or a file; by default, the bench of the recording. A bench that plays recordings back cannot
-    simulate; in that case, the simulations are computed for the recorded motion. stated: the effects with their parameters, in the
-    form in which a diagnosis states them; by default, the effects in its verdict.
+    simulate; in that case, the simulations are computed for the recorded motion. `stated`: the effects with their parameters, in
+    the form in which a diagnosis states them; by default, the effects in its verdict.
 
     The noise of both simulations is independent of the noise of the recording. Raises `InputError` if the bench cannot simulate the
     plan.
@@ -164,7 +167,7 @@ def _of_counts(seen: Observed, values: Array, counts: Array) -> Observed:
 
 
 def _before_rounding(level: Array, counts: Array, declared: Array) -> Array:
-    """Standard deviation (K,) that the noise has before the samples are rounded to counts (K,). level: standard deviation (K,) of
+    """Standard deviation (K,) that the noise has before the samples are rounded to counts (K,). `level`: standard deviation (K,) of
     the rounded samples. If a count is so coarse that the samples do not show the noise, the declared level is returned."""
     from planrunner.gap.evidence.rounding import is_coarse
 
@@ -179,8 +182,8 @@ def _rounded(values: Array, counts: Array) -> Array:
 
 
 def _walk(observed: Observed, triad: str, density: float, draw: np.random.Generator) -> Array:
-    """A random walk (N, K) in each channel of a triad; zero in the other channels. density: in the SI unit of the triad, divided by
-    √s."""
+    """A random walk (N, K) in each channel of a triad; zero in the other channels. `density`: in the SI unit of the triad, divided
+    by √s."""
     steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]).clip(0.0))
     walk = np.zeros((len(steps), len(observed.channels)))
     own = observed.of_kind(triad)

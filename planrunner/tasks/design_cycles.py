@@ -35,7 +35,7 @@ def has_cycle_alone(checked: Checked) -> bool:
 
 def design_cycle(checked: Checked, asked: Asked, workers: Workers = ALONE) -> FoundCycles:
     """Designs the rotation cycle of a plan. Raises `InputError` with the findings about the plan, and `EstimationError` if there is
-    no cycle to design. workers: processes that share the searches."""
+    no cycle to design. `workers`: processes that share the searches."""
     if asked.time is not None:
         raise EstimationError("--time distributes dwell times; the length of a cycle follows from its turns and stops")
     if checked.findings.errors or checked.schedule is None or checked.models is None or checked.plan is None:

@@ -51,7 +51,7 @@ _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for
 def design_positions(
     checked: Checked, asked: Asked, progress: SearchProgress | None = None, workers: Workers = ALONE
 ) -> FoundPositions:
-    """Designs the positions of a plan. workers: processes that share the search over arbitrary orientations. Raises `InputError`
+    """Designs the positions of a plan. `workers`: processes that share the search over arbitrary orientations. Raises `InputError`
     with the findings about the plan, and `EstimationError` if there is nothing to design."""
     if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
         raise InputError(checked.findings)
@@ -61,7 +61,7 @@ def design_positions(
 
 
 def _rows_of(rows: direction_cosines.RowsAt, axes: tuple[TableAxis, ...], azimuth: float, settings: Array) -> Array:
-    """The design rows for m settings of the table's k axes. settings: angles of the axes, shape (m, k)."""
+    """The design rows for m settings of the table's k axes. `settings`: angles of the axes, shape (m, k)."""
     return rows(positions.attitudes(axes, settings, azimuth))
 
 

@@ -60,7 +60,7 @@ def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
 
 def design_rates(checked: Checked, asked: Asked, bench: str | None = None, workers: Workers = ALONE) -> FoundRates:
     """Designs the rates of a plan. Raises `InputError` with the findings about the plan, and `EstimationError` if there are no
-    rates to design. bench: as for `check_plan`. workers: processes that share the starting points of the search."""
+    rates to design. `bench`: as for `check_plan`. `workers`: processes that share the starting points of the search."""
     if checked.findings.errors or checked.schedule is None:
         raise InputError(checked.findings)
     if asked.criterion not in ("D", "A"):
@@ -70,7 +70,7 @@ def design_rates(checked: Checked, asked: Asked, bench: str | None = None, worke
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """One sweep over rates: its segments, and all segments that the estimate uses. mark: (line, column) where the rates begin."""
+    """One sweep over rates: its segments, and all segments that the estimate uses. `mark`: (line, column) where the rates begin."""
 
     name: str
     mark: tuple[int, int]
@@ -295,8 +295,8 @@ class _RateDesigner:
         return math.exp((reference - loss) / len(self.terms)) if self.asked.criterion == "D" else reference / loss
 
     def _allotted(self, rates: Sequence[float]) -> tuple[float, ...] | None:
-        """The dwell [s] at each rate within the time budget, as a whole number of turns; None without a budget. rates: sorted, the
-        largest first."""
+        """The dwell [s] at each rate within the time budget, as a whole number of turns; None without a budget. `rates`: sorted,
+        the largest first."""
         if self.asked.time is None:
             return None
         assert self.checked.schedule is not None

@@ -52,9 +52,12 @@ DIAGNOSIS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording and the plan with which it was made. where: the run folder or the file, for messages. bench: name or file of the
-    bench, in a form that another plan can use. created: time when the run began. remarks: notes about the run folder. several: True
-    if recordings of several runs were joined."""
+    """A recording and the plan with which it was made.
+
+    `where`: the run folder or the file, for messages. `bench`: name or file of the bench, in a form that another plan can use.
+    `created`: time when the run began. `remarks`: notes about the run folder. `several`: True if recordings of several runs were
+    joined.
+    """
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
@@ -68,9 +71,9 @@ class Recorded:
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
     """A diagnosis with its recording, findings about the recording, and a proposal of what to measure next. The proposal is None if
-    no question is open. declarations: wrong declarations that were corrected before the diagnosis. stated: maps each effect that is
-    known to act to the stated values of its parameters; a value stated without a name has the key '' and applies to the only
-    parameter, or to all amplitudes."""
+    no question is open. `declarations`: wrong declarations that were corrected before the diagnosis. `stated`: maps each effect
+    that is known to act to the stated values of its parameters; a value stated without a name has the key '' and applies to the
+    only parameter, or to all amplitudes."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -125,11 +128,13 @@ def diagnose_recorded(
     notice: Announce | None = None,
     given: Sequence[str] = (),
 ) -> Diagnosed:
-    """Diagnoses how a recording differs from its simulation. options: options of the diagnosis; by default, those in the plan.
-    jobs: number of threads for linear algebra; more than one rarely helps, because the systems are small. notice: receives the
-    progress of reading. given: effects that are known to act. `EFFECT` is fitted; `EFFECT=VALUE` and
-    `EFFECT=NAME:VALUE,NAME:VALUE…` are subtracted from the samples. The gap that remains after this is diagnosed. Raises
-    `InputError` with all obstacles to a diagnosis."""
+    """Diagnoses how a recording differs from its simulation.
+
+    `options`: options of the diagnosis; by default, those in the plan. `jobs`: number of threads for linear algebra; more than one
+    rarely helps, because the systems are small. `notice`: receives the progress of reading. `given`: effects that are known to act.
+    `EFFECT` is fitted; `EFFECT=VALUE` and `EFFECT=NAME:VALUE,NAME:VALUE…` are subtracted from the samples. The gap that remains
+    after this is diagnosed. Raises `InputError` with all obstacles to a diagnosis.
+    """
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=jobs, user_api="blas"):
@@ -301,7 +306,7 @@ def _lasting(item: RecordedSegment) -> RecordedSegment:
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
     """The samples with their planned states, ready for a diagnosis, and warnings about them. Wrong declarations are corrected.
-    nominal: the terms that the simulation fits. Raises `InputError` with all obstacles to a diagnosis."""
+    `nominal`: the terms that the simulation fits. Raises `InputError` with all obstacles to a diagnosis."""
     seen, _, findings = corrected_observation(recorded, nominal)
     return seen, findings
 
@@ -496,7 +501,7 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 
 
 def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
-    """Reads the recording in a run folder. notice: receives the progress of reading. Raises `InputError` if the folder is not a
+    """Reads the recording in a run folder. `notice`: receives the progress of reading. Raises `InputError` if the folder is not a
     run, and `IntegrityError` if it was changed."""
     from planrunner.observation.screening import watch_of
 
@@ -518,9 +523,12 @@ def recorded_run(run: Path, notice: Announce | None = None) -> Recorded:
 def recorded_file(
     plan: Path, bench: str | None, recording: Path, segments: Path | None = None, notice: Announce | None = None
 ) -> Recorded:
-    """Reads a recording in a file. bench: bench file that assigns the columns to channels; by default, the bench of the plan.
-    segments: table with the label, the beginning and the end of each segment; by default, the table that the bench file names, next
-    to the recording. notice: receives the progress of reading. Raises `InputError`."""
+    """Reads a recording in a file.
+
+    `bench`: bench file that assigns the columns to channels; by default, the bench of the plan. `segments`: table with the label,
+    the beginning and the end of each segment; by default, the table that the bench file names, next to the recording. `notice`:
+    receives the progress of reading. Raises `InputError`.
+    """
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     parameters = _parameters(sound.bench, sound.file)
     columns = parameters.segments
@@ -549,7 +557,7 @@ def recorded_file(
 
 
 def _bench_for_others(bench: str, plan: Path | None) -> str:
-    """A bench in a form in which a plan in another folder can name it. plan: plan file that names the bench; None if the command
+    """A bench in a form in which a plan in another folder can name it. `plan`: plan file that names the bench; None if the command
     line names it."""
     path = Path(bench) if plan is None else plan.parent / bench
     return bench if bench in shipped_benches() else str(path.resolve())
@@ -584,8 +592,8 @@ def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None
     """Joins a recording and later runs of the same sensor, if the sensor stayed switched on between the runs.
 
     The time axis is continued: a later run is delayed by the difference between the start times in the run folders, or by more if
-    it would otherwise begin before the end of the previous run. notice: receives the progress of reading. Raises `InputError` if a
-    run has other channels or cannot be read.
+    it would otherwise begin before the end of the previous run. `notice`: receives the progress of reading. Raises `InputError` if
+    a run has other channels or cannot be read.
     """
     whole, origin = first, first.created
     for run in runs:

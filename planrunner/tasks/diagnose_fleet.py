@@ -52,8 +52,11 @@ _LEAST = 1e-12  # probability with which a run counts that gives an effect none
 
 @dataclass(frozen=True, slots=True)
 class RunOrigin:
-    """A run, and the names of its device, bench and occasion. created: time when the run began, UTC, ISO 8601. lot: production lot
-    of the device; empty if not stated. seal: SHA-256 of the seal; empty for a run that is not sealed."""
+    """A run, and the names of its device, bench and occasion.
+
+    `created`: time when the run began, UTC, ISO 8601. `lot`: production lot of the device; empty if not stated. `seal`: SHA-256 of
+    the seal; empty for a run that is not sealed.
+    """
 
     run: Path
     labels: Mapping[Source, str]
@@ -64,10 +67,13 @@ class RunOrigin:
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:
-    """The diagnosis of one run. plan: title of the plan. sensor: kind of the sensor. effects: the effects that the verdict names.
-    members: the effects that the plan cannot distinguish; a set of effects is written as 'a+b'. probability: maps each set of
-    effects to its probability. shapes: maps each effect to its best shape, in the unit of the shape, and the evidence for this
-    shape in nats. origin: whether the samples are measured, simulated or played back."""
+    """The diagnosis of one run.
+
+    `plan`: title of the plan. `sensor`: kind of the sensor. `effects`: the effects that the verdict names. `members`: the effects
+    that the plan cannot distinguish; a set of effects is written as 'a+b'. `probability`: maps each set of effects to its
+    probability. `shapes`: maps each effect to its best shape, in the unit of the shape, and the evidence for this shape in nats.
+    `origin`: whether the samples are measured, simulated or played back.
+    """
 
     plan: str
     sensor: str
@@ -83,8 +89,9 @@ class RunVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Attributed:
-    """One amplitude, and the sources to which it is attributed. runs: indices of the n runs that determine the amplitude. values,
-    standard_uncertainties: shape (n,), the amplitude and its standard uncertainty in each of these runs, in the unit of `key`."""
+    """One amplitude, and the sources to which it is attributed. `runs`: indices of the n runs that determine the amplitude.
+    `values`, `standard_uncertainties`: shape (n,), the amplitude and its standard uncertainty in each of these runs, in the unit of
+    `key`."""
 
     key: AmplitudeKey
     runs: tuple[int, ...]
@@ -96,9 +103,11 @@ class Attributed:
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """The diagnosis of several runs together. effects: the effects that were fitted in every run in addition to the nominal terms.
-    not_attributed: maps each effect that a run names but that is not attributed to the reason. shared: amplitudes that all devices
-    of a production lot have in common."""
+    """The diagnosis of several runs together.
+
+    `effects`: the effects that were fitted in every run in addition to the nominal terms. `not_attributed`: maps each effect that a
+    run names but that is not attributed to the reason. `shared`: amplitudes that all devices of a production lot have in common.
+    """
 
     origins: tuple[RunOrigin, ...]
     verdicts: tuple[RunVerdict, ...]
@@ -194,7 +203,7 @@ def _words(one: Contribution) -> tuple[str, ...]:
 
 
 def _plain(one: Contribution, devices: Sequence[str]) -> JsonObject:
-    """A contribution as plain JSON data. devices: the device of each of the n runs."""
+    """A contribution as plain JSON data. `devices`: the device of each of the n runs."""
     return {
         "sources": list(_words(one)),
         "probability": one.probability,
@@ -232,11 +241,12 @@ def diagnose_fleet(
     skip: bool = False,
     kept: KeptDiagnoses | None = None,
 ) -> FleetDiagnosis:
-    """Diagnoses several runs together. nominal: terms that the simulations fit; by default, those in the plans. origins: CSV table
-    that states the device, bench or occasion of runs. workers: processes that share the runs; by default, processes on this
-    computer. notice: receives the progress. skip: True to omit runs that cannot be diagnosed and add a note about each; otherwise,
-    such a run is an error. kept: stored results of sealed runs from earlier diagnoses. These results are used again, and new
-    results are added to them.
+    """Diagnoses several runs together.
+
+    `nominal`: terms that the simulations fit; by default, those in the plans. `origins`: CSV table that states the device, bench or
+    occasion of runs. `workers`: processes that share the runs; by default, processes on this computer. `notice`: receives the
+    progress. `skip`: True to omit runs that cannot be diagnosed and add a note about each; otherwise, such a run is an error.
+    `kept`: stored results of sealed runs from earlier diagnoses. These results are used again, and new results are added to them.
 
     Raises `InputError` with all obstacles, and without `skip` also `IntegrityError`.
     """
@@ -311,9 +321,9 @@ def _from_kept(
     plain: Callable[[T], Json],
     of_plain: Callable[[Json], T],
 ) -> list[T]:
-    """The result for each key: the stored result if there is one; otherwise a computed result, which is then stored. compute:
-    computes the results for the given positions in `keys`. plain: converts a result to JSON data; it returns null for a result that
-    must not be stored."""
+    """The result for each key: the stored result if there is one; otherwise a computed result, which is then stored. `compute`:
+    computes the results for the given positions in `keys`. `plain`: converts a result to JSON data; it returns null for a result
+    that must not be stored."""
     found: dict[int, T] = {}
     for place, key in enumerate(keys):
         held = kept.get(key) if key else None
@@ -398,8 +408,8 @@ def _fit_of(held: Json) -> list[AmplitudeEstimate]:
 
 @dataclass(frozen=True, slots=True)
 class _Opened:
-    """A run folder that has passed the check. bench: name of the bench; table: asset number or serial number of the bench's table,
-    if known."""
+    """A run folder that has passed the check. `bench`: name of the bench. `table`: asset number or serial number of the bench's
+    table, if known."""
 
     run: JsonObject
     bench: str
@@ -421,8 +431,8 @@ def _opened(run: Path) -> _Opened:
 
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
     """Every run with the names of its device, bench and occasion; for a run without a result, the obstacles. The names come from
-    the run folder and from the user's table, which takes precedence. skip: see `_attempted`. Raises `InputError` for a run that is
-    given twice and for a table with errors; without `skip`, also for all obstacles."""
+    the run folder and from the user's table, which takes precedence. `skip`: see `_attempted`. Raises `InputError` for a run that
+    is given twice and for a table with errors; without `skip`, also for all obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):
@@ -449,7 +459,7 @@ def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[Ru
 
 
 def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several: Set[str]) -> RunOrigin | Obstacles:
-    """The run with the names of its device, bench and occasion; or the obstacles to determining them. several: names of benches
+    """The run with the names of its device, bench and occasion; or the obstacles to determining them. `several`: names of benches
     that have had different tables; the name of the table is appended to these."""
     info = opened.run.get("info", {})
     table = f" (table {opened.table or 'without a number'})" if opened.bench in several else ""
@@ -663,7 +673,7 @@ def _attributed(
 def _one_attributed(
     origins: Sequence[RunOrigin], amplitudes_: int, given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
 ) -> Attributed:
-    """Attributes one amplitude to its sources. amplitudes_: number of all amplitudes examined, which the test for changes takes
+    """Attributes one amplitude to its sources. `amplitudes_`: number of all amplitudes examined, which the test for changes takes
     into account. After a change, a device or bench counts as a different one."""
     from threadpoolctl import threadpool_limits
 

@@ -30,7 +30,7 @@ def diagnose_night(
     is no diagnosis, or which runs it omits. The last remarks name the runs of the night without a device, and the damaged runs in
     the archive.
 
-    runs: names of the run folders that the night made. Raises `InputError` if the index cannot be used.
+    `runs`: names of the run folders that the night made. Raises `InputError` if the index cannot be used.
     """
     since = (datetime.now(UTC) - timedelta(seconds=asked.within.value)).isoformat()
     with opened(archive, None, Freshness()) as index:

@@ -37,9 +37,9 @@ def compare(
 ) -> Compared:
     """The difference between two files or folders of one kind: plans, benches (also by their shipped names) or run folders.
 
-    bench: the bench on which both plans are checked, instead of the benches that they name. foresee: True if both plans are checked
-    on their benches to find the consequences, which takes as long as two runs of `check`. Raises `InputError` if a file cannot be
-    read or has errors of form or meaning, and `IntegrityError` for a damaged run.
+    `bench`: the bench on which both plans are checked, instead of the benches that they name. `foresee`: True if both plans are
+    checked on their benches to find the consequences, which takes as long as two runs of `check`. Raises `InputError` if a file
+    cannot be read or has errors of form or meaning, and `IntegrityError` for a damaged run.
     """
     kinds = kind_of(before), kind_of(after)
     if kinds[0] != kinds[1]:
@@ -118,7 +118,7 @@ def _plan(data: bytes, shown: str) -> Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """One side of the comparison: a plan and its bench. missing: the reason if `bench` is None."""
+    """One side of the comparison: a plan and its bench. `missing`: the reason if `bench` is None."""
 
     plan: Plan
     bench: Bench | None

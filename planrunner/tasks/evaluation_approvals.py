@@ -27,8 +27,11 @@ from planrunner.tasks.approvals import ring_of
 
 @dataclass(frozen=True, slots=True)
 class EvaluationApproval:
-    """Whether approvals cover the evaluation of one analysis. analysis: number of the analysis. covered: True if approvals cover
-    its evaluation. words: who approved it, or why it is not covered. fault: what was changed; empty if nothing was."""
+    """Whether approvals cover the evaluation of one analysis.
+
+    `analysis`: number of the analysis. `covered`: True if approvals cover its evaluation. `words`: who approved it, or why it is
+    not covered. `fault`: what was changed; empty if nothing was.
+    """
 
     analysis: int
     covered: bool
@@ -62,7 +65,7 @@ def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path
 
 
 def evaluation_approvals(found: Examined, ring: KeyRing | None) -> Iterator[EvaluationApproval]:
-    """Whether approvals cover the evaluation of each analysis, for a run whose bench requires approvals. ring: key ring with the
+    """Whether approvals cover the evaluation of each analysis, for a run whose bench requires approvals. `ring`: key ring with the
     keys that the user knows. Analyses that cannot be read are omitted, because other checks report them."""
     data, path = found.given.get(APPROVALS), found.folder.path
     if data is None or BENCH not in found.given:

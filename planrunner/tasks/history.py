@@ -21,8 +21,11 @@ RUNS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class RunList:
-    """A list of runs. runs: the runs that pass the filter, the newest first. total: number of such runs, not limited by the length
-    of the list. faults: folders that could not be read and are therefore not in the index."""
+    """A list of runs.
+
+    `runs`: the runs that pass the filter, the newest first. `total`: number of such runs, not limited by the length of the list.
+    `faults`: folders that could not be read and are therefore not in the index.
+    """
 
     runs: tuple[RunRow, ...]
     total: int
@@ -40,8 +43,11 @@ class RunList:
 
 @dataclass(frozen=True, slots=True)
 class Freshness:
-    """States how an index is updated before it is queried. refresh: True to read new and changed runs. rebuild: True to read all
-    runs again. workers: processes that share the reading."""
+    """States how an index is updated before it is queried.
+
+    `refresh`: True to read new and changed runs. `rebuild`: True to read all runs again. `workers`: processes that share the
+    reading.
+    """
 
     refresh: bool = True
     rebuild: bool = False
@@ -76,7 +82,7 @@ def coefficients_of(index: Index, device: str) -> list[str]:
 
 
 def trend_of(index: Index, device: str, quantity: str, tolerance: str | None = None, since: str = "") -> Trend:
-    """The history of a coefficient of a device. tolerance: permissible deviation, such as `0.5 deg/h`. Raises `InputError` for an
+    """The history of a coefficient of a device. `tolerance`: permissible deviation, such as `0.5 deg/h`. Raises `InputError` for an
     unknown device or coefficient."""
     known = coefficients_of(index, device)
     if quantity not in known:

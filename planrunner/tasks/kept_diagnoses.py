@@ -35,8 +35,8 @@ _KEY = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True, slots=True)
 class KeptDiagnoses:
-    """The folder of stored results. folder: None if there is no folder that only the user can change; in that case, no results are
-    stored."""
+    """The folder of stored results. `folder`: None if there is no folder that only the user can change; in that case, no results
+    are stored."""
 
     folder: GuardedFolder | None
 
@@ -71,8 +71,8 @@ class KeptDiagnoses:
 
 
 def key_of(kind: str, run: str, asked: Json) -> str:
-    """The key under which a result is stored. run: SHA-256 of the seal of the run. asked: all options that the result depends on,
-    as JSON data."""
+    """The key under which a result is stored. `run`: SHA-256 of the seal of the run. `asked`: all options that the result depends
+    on, as JSON data."""
     return hashlib.sha256(to_bytes([kind, run, asked, _program()])).hexdigest()
 
 

@@ -74,8 +74,8 @@ def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object
 
 
 def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
-    """The text of a bench file with the named effects added, each with its estimated size. simulation: the virtual bench, as a name
-    or a file; by default, the bench of the recording. Raises `InputError` if the bench cannot simulate the effects."""
+    """The text of a bench file with the named effects added, each with its estimated size. `simulation`: the virtual bench, as a
+    name or a file; by default, the bench of the recording. Raises `InputError` if the bench cannot simulate the effects."""
     base = simulated_by(made.recorded, simulation)
     shown = base.bench.origin.mark.file
     observed = made.diagnosis.grounds.weighing.observed
@@ -84,7 +84,7 @@ def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
 
 
 def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
-    """The plan of a recording, checked on a virtual bench. simulation: the virtual bench, as a name or a file; by default, the
+    """The plan of a recording, checked on a virtual bench. `simulation`: the virtual bench, as a name or a file; by default, the
     bench of the recording. Raises `InputError` if the bench cannot simulate or cannot run the plan."""
     sound = recorded.sound
     if simulation is not None:

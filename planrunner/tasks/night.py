@@ -72,7 +72,7 @@ class NightClock:
 
     Simulated time advances only by `advance`. Real time comes from the monotonic clock of the computer, from the beginning of this
     process on. If someone sets the computer's clock forward, the time of the night follows; if someone sets it back, the time of
-    the night does not. jump: called with the number of seconds by which the computer's clock was set.
+    the night does not. `jump`: called with the number of seconds by which the computer's clock was set.
     """
 
     def __init__(
@@ -107,8 +107,10 @@ class NightClock:
 
 @dataclass(frozen=True, slots=True)
 class NightOptions:
-    """Options of a night. runs: folder of the archive. tell: called with each line of progress. program: the command that starts
-    planrunner."""
+    """Options of a night.
+
+    `runs`: folder of the archive. `tell`: called with each line of progress. `program`: the command that starts planrunner.
+    """
 
     runs: Path
     data: Path | None = None
@@ -121,8 +123,8 @@ class NightOptions:
 
 @dataclass(frozen=True, slots=True)
 class NightResult:
-    """The result of a night. folder: folder with the records of the night. trouble: the reason why the record could not be written;
-    empty if it was written."""
+    """The result of a night. `folder`: folder with the records of the night. `trouble`: the reason why the record could not be
+    written; empty if it was written."""
 
     folder: Path
     record: JsonObject
@@ -568,7 +570,7 @@ class _Night:
         self._ended.put(index)
 
     def _command(self, test: PlannedTest, before: str | None) -> tuple[str, str, list[str]]:
-        """The id of the run, the kind of process, and the arguments of the command for a test. before: id of the run to continue;
+        """The id of the run, the kind of process, and the arguments of the command for a test. `before`: id of the run to continue;
         None to begin a new run."""
         common = ["--json", "--quiet"]
         data = [] if self._options.data is None else ["--data", str(self._options.data)]
@@ -801,7 +803,7 @@ def judged(code: int, document: JsonObject, *, asked: bool, overdue: bool = Fals
     """The outcome of a test, judged from the exit code and the JSON output of its process; also the reason in words. The outcome is
     None if the test was stopped on request.
 
-    asked: True if the processes were asked to stop. overdue: True if this process was stopped because it took too long.
+    `asked`: True if the processes were asked to stop. `overdue`: True if this process was stopped because it took too long.
     """
     if overdue:
         return EndOfTest.FAULT, "it took much longer than planned and was stopped"

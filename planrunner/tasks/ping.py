@@ -21,9 +21,11 @@ TIMES = 3
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """The answer of one instrument of a bench. identity, readings: as the instrument reports them. faults: reasons why the
-    instrument could not be used now. round_trip: time from question to answer, s. failure: the reason why the instrument could not
-    be asked; empty if it could."""
+    """The answer of one instrument of a bench.
+
+    `identity`, `readings`: as the instrument reports them. `faults`: reasons why the instrument could not be used now.
+    `round_trip`: time from question to answer, s. `failure`: the reason why the instrument could not be asked; empty if it could.
+    """
 
     name: str
     driver: str
@@ -47,7 +49,7 @@ class Ping:
 
 def ping(bench: Bench, shown: str, data_root: Path | None = None) -> list[Ping]:
     """Connects to every instrument in the order of the bench file, asks it for its identity and readings, and disconnects. If an
-    instrument fails, the next one is still asked. shown: name of the bench file, for messages. Raises `InputError` if a run is
+    instrument fails, the next one is still asked. `shown`: name of the bench file, for messages. Raises `InputError` if a run is
     using the bench."""
     clock = VirtualClock() if runs_on_virtual_clock(bench) else real_clock(bench)
     surroundings = Surroundings(clock, site_of(bench), data_root, bench.seed, real_time=isinstance(clock, WallClock))

@@ -40,7 +40,7 @@ _NO_TEXT = ("null", "true", "false")  # words that YAML does not read as text
 class Frame:
     """Values that a proposed plan takes from the executed plan.
 
-    settle, soak: waiting times, s. before: time [s] from the beginning of the executed plan to its first sample.
+    `settle`, `soak`: waiting times, s. `before`: time [s] from the beginning of the executed plan to its first sample.
     """
 
     title: str

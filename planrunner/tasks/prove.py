@@ -29,10 +29,10 @@ two digits of the uncertainty, so that a hundredth of the last digit remains."""
 class Proof:
     """The comparison of recomputed results with the stored results of an analysis.
 
-    verdict: `identical` if all bits of every number are equal; `within tolerance` is possible only if other versions computed the
-    stored results. largest: the largest change of a value or of a standard uncertainty, in units of the stored standard uncertainty
-    (∞ if something is missing), with the name of the coefficient. changed: the versions that differ, as (stored, now); `stored` is
-    None if the analysis does not state the version.
+    `verdict`: `identical` if all bits of every number are equal; `within tolerance` is possible only if other versions computed the
+    stored results. `largest`: the largest change of a value or of a standard uncertainty, in units of the stored standard
+    uncertainty (∞ if something is missing), with the name of the coefficient. `changed`: the versions that differ, as (stored,
+    now); `stored` is None if the analysis does not state the version.
     """
 
     analysis: int
@@ -53,7 +53,7 @@ class Proof:
 
 
 def prove(run: Path, number: int | None = None, notice: Announce | None = None, workers: Workers = ALONE) -> Proof:
-    """Recomputes an analysis of a run, by default the newest one, with the settings of the analysis. Nothing is written. workers:
+    """Recomputes an analysis of a run, by default the newest one, with the settings of the analysis. Nothing is written. `workers`:
     processes that share the Monte Carlo draws.
 
     Raises `InputError` if the run does not have this analysis, and `IntegrityError`.

@@ -34,12 +34,12 @@ def report_context(
     amendment: str = "",
     ring: KeyRing | None = None,
 ) -> ReportContext:
-    """All data that a report shows for one analysis. ring: key ring with the keys that the user knows; it verifies the signatures
+    """All data that a report shows for one analysis. `ring`: key ring with the keys that the user knows; it verifies the signatures
     of the run.
 
-    amendment: a text that states who amends which analysis and why.
+    `amendment`: a text that states who amends which analysis and why.
 
-    analysis: number of the analysis, if known. analysed: time of the analysis, UTC in ISO 8601; by default, now.
+    `analysis`: number of the analysis, if known. `analysed`: time of the analysis, UTC in ISO 8601; by default, now.
     """
     segments = tuple(SegmentSummary.of(item) for item in recording)
     moment = analysed or datetime.now(UTC).isoformat(timespec="seconds")
@@ -136,8 +136,8 @@ def _minute(moment: str, before: str = "") -> str:
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
-    """The provenance of the results: times, digests and versions of the run; also those of the analysis where they differ. seeded:
-    True if the seed of the run had an effect."""
+    """The provenance of the results: times, digests and versions of the run; also those of the analysis where they differ.
+    `seeded`: True if the seed of the run had an effect."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}

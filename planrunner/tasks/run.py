@@ -70,10 +70,12 @@ RESULTS = NAME
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of a run: its folder and its results. withheld: reasons why certificates that the plan requests were not written.
-    remarks: notes about the run folder. before: number of the previous analysis, if there is one. same: True if its numbers are
-    equal to those of the previous analysis. unsigned: the reason why the bench did not sign the analysis although it should have;
-    empty otherwise."""
+    """An analysis of a run: its folder and its results.
+
+    `withheld`: reasons why certificates that the plan requests were not written. `remarks`: notes about the run folder. `before`:
+    number of the previous analysis, if there is one. `same`: True if its numbers are equal to those of the previous analysis.
+    `unsigned`: the reason why the bench did not sign the analysis although it should have; empty otherwise.
+    """
 
     folder: Path
     results: Results
@@ -88,9 +90,12 @@ class Analysis:
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """An analysis that has been computed but not written. bench: the bench of the run, which signs the analysis if it signs its
-    runs. basis: the state of journal and seal that the analysis is based on. files: maps the name of each file to its contents.
-    reports: names of the files that are reports. The other attributes are the same as in `Analysis`."""
+    """An analysis that has been computed but not written.
+
+    `bench`: the bench of the run, which signs the analysis if it signs its runs. `basis`: the state of journal and seal that the
+    analysis is based on. `files`: maps the name of each file to its contents. `reports`: names of the files that are reports. The
+    other attributes are the same as in `Analysis`.
+    """
 
     run: Path
     bench: Bench
@@ -116,7 +121,7 @@ class Retake:
 @dataclass(frozen=True, slots=True)
 class Issue:
     """A request for reports after a run: the names of the reports, run information given with the request, and the folder of an
-    earlier run of the same item, made before its adjustment. ring: key ring with the keys that the user knows; it verifies the
+    earlier run of the same item, made before its adjustment. `ring`: key ring with the keys that the user knows; it verifies the
     signatures that a report prints."""
 
     reports: tuple[str, ...] = ()
@@ -141,10 +146,11 @@ def start(
 ) -> tuple[Path, Outcome]:
     """Executes a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
-    It checks the disk space and connects every instrument before it makes the folder and before anything moves. operator: answers
-    the prompts of the plan; None for an unattended run. identity: hexadecimal digits at the end of the folder's name. admission:
-    the permission to begin that depends on the bench's check standard; by default, it is determined from the runs in `runs`. Raises
-    `InputError` or `InstrumentError` if the run cannot start.
+    It checks the disk space and connects every instrument before it makes the folder and before anything moves.
+
+    `operator`: answers the prompts of the plan; None for an unattended run. `identity`: hexadecimal digits at the end of the
+    folder's name. `admission`: the permission to begin that depends on the bench's check standard; by default, it is determined
+    from the runs in `runs`. Raises `InputError` or `InstrumentError` if the run cannot start.
     """
     kept = _approved(sound, runs)
     operator = _attended(sound, operator)
@@ -186,12 +192,12 @@ def resume(
 ) -> Outcome:
     """Continues an interrupted run with its plan and bench, or repeats segments of a finished or unfinished run.
 
-    bench: the name of a shipped bench, or a file, that replaces the bench file in the run folder; it may differ from that file only
-    in the addresses of instruments. For a folder that was not made on this computer, `bench` is required, because a bench file
-    names the devices to connect to; alternatively, `trust_bench` permits using the bench file in the folder. override: an override
-    of the check standard of the bench, whose state is checked again. An override with which the run began remains valid. approvals:
-    plan file next to which there are approvals that were given after the run began. The journal records the approvals that are
-    used.
+    `bench`: the name of a shipped bench, or a file, that replaces the bench file in the run folder; it may differ from that file
+    only in the addresses of instruments. For a folder that was not made on this computer, `bench` is required, because a bench file
+    names the devices to connect to; alternatively, `trust_bench` permits using the bench file in the folder. `override`: an
+    override of the check standard of the bench, whose state is checked again. An override with which the run began remains valid.
+    `approvals`: plan file next to which there are approvals that were given after the run began. The journal records the approvals
+    that are used.
 
     The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume the same
     run, one of them is refused before it connects to an instrument.
@@ -261,7 +267,7 @@ def _resume(
     override: Override | None,
     notice: Announce | None,
 ) -> Outcome:
-    """Continues a run while its folder is locked. file: the bench file to use instead of the one in the folder."""
+    """Continues a run while its folder is locked. `file`: the bench file to use instead of the one in the folder."""
     if reader.sealed and retake is None:
         raise InputError.at(
             Mark(str(reader.path)), "run-finished", "this run is finished and sealed", "use `planrunner estimate`"
@@ -417,8 +423,8 @@ def sound_run(reader: RunReader, today: date | None = None, bench: Document | No
     """The plan and the bench of a run folder, checked in the same way as before the run. Raises `InputError` if the plan and the
     bench no longer pass the checks.
 
-    today: the day on which calibrations must be valid; by default, the day of the run. bench: bench file to use instead of the one
-    in the folder.
+    `today`: the day on which calibrations must be valid; by default, the day of the run. `bench`: bench file to use instead of the
+    one in the folder.
     """
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     plan = Document(reader.plan_bytes, str(reader.path / "plan.yaml"))
@@ -435,14 +441,14 @@ def analyse_run(
 ) -> Analysis:
     """Makes estimates from the recording of a run alone, and writes the results and reports as a new analysis.
 
-    checked: the checked plan of this run; it is not checked again if the folder contains the same plan and bench. notice: receives
-    the progress of reading.
+    `checked`: the checked plan of this run; it is not checked again if the folder contains the same plan and bench. `notice`:
+    receives the progress of reading.
 
-    issue: the reports to make, and run information for them; by default, the reports that the plan requests. A certificate that
+    `issue`: the reports to make, and run information for them; by default, the reports that the plan requests. A certificate that
     only the plan requests is withheld if it cannot be issued. If `issue` requests a certificate that cannot be issued, `InputError`
     with all obstacles is raised.
 
-    amendment: who makes the analysis and why, which is stored with it; if the amendment has a plan, its estimates and limits
+    `amendment`: who makes the analysis and why, which is stored with it; if the amendment has a plan, its estimates and limits
     replace those of the run's plan.
     """
     return keep(evaluate_run(run, issue, checked, notice, amendment))
@@ -457,7 +463,7 @@ def evaluate_run(
     workers: Workers = ALONE,
 ) -> Evaluated:
     """The same as `analyse_run`, but nothing is written; `keep` then makes the result an analysis of the run. It may be computed in
-    another process. workers: processes that share the Monte Carlo draws."""
+    another process. `workers`: processes that share the Monte Carlo draws."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment, workers=workers)
@@ -493,7 +499,7 @@ def evaluate_run(
 
 
 def keep(made: Evaluated, *, elsewhere: bool = False) -> Analysis:
-    """Writes an evaluation to the folder of its run, as a new analysis. elsewhere: True if another computer made the evaluation;
+    """Writes an evaluation to the folder of its run, as a new analysis. `elsewhere`: True if another computer made the evaluation;
     the bench then does not sign it."""
     # Only a signature needs the run once more. Reading its journal takes most of the time that an analysis takes here.
     reader = None if key_of(made.bench) is None else RunReader.open(made.run)
@@ -536,8 +542,8 @@ def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
 def recompute(
     reader: RunReader, analysis: StoredAnalysis, notice: Announce | None = None, workers: Workers = ALONE
 ) -> Results:
-    """Recomputes the results from the samples, with the plan that the analysis used; writes nothing. workers: processes that share
-    the Monte Carlo draws. Raises `IntegrityError`."""
+    """Recomputes the results from the samples, with the plan that the analysis used; writes nothing. `workers`: processes that
+    share the Monte Carlo draws. Raises `IntegrityError`."""
     return _estimated(reader, evaluated_as(reader, analysis), notice, workers)[1]
 
 
@@ -601,7 +607,7 @@ def _analyse(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> _Made:
-    """Makes the analysis of a run without writing it. kept: True if it will be the next analysis of the run, so that its reports
+    """Makes the analysis of a run without writing it. `kept`: True if it will be the next analysis of the run, so that its reports
     show this number."""
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)

@@ -38,8 +38,11 @@ PROOF_FORMAT = 1
 
 @dataclass
 class LogVerification:
-    """The result of the verification of a log. content: entries of the log; None if the log cannot be read. signed: the signed tree
-    head in the log, if any. findings: errors are changes; all other findings are remarks."""
+    """The result of the verification of a log.
+
+    `content`: entries of the log; None if the log cannot be read. `signed`: the signed tree head in the log, if any. `findings`:
+    errors are changes; all other findings are remarks.
+    """
 
     path: Path
     content: LogContent | None = None
@@ -158,8 +161,11 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
 
 @dataclass(slots=True)
 class _History:
-    """The entries of the log about one run. begun: True if the run was made in this archive. journals: maps each number of events
-    that the journal had when an entry was made to the digest of the last of these events. seals: SHA-256 of each seal of the run."""
+    """The entries of the log about one run.
+
+    `begun`: True if the run was made in this archive. `journals`: maps each number of events that the journal had when an entry was
+    made to the digest of the last of these events. `seals`: SHA-256 of each seal of the run.
+    """
 
     begun: bool = False
     journals: dict[int, str] = field(default_factory=dict)
@@ -184,9 +190,12 @@ def _histories(entries: Iterable[LogEntry]) -> dict[str, _History]:
 
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
-    """The data of a run that are compared with the log of its archive. name: name of the run from its journal; if that cannot be
-    read, from run.json, or else the name of the folder. told: the tree head that run.json contains. events: number of events in the
-    journal; None if the journal cannot be read. heads: maps numbers of events to the digest of the last of these events."""
+    """The data of a run that are compared with the log of its archive.
+
+    `name`: name of the run from its journal; if that cannot be read, from run.json, or else the name of the folder. `told`: the
+    tree head that run.json contains. `events`: number of events in the journal; None if the journal cannot be read. `heads`: maps
+    numbers of events to the digest of the last of these events.
+    """
 
     name: str
     path: Path
@@ -331,7 +340,7 @@ def _enter(log: RunLog, run: Examined) -> TreeHead:
 
 
 def retire_run(log: RunLog, run: str, why: str) -> TreeHead:
-    """Records in the log that a run is removed from the archive. run: name of the run. Raises `InputError`, and `IntegrityError`
+    """Records in the log that a run is removed from the archive. `run`: name of the run. Raises `InputError`, and `IntegrityError`
     for a changed log."""
     if not why.strip() or not why.isprintable() or len(why) > 1000:
         message = "the reason must be one line of printable text with at most 1000 characters"
@@ -346,7 +355,7 @@ def retire_run(log: RunLog, run: str, why: str) -> TreeHead:
 
 
 def _examined(run: Path, *but: str) -> Examined:
-    """Examines a run. Raises `IntegrityError` if the run was changed. but: codes of faults that are accepted."""
+    """Examines a run. Raises `IntegrityError` if the run was changed. `but`: codes of faults that are accepted."""
     found = examine(open_run(run), samples="digests")
     found.require_whole(*but)
     return found
@@ -396,9 +405,11 @@ def _whole(log: RunLog) -> LogContent:
 
 
 def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None = None) -> str:
-    """Verifies a proof without the log; returns a description of what it proves. proof: data that match the schema of proofs. head:
-    the tree head that the verifier trusts; by default, the one in the proof. seal: SHA-256 of the seal that the proof must concern.
-    Raises `IntegrityError` if the proof is not valid."""
+    """Verifies a proof without the log; returns a description of what it proves.
+
+    `proof`: data that match the schema of proofs. `head`: the tree head that the verifier trusts; by default, the one in the proof.
+    `seal`: SHA-256 of the seal that the proof must concern. Raises `IntegrityError` if the proof is not valid.
+    """
     stated = TreeHead.from_json(proof["head"])
     if head is not None and (head.size, head.root) != (stated.size, stated.root):
         message = f"the proof is for a tree of size {stated.size} with another root than the given tree head"

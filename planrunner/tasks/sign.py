@@ -55,7 +55,7 @@ def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, .
     """Signs what is still unsigned in a run that was made on this computer, with the key of the run's bench. Returns the new
     signatures; empty if everything is already signed.
 
-    The whole run is verified first. An analysis is signed only if its results can be recomputed from the samples. signer: the key
+    The whole run is verified first. An analysis is signed only if its results can be recomputed from the samples. `signer`: the key
     of the bench, if the user gives it. By default, the key is searched for on this computer, which must be the computer that made
     the run. Raises `InputError` and `IntegrityError`.
     """

@@ -54,7 +54,7 @@ def simulation(
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Simulation:
     """Checks the plan on a virtual bench with added effects, each given as `EFFECT`, `EFFECT=VALUE` or
-    `EFFECT=NAME:VALUE,NAME:VALUE…`. parameters: values for parameters of the plan.
+    `EFFECT=NAME:VALUE,NAME:VALUE…`. `parameters`: values for parameters of the plan.
 
     Raises `InputError` with all obstacles.
     """
@@ -94,8 +94,8 @@ def check_virtual(sound: Sound) -> None:
 
 
 def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
-    """The effects to add, each with all its parameters. effects: maps the name of each effect to the stated values of its
-    parameters. mark: place where the effects are stated. Raises `InputError`."""
+    """The effects to add, each with all its parameters. `effects`: maps the name of each effect to the stated values of its
+    parameters. `mark`: place where the effects are stated. Raises `InputError`."""
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 
@@ -127,7 +127,7 @@ def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]],
 
 def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
     """Splits `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` into the name of the effect and its values. A value
-    without a name gets the key ''. option: name of the command-line option, for messages."""
+    without a name gets the key ''. `option`: name of the command-line option, for messages."""
     name, equals, rest = (part.strip() for part in text.partition("="))
     values: dict[str, str] = {}
     for piece in rest.split(",") if equals else ():

@@ -64,7 +64,7 @@ def stamp_run(run: Path, url: str | None = None) -> str:
     """Stamps the seal of a run if it has no time stamp yet; returns the time of the new stamp, or an empty text if there was a
     stamp already.
 
-    url: address of the authority; it must be given for a folder that was not made on this computer. Raises `InputError`, and
+    `url`: address of the authority; it must be given for a folder that was not made on this computer. Raises `InputError`, and
     `IntegrityError` for a run that was changed.
     """
     folder, mark = open_run(run), Mark(str(run))

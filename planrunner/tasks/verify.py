@@ -41,11 +41,14 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The result of the verification of a run folder. changes: each change, with the finding that describes it. remarks: findings
-    that are not changes, for example that the run is not sealed. amendments: maps the number of each amended analysis to a text
-    that states who amended which analysis, and why. signatures: all electronic signatures. stamps: all time stamps. approvals: the
-    approvals under which the plan ran. An invalid signature, stamp or approval also appears in `changes`. evaluations: whether
-    approvals cover the evaluation of each analysis, if the bench requires approvals."""
+    """The result of the verification of a run folder.
+
+    `changes`: each change, with the finding that describes it. `remarks`: findings that are not changes, for example that the run
+    is not sealed. `amendments`: maps the number of each amended analysis to a text that states who amended which analysis, and why.
+    `signatures`: all electronic signatures. `stamps`: all time stamps. `approvals`: the approvals under which the plan ran. An
+    invalid signature, stamp or approval also appears in `changes`. `evaluations`: whether approvals cover the evaluation of each
+    analysis, if the bench requires approvals.
+    """
 
     found: Examined
     changes: tuple[tuple[Change, Finding], ...]
@@ -94,8 +97,8 @@ class Verification:
 
 
 def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority | None = None) -> Verification:
-    """Verifies a run folder with all its samples, signatures and time stamps. ring: key ring with the keys that the user knows.
-    authority: the certificates that verify time stamps. Raises `InputError` if the folder is not a run folder."""
+    """Verifies a run folder with all its samples, signatures and time stamps. `ring`: key ring with the keys that the user knows.
+    `authority`: the certificates that verify time stamps. Raises `InputError` if the folder is not a run folder."""
     found = examine(open_run(run), samples="digests")
     signatures = verify_signatures(found, ring)
     stamps: tuple[RunStamp, ...] = ()

@@ -33,8 +33,8 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Combined:
-    """The combined uncertainties of m coefficients. covariance: (m, m); standard_uncertainties, degrees_of_freedom: (m,), for each
-    coefficient."""
+    """The combined uncertainties of m coefficients. `covariance`: array of shape (m, m). `standard_uncertainties`,
+    `degrees_of_freedom`: arrays of shape (m,), for each coefficient."""
 
     covariance: Array
     standard_uncertainties: Array
@@ -47,7 +47,7 @@ def combine(
 ) -> Combined:
     """Adds the covariance of the influences to the type A `covariance` (m, m) of the coefficients.
 
-    source: where the type A part comes from; the budgets show this text in its row. Raises ValueError if the sensitivities do not
+    `source`: where the type A part comes from; the budgets show this text in its row. Raises ValueError if the sensitivities do not
     fit the coefficients or are not finite.
     """
     acting = merged(influences)

@@ -28,9 +28,9 @@ Moved = Callable[[float], C]
 
 @dataclass(frozen=True, slots=True)
 class StatedCondition(Generic[C]):
-    """An input of a formula that is stated with an uncertainty above zero. parts: for each independent part of the input, a
+    """An input of a formula that is stated with an uncertainty above zero. `parts`: for each independent part of the input, a
     function that gives the conditions after a change of this part. The key is the name of the part, or empty if there is only one.
-    in_scatter: True if the scatter of the data already contains the effect of the input."""
+    `in_scatter`: True if the scatter of the data already contains the effect of the input."""
 
     quantity: InputQuantity
     parts: Mapping[str, Moved[C]]
@@ -47,7 +47,7 @@ class StatedCondition(Generic[C]):
         return () if tuple(self.parts) == ("",) else tuple(self.parts)
 
     def seen_by(self, view: Callable[[C], D]) -> StatedCondition[D]:
-        """The same input, as a condition of another formula. view: function that converts these conditions to those of the other
+        """The same input, as a condition of another formula. `view`: function that converts these conditions to those of the other
         formula."""
         parts = {name: _after(moved, view) for name, moved in self.parts.items()}
         return StatedCondition(self.quantity, parts, self.in_scatter)

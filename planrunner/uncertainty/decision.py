@@ -51,9 +51,12 @@ def expanded_uncertainty(
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A verdict and the numbers on which it is based. probability: probability that the true value conforms, computed only from the
-    value and its uncertainty (JCGM 106, 7). guard_band: distance that the value must keep from the limits, in their unit (0 for the
-    simple rule). coverage_factor: the factor k of the expanded uncertainty."""
+    """A verdict and the numbers on which it is based.
+
+    `probability`: probability that the true value conforms, computed only from the value and its uncertainty (JCGM 106, 7).
+    `guard_band`: distance that the value must keep from the limits, in their unit (0 for the simple rule). `coverage_factor`: the
+    factor k of the expanded uncertainty.
+    """
 
     verdict: Literal["pass", "fail"]
     reason: str
@@ -79,14 +82,14 @@ def decide(
     confidence: float = CONFIDENCE,
     role: CoefficientRole = CoefficientRole.LOCATION,
 ) -> Decision:
-    """Decides whether lower ≤ true value ≤ upper; all values have the same unit. role: kind of quantity, which determines the
+    """Decides whether lower ≤ true value ≤ upper; all values have the same unit. `role`: kind of quantity, which determines the
     distribution.
 
-    rule: with `simple`, the value passes if it lies within the limits (simple acceptance, JCGM 106, 8.2). With `guarded`, it passes
-    if it lies within the limits by at least the guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2). Here r is `factor`, and U
-    = k·u is the expanded uncertainty for the coverage probability `confidence`. For the role SCALE, U is instead the distance from
-    the limit at which the χ² interval of the value just reaches the limit. A value that is not finite, or whose uncertainty is not
-    finite, never passes. Raises ValueError if both limits are missing or if the lower limit is above the upper.
+    `rule`: with `simple`, the value passes if it lies within the limits (simple acceptance, JCGM 106, 8.2). With `guarded`, it
+    passes if it lies within the limits by at least the guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2). Here r is
+    `factor`, and U = k·u is the expanded uncertainty for the coverage probability `confidence`. For the role SCALE, U is instead
+    the distance from the limit at which the χ² interval of the value just reaches the limit. A value that is not finite, or whose
+    uncertainty is not finite, never passes. Raises ValueError if both limits are missing or if the lower limit is above the upper.
     """
     if lower > upper or (math.isinf(lower) and math.isinf(upper)):
         raise ValueError("a limit needs a lower or an upper bound, the lower not above the upper")

@@ -28,7 +28,7 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class GlobalRisk:
-    """The global risks of a decision rule. consumer: probability that an item does not conform and is accepted. producer:
+    """The global risks of a decision rule. `consumer`: probability that an item does not conform and is accepted. `producer`:
     probability that an item conforms and is rejected."""
 
     consumer: float
@@ -42,11 +42,11 @@ def global_risk(
     tolerance: tuple[float, float],
     acceptance: tuple[float, float],
 ) -> GlobalRisk:
-    """The risks R_C of the consumer and R_P of the producer (JCGM 106:2012, equations 17 to 20). tolerance: lower and upper limit,
-    infinite if a limit is missing.
+    """The risks R_C of the consumer and R_P of the producer (JCGM 106:2012, equations 17 to 20). `tolerance`: lower and upper
+    limit, infinite if a limit is missing.
 
-    acceptance: interval of the measured values that are accepted; empty if its lower end is above its upper end. Raises ValueError
-    if the standard deviation of the prior is not positive.
+    `acceptance`: interval of the measured values that are accepted; empty if its lower end is above its upper end. Raises
+    ValueError if the standard deviation of the prior is not positive.
     """
     if not (math.isfinite(prior.mean) and prior.standard_deviation > 0):
         raise ValueError("a prior needs a mean and a positive standard uncertainty")

@@ -29,12 +29,13 @@ class Aspect(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class InputQuantity:
-    """One quantity that is stated with an uncertainty. value, standard_uncertainty: in `unit`, which is SI-coherent. distribution:
-    normal, rectangular, triangular, u-shaped, t. source: where the statement comes from, for an auditor: instrument, asset number,
-    certificate, or the key of a file. calibrated: ISO date of the calibration, or empty. shown: unit in which budgets show the
-    quantity, usually the unit in which it was stated; one such unit is `shown_factor` times `unit`. If it is empty, budgets show
-    `unit`. from_residuals: True if the uncertainty was estimated from the residuals of the same fit, so that it depends on the
-    scatter of the data.
+    """One quantity that is stated with an uncertainty.
+
+    `value`, `standard_uncertainty`: in `unit`, which is SI-coherent. `distribution`: normal, rectangular, triangular, u-shaped, t.
+    `source`: where the statement comes from, for an auditor: instrument, asset number, certificate, or the key of a file.
+    `calibrated`: ISO date of the calibration, or empty. `shown`: unit in which budgets show the quantity, usually the unit in which
+    it was stated; one such unit is `shown_factor` times `unit`. If it is empty, budgets show `unit`. `from_residuals`: True if the
+    uncertainty was estimated from the residuals of the same fit, so that it depends on the scatter of the data.
     """
 
     name: str
@@ -54,11 +55,11 @@ class InputQuantity:
 class Influence:
     """How m coefficients depend on an input quantity.
 
-    sensitivities: (m, r), ∂coefficient/∂input in the unit of the coefficient per `quantity.unit`. If r independent inputs have the
-    same uncertainty, such as the errors of the table at r positions, there are r columns; if all segments share one input, there is
-    one column. in_scatter: True if the scatter of the data already contains the effect of the input; budgets then list the input
-    but do not add it. parts: names of the r inputs, such as orientations. They identify inputs that act through two influences;
-    inputs without names count as different.
+    `sensitivities`: array of shape (m, r), ∂coefficient/∂input in the unit of the coefficient per `quantity.unit`. If r independent
+    inputs have the same uncertainty, such as the errors of the table at r positions, there are r columns; if all segments share one
+    input, there is one column. `in_scatter`: True if the scatter of the data already contains the effect of the input; budgets then
+    list the input but do not add it. `parts`: names of the r inputs, such as orientations. They identify inputs that act through
+    two influences; inputs without names count as different.
     """
 
     quantity: InputQuantity
@@ -72,16 +73,20 @@ class Influence:
         return self.quantity.standard_uncertainty**2 * (self.sensitivities @ self.sensitivities.T)
 
     def through(self, gradient: Array) -> Influence:
-        """The influence on q quantities that are computed from the m coefficients. gradient: (q, m), ∂quantity/∂coefficient."""
+        """The influence on q quantities that are computed from the m coefficients. `gradient`: array of shape (q, m),
+        ∂quantity/∂coefficient."""
         return Influence(self.quantity, gradient @ self.sensitivities, self.in_scatter, self.parts)
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetLine:
-    """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: sensitivity coefficient c, in the unit of the coefficient
-    per unit of the input; contribution: |c|·u, in the unit of the coefficient. kind: A or B; added: True if the row is included in
-    the sum. count: number of independent inputs with this uncertainty; if there are several, `sensitivity` is the root sum of
-    squares of their sensitivities. calibrated: ISO date of the calibration, or empty."""
+    """One row of a budget (JCGM 100:2008, H.1, table H.1).
+
+    `sensitivity`: sensitivity coefficient c, in the unit of the coefficient per unit of the input. `contribution`: |c|·u, in the
+    unit of the coefficient. `kind`: A or B. `added`: True if the row is included in the sum. `count`: number of independent inputs
+    with this uncertainty; if there are several, `sensitivity` is the root sum of squares of their sensitivities. `calibrated`: ISO
+    date of the calibration, or empty.
+    """
 
     quantity: str
     kind: str
@@ -115,8 +120,8 @@ class Budget:
 class Inputs:
     """The stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table
     orthogonality`, `temperature`, `fixture angle x`, `fixture azimuth x`, `resolution gyro_x` and `bias instability gyro_x` (whose
-    uncertainty is the coefficient B itself). A quantity is absent if no uncertainty is stated for it. without_flicker: outputs for
-    which the bench file states no bias instability, not even zero."""
+    uncertainty is the coefficient B itself). A quantity is absent if no uncertainty is stated for it. `without_flicker`: outputs
+    for which the bench file states no bias instability, not even zero."""
 
     quantities: Mapping[str, InputQuantity] = field(default_factory=dict)
     without_flicker: frozenset[str] = frozenset()

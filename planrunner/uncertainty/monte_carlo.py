@@ -37,8 +37,8 @@ a function of a module, or a `partial` of one."""
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """The Monte Carlo result for one coefficient. low, high: ends of the probabilistically symmetric interval; shortest: ends of
-    the shortest interval."""
+    """The Monte Carlo result for one coefficient. `low`, `high`: ends of the probabilistically symmetric interval. `shortest`: ends
+    of the shortest interval."""
 
     mean: float
     standard_deviation: float
@@ -49,10 +49,13 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Propagated:
-    """The result of a propagation of distributions. intervals: the result for each coefficient. draws: number of draws that were
-    made. stabilised: True if the results stabilised before the largest number of draws was reached. spread: (m,), half-width of the
-    95 % confidence interval for the ends of each coefficient's interval (Student's t over the blocks); the larger of the values for
-    the two ends. Infinite if there is only one block."""
+    """The result of a propagation of distributions.
+
+    `intervals`: the result for each coefficient. `draws`: number of draws that were made. `stabilised`: True if the results
+    stabilised before the largest number of draws was reached. `spread`: (m,), half-width of the 95 % confidence interval for the
+    ends of each coefficient's interval (Student's t over the blocks); the larger of the values for the two ends. Infinite if there
+    is only one block.
+    """
 
     intervals: tuple[Interval, ...]
     draws: int
@@ -62,8 +65,8 @@ class Propagated:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """The result of the validation by clause 8 for one coefficient. low, high: distances between the ends of value ± U and the ends
-    of the Monte Carlo interval; tolerance: the tolerance δ of clause 8."""
+    """The result of the validation by clause 8 for one coefficient. `low`, `high`: distances between the ends of value ± U and the
+    ends of the Monte Carlo interval. `tolerance`: the tolerance δ of clause 8."""
 
     low: float
     high: float
@@ -87,8 +90,8 @@ def propagate(
     twice the standard deviation of its average over the blocks is smaller than its tolerance. The results are the mean, the
     standard deviation and the two ends of the interval.
 
-    tolerances: (m,), in the units of the coefficients; heavy: (m,), True for coefficients whose standard deviation need not
-    stabilise. workers: processes that share the blocks; with the same seed, the digits are the same for any number of workers.
+    `tolerances`: (m,), in the units of the coefficients. `heavy`: (m,), True for coefficients whose standard deviation need not
+    stabilise. `workers`: processes that share the blocks; with the same seed, the digits are the same for any number of workers.
     """
     limit = np.asarray(tolerances, dtype=float)
     light = ~np.asarray(heavy, dtype=bool) if len(heavy) else np.ones(len(limit), dtype=bool)
@@ -170,7 +173,7 @@ def t_draws(
     """Draws m coefficients about zero. They are jointly normal with the covariance (m, m), and are scaled to Student's t with the
     degrees of freedom of each coefficient (JCGM 101:2008, 6.4.9.2).
 
-    variances: (m,), index of the estimated variance on which each coefficient depends; coefficients that depend on the same
+    `variances`: (m,), index of the estimated variance on which each coefficient depends; coefficients that depend on the same
     variance have the same scale. By default, coefficients with the same degrees of freedom have the same scale.
     """
     root = square_root(np.asarray(covariance, dtype=float))
@@ -183,7 +186,7 @@ def t_draws(
 def _scaled_to_t(
     root: Array, groups: Sequence[tuple[NDArray[np.intp], float]], rng: np.random.Generator, n: int
 ) -> Array:
-    """Jointly normal draws; the rows of each group are scaled to Student's t. groups: rows that depend on one estimated variance,
+    """Jointly normal draws; the rows of each group are scaled to Student's t. `groups`: rows that depend on one estimated variance,
     together with its degrees of freedom."""
     values = root @ rng.standard_normal((root.shape[1], n))
     for rows, freedom in groups:
@@ -254,7 +257,7 @@ def _places(n: int, probability: float) -> tuple[int, int]:
 
 
 def _interval(row: Array, probability: float) -> Interval:
-    """The Monte Carlo result for one coefficient. row: (n,), sorted draws."""
+    """The Monte Carlo result for one coefficient. `row`: array of shape (n,), sorted draws."""
     below, above = _places(len(row), probability)
     width = above - below
     start = int(np.argmin(row[width:] - row[: len(row) - width]))

@@ -75,7 +75,7 @@ def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 
 def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated: str = "") -> InputQuantity:
-    """Makes an input quantity from a quantity in a file. si: SI-coherent unit in which the value is given."""
+    """Makes an input quantity from a quantity in a file. `si`: SI-coherent unit in which the value is given."""
     return InputQuantity(
         name,
         stated.value,

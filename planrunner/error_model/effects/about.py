@@ -25,10 +25,12 @@ class Actor(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """The description of an effect for an engineer. name: the effect in plain words. physics: the cause, in one sentence. remedy:
-    what to do; in this text, `{found}` is replaced by the fitted parameters. figures: a function that computes further values for
-    the remedy, such as a bandwidth from a time constant. The function takes the fitted shape in `shape_unit` and returns a mapping
-    of names to texts."""
+    """The description of an effect for an engineer.
+
+    `name`: the effect in plain words. `physics`: the cause, in one sentence. `remedy`: what to do; in this text, `{found}` is
+    replaced by the fitted parameters. `figures`: a function that computes further values for the remedy, such as a bandwidth from a
+    time constant. The function takes the fitted shape in `shape_unit` and returns a mapping of names to texts.
+    """
 
     name: str
     physics: str

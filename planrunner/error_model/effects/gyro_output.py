@@ -130,7 +130,7 @@ class GyroSaturation(Shaped):
 
 
 class _OneSided(Shaped):
-    """Clips the output at one of its two limits. sign: 1 for the upper limit, −1 for the lower limit. The shape parameter is the
+    """Clips the output at one of its two limits. `sign`: 1 for the upper limit, −1 for the lower limit. The shape parameter is the
     magnitude of this limit. The grid contains only limits whose magnitude the output exceeds in both directions. For any other
     limit, the effect cannot be distinguished from `gyro_saturation`."""
 
@@ -236,8 +236,8 @@ class GyroFoldOver(Shaped):
 def _changed(
     observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
 ) -> Variant:
-    """The variant of an effect that replaces the nominal output of the gyros by a function of this output. acting: (S,), True for
-    the segments in which the function changes the output; None for all segments."""
+    """The variant of an effect that replaces the nominal output of the gyros by a function of this output. `acting`: array of shape
+    (S,), True for the segments in which the function changes the output; None for all segments."""
     nominal = observed.gyro_output
     change = np.zeros_like(nominal)
     for part in [part for index, part in enumerate(observed.segments()) if acting is None or acting[index]]:

@@ -73,8 +73,8 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without shape. widths: if a variant
-    combines several effects, the number of columns of each effect."""
+    """An effect at one value of its shape. `shape`: the value in `shape_unit`, None for an effect without shape. `widths`: if a
+    variant combines several effects, the number of columns of each effect."""
 
     columns: tuple[Column, ...]
     shape: float | None = None
@@ -126,7 +126,7 @@ class ExplainsTurning(Effect, Protocol):
 @runtime_checkable
 class FollowsTemperature(Effect, Protocol):
     """An effect with a single amplitude for each axis, which is multiplied by the temperature: the change of a bias with
-    temperature. with_temperature: name of the amplitude, without the letter of its axis."""
+    temperature. `with_temperature`: name of the amplitude, without the letter of its axis."""
 
     with_temperature: str
 
@@ -162,7 +162,7 @@ class NoHypothesis(Effect, Protocol):
 
 @runtime_checkable
 class NotFitted(Effect, Protocol):
-    """An effect that a diagnosis can subtract if its values are stated, but cannot fit. not_fitted: the reason, as a sentence."""
+    """An effect that a diagnosis can subtract if its values are stated, but cannot fit. `not_fitted`: the reason, as a sentence."""
 
     not_fitted: str
 
@@ -170,7 +170,7 @@ class NotFitted(Effect, Protocol):
 @runtime_checkable
 class WrongDeclarationOf(Effect, Protocol):
     """An effect for simulations that represents a mistake in a file or on the bench. Such a mistake is corrected, never fitted.
-    of_declaration: always True."""
+    `of_declaration`: always True."""
 
     of_declaration: Literal[True]
 
@@ -219,7 +219,7 @@ class HasShape(Effect, Protocol):
 class ChangesWithinSegments(HasShape, Protocol):
     """An effect that changes an output within segments, so that an estimate fits it to samples.
 
-    acts_on: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the effect computes each
+    `acts_on`: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the effect computes each
     output from the value that this output would have without the effect at the same moment (`Observed.fitted`). In these two cases
     the effect has one column, which is the change of the output. 'amplitudes' if the effect has a few values of its shape, and
     columns with amplitudes for each of these values.
@@ -287,7 +287,7 @@ class Shaped:
 @runtime_checkable
 class HasAlternatives(Effect, Protocol):
     """An effect that acts in one of several ways, each with its own shape, such as clipping at an upper or at a lower limit. A
-    diagnosis names the most probable way; a simulation may combine all ways whose shapes are stated. alternatives: one effect for
+    diagnosis names the most probable way; a simulation may combine all ways whose shapes are stated. `alternatives`: one effect for
     each way, all with the same `id` and `stage` but with distinct `shape_name`; each is fully determined by its shape."""
 
     alternatives: Sequence[Shaped]
@@ -318,8 +318,8 @@ def products(vector: Array) -> list[tuple[str, Array]]:
 def per_axis(
     observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
 ) -> list[Column]:
-    """Makes one column for each input axis of a triad. signature: (N,) if all axes have the same signature, or (N, 3) with one
-    signature per axis."""
+    """Makes one column for each input axis of a triad. `signature`: array of shape (N,) if all axes have the same signature, or (N,
+    3) with one signature per axis."""
     columns = []
     for axis, index, share in observed.inputs(kind):
         own = signature if signature.ndim == 1 else signature[:, axis]
@@ -329,8 +329,8 @@ def per_axis(
 
 
 def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) -> Mapping[int, Array]:
-    """The changes of the outputs, by index of the channel, due to a change of the stimulus. omega: (N, 3), additional angular rate;
-    force: (N, 3), additional specific force; None means no change."""
+    """The changes of the outputs, by index of the channel, due to a change of the stimulus. `omega`: array of shape (N, 3),
+    additional angular rate. `force`: array of shape (N, 3), additional specific force; None means no change."""
     parts = {}
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
@@ -340,8 +340,8 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """The changes of the gyros' outputs, by index of the channel, due to a change of the rate. omega: (N, 3), additional angular
-    rate. If the response of the gyros in the fitted model is known, it is used; otherwise the declared response."""
+    """The changes of the gyros' outputs, by index of the channel, due to a change of the rate. `omega`: array of shape (N, 3),
+    additional angular rate. If the response of the gyros in the fitted model is known, it is used; otherwise the declared response."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}
@@ -352,7 +352,7 @@ def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
 def whole(
     parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None, *, either_sign: bool = False
 ) -> Column:
-    """The column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. either_sign: True if the
+    """The column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. `either_sign`: True if the
     opposite of the effect also exists, as for a delay; a lag or a dead zone cannot be negative."""
     smallest = -np.inf if either_sign else 0.0
     return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None, smallest=smallest)

@@ -98,7 +98,8 @@ class MountShift(Shaped):
 
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
-        """The columns of the shift. felt: (N, 12), angular rate, specific force, and then both with the opposite sign."""
+        """The columns of the shift. `felt`: array of shape (N, 12), angular rate, specific force, and then both with the opposite
+        sign."""
         after, acting = _after(observed, value, felt)
         parts: list[dict[int, Array]] = [{}, {}, {}]
         for index, channel in enumerate(observed.channels):
@@ -125,7 +126,7 @@ class MountShift(Shaped):
 
 class SamplesDropped(Shaped):
     """Samples of the sensor are lost at a moment, a time since power-on, and the times of later samples do not include the lost
-    samples. After the loss, the gyros show the motion at a later time than their time stamps state. lost: the lost time [s] for
+    samples. After the loss, the gyros show the motion at a later time than their time stamps state. `lost`: the lost time [s] for
     which the columns are exact. For a short lost time, the change of the rate is the lost time multiplied by the angular
     acceleration."""
 

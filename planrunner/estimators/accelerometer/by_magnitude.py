@@ -99,7 +99,7 @@ def foresee(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MagnitudeQuantities(Quantities):
-    """The nine fitted parameters. residuals: (n,), residuals of |f| − g, m/s²."""
+    """The nine fitted parameters. `residuals`: array of shape (n,), residuals of |f| − g, m/s²."""
 
     poses: Observations
     sphere: GravityFit
@@ -181,7 +181,7 @@ def _weighted(
     recorded: Sequence[RecordedSegment],
     found: GravityFit,
 ) -> OutputsFit:
-    """The last step of the calibration: a weighted fit of |f| − g [m/s²] as a single output. recorded: the recorded segments that
+    """The last step of the calibration: a weighted fit of |f| − g [m/s²] as a single output. `recorded`: the recorded segments that
     are the poses; empty if the poses are only parts of segments. Raises `EstimationError` if the plan or the data are not suitable."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
@@ -214,7 +214,7 @@ def _weighted(
 
 def _along_poses(drift: DriftCourses, poses: Observations, directions: Array) -> DriftCourses:
     """Converts a drift of the three channels to a drift of |f| − g. The sign changes because the drift adds to the readings.
-    directions: (n, 3), derivatives of |f| with respect to the readings."""
+    `directions`: array of shape (n, 3), derivatives of |f| with respect to the readings."""
     courses = (replace(one, columns=-directions * one.columns, parts=poses.channels) for one in drift.courses)
     return replace(drift, courses=tuple(courses))
 
@@ -302,7 +302,7 @@ def _factors(poses: Observations) -> Array:
 
 
 def _factors_of(units: Mapping[str, str]) -> Array:
-    """Factors that convert the channels to SI units. units: maps each channel to its unit. Raises `EstimationError` for a channel
+    """Factors that convert the channels to SI units. `units`: maps each channel to its unit. Raises `EstimationError` for a channel
     that is not an acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:

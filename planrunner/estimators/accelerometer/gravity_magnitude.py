@@ -28,10 +28,13 @@ _WORST_CONDITION = 1e4
 
 @dataclass(frozen=True, slots=True)
 class GravityFit:
-    """A fit of the magnitude of gravity. values: (9,), in the order of `NAMES`; m/s² for biases, ratios for scale factors, rad for
-    angles. residuals: (n,), m/s², residuals of |f| − g. jacobian: (n, 9), derivatives of the residuals with respect to the
-    parameters. directions: (n, 3), derivatives of the residuals with respect to the readings. condition: condition number of the
-    Jacobian after the columns of the biases are divided by g."""
+    """A fit of the magnitude of gravity.
+
+    `values`: array of shape (9,), in the order of `NAMES`; m/s² for biases, ratios for scale factors, rad for angles. `residuals`:
+    array of shape (n,) in m/s², residuals of |f| − g. `jacobian`: array of shape (n, 9), derivatives of the residuals with respect
+    to the parameters. `directions`: array of shape (n, 3), derivatives of the residuals with respect to the readings. `condition`:
+    condition number of the Jacobian after the columns of the biases are divided by g.
+    """
 
     values: Array
     residuals: Array
@@ -41,8 +44,8 @@ class GravityFit:
 
 
 def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
-    """Fits the nine parameters with equal weights. readings: (n, 3), m/s², mean readings of n ≥ 9 still poses; gravity: local
-    gravity, m/s². Raises `EstimationError` if the poses do not determine the parameters."""
+    """Fits the nine parameters with equal weights. `readings`: array of shape (n, 3) in m/s², mean readings of n ≥ 9 still poses.
+    `gravity`: local gravity, m/s². Raises `EstimationError` if the poses do not determine the parameters."""
     if len(readings) < len(NAMES):
         raise EstimationError(too_few(len(readings)))
     values = np.array([0.0, 0, 0, 1, 1, 1, 0, 0, 0])

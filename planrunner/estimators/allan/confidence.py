@@ -40,7 +40,7 @@ def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None
     """The noise exponent α of averages over `factor` samples, from runs of the phase; None if there are fewer than `LEAST_POINTS`
     averages.
 
-    before: the exponent found at the next shorter averaging time. The function returns `before`, unless the exponent of the
+    `before`: the exponent found at the next shorter averaging time. The function returns `before`, unless the exponent of the
     averages differs from it by more than half a step plus two standard deviations. From thirty averages alone, white noise would be
     mistaken for a neighbouring type one time in four.
     """
@@ -79,7 +79,8 @@ def _delta(parts: Sequence[Array]) -> float:
 
 def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
     """Equivalent degrees of freedom (EDF) of a variance with maximum overlap; 0 if the run is too short for a single difference.
-    order: 2 for Allan, 3 for Hadamard; factor: averaging factor; points: number of phase points of the run.
+
+    `order`: 2 for Allan, 3 for Hadamard. `factor`: averaging factor. `points`: number of phase points of the run.
 
     The variance converges only for α > 1 − 2·order, so a smaller alpha counts as 2 − 2·order.
     """

@@ -33,9 +33,12 @@ _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
 
 @dataclass(frozen=True)
 class DescribedRange:
-    """The averaging times that the noise model describes. fitted: the deviations that take part in `fit`; these are Hadamard
-    deviations if `drift` is given. shorter, longer: number of averaging times omitted at the short and at the long end. fits: True
-    if the model describes the remaining averaging times. probability: chance of a χ² at least this large if the model is right."""
+    """The averaging times that the noise model describes.
+
+    `fitted`: the deviations that take part in `fit`; these are Hadamard deviations if `drift` is given. `shorter`, `longer`: number
+    of averaging times omitted at the short and at the long end. `fits`: True if the model describes the remaining averaging times.
+    `probability`: chance of a χ² at least this large if the model is right.
+    """
 
     fit: NoiseFit
     fitted: Sequence[Deviation]
@@ -62,7 +65,7 @@ def described_range(
 ) -> DescribedRange:
     """Finds the averaging times that the noise model describes.
 
-    rows: overlapping Allan deviations that have enough degrees of freedom. hadamard: a function that computes the Hadamard
+    `rows`: overlapping Allan deviations that have enough degrees of freedom. `hadamard`: a function that computes the Hadamard
     deviations; it is called only if they are needed, because this takes time.
     """
     allan = _Ranges(phase, rows, terms, ALLAN)

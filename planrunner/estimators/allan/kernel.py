@@ -113,29 +113,29 @@ def _modified_serial(x, factors, sums):  # type: ignore[no-untyped-def]
 
 
 def integrate(values: Array, offset: float, carry: float, out: Array) -> float:
-    """Writes the running sum of `values − offset` to `out` and returns its last value. carry: the value at which the sum starts."""
+    """Writes the running sum of `values − offset` to `out` and returns its last value. `carry`: the value at which the sum starts."""
     return float(_integrate(values, offset, carry, out))
 
 
 def second_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_i (x_{i+2m} − 2x_{i+m} + x_i)² over all i, for each averaging factor m. x: (n,), phase; factors: (k,); returns
-    (k,)."""
+    """The sum Σ_i (x_{i+2m} − 2x_{i+m} + x_i)² over all i, for each averaging factor m. `x`: array of shape (n,), phase. `factors`:
+    (k,); returns (k,)."""
     partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
     (_second_parallel if x.size >= SHARED else _second_serial)(x, factors, partial)
     return np.asarray(partial.sum(axis=0))
 
 
 def third_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m. x: (n,), phase; factors: (k,);
-    returns (k,)."""
+    """The sum Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m. `x`: array of shape (n,),
+    phase. `factors`: (k,); returns (k,)."""
     partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
     (_third_parallel if x.size >= SHARED else _third_serial)(x, factors, partial)
     return np.asarray(partial.sum(axis=0))
 
 
 def averaged_second_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m. x: (n,), phase; factors:
-    (k,); returns (k,)."""
+    """The sum Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m. `x`: array of shape (n,),
+    phase. `factors`: (k,); returns (k,)."""
     sums = np.zeros(factors.size)
     (_modified_parallel if x.size >= SHARED else _modified_serial)(x, factors, sums)
     return sums

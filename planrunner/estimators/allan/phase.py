@@ -27,11 +27,13 @@ _PAUSE = 1.5  # sample intervals between two samples that make a gap
 
 @dataclass(frozen=True)
 class Phase:
-    """The phase record of one output. runs: the phase points of each run, in the output's unit times the sample interval; each run
-    begins with 0. interval: time between phase points, s. decimation: number of samples from one phase point to the next. samples:
-    number of samples used; lost: number of samples that are not used because they are in too short a run or after the last whole
-    phase point of a run; missing: number of samples in the gaps; gaps: number of gaps that ended a run; bridged: number of samples
-    filled in."""
+    """The phase record of one output.
+
+    `runs`: the phase points of each run, in the output's unit times the sample interval; each run begins with 0. `interval`: time
+    between phase points, s. `decimation`: number of samples from one phase point to the next. `samples`: number of samples used.
+    `lost`: number of samples that are not used because they are in too short a run or after the last whole phase point of a run.
+    `missing`: number of samples in the gaps. `gaps`: number of gaps that ended a run. `bridged`: number of samples filled in.
+    """
 
     runs: tuple[Array, ...]
     interval: float
@@ -164,8 +166,8 @@ class _Stretches:
 
 
 def read_phase(segments: Sequence[RecordedSegment], output: str, bridge: float = 0.0) -> Phase:
-    """Reads the phase of one output over all segments; each sample is read once. bridge: length of the longest gap that is filled,
-    s. Raises `EstimationError` if the samples cannot be integrated."""
+    """Reads the phase of one output over all segments; each sample is read once. `bridge`: length of the longest gap that is
+    filled, s. Raises `EstimationError` if the samples cannot be integrated."""
     for recorded in segments:
         if output not in recorded.units:
             raise EstimationError(

@@ -23,8 +23,8 @@ _EXPONENTS = (-2, -1, 0, 1, 2)  # of the kinds of noise that an Allan variance d
 
 @dataclass(frozen=True, slots=True)
 class PlannedRecord:
-    """The size of a planned record. interval: time between samples, s; lengths: (r,), number of phase points of each segment, one
-    more than the number of its samples."""
+    """The size of a planned record. `interval`: time between samples, s. `lengths`: (r,), number of phase points of each segment,
+    one more than the number of its samples."""
 
     interval: float
     lengths: Integers

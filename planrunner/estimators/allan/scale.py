@@ -46,9 +46,9 @@ class ScaleFactorKind:
 class SensedBy:
     """The conversion of an output's noise coefficients to noise coefficients of the sensed quantity.
 
-    units: for each of Q, N, B and K, the unit of the result, and the factor by which a coefficient of the output is multiplied. The
-    coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). power: 1 if these factors are proportional
-    to the scale factor, −1 if they are proportional to its reciprocal. quantity: the scale factor, in its own unit.
+    `units`: for each of Q, N, B and K, the unit of the result, and the factor by which a coefficient of the output is multiplied.
+    The coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). `power`: 1 if these factors are
+    proportional to the scale factor, −1 if they are proportional to its reciprocal. `quantity`: the scale factor, in its own unit.
     """
 
     units: Mapping[str, tuple[str, float]]
@@ -154,6 +154,6 @@ def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
 
 def squares_to_coefficients(interval: float) -> dict[str, float]:
     """For each of Q, N, B and K, the factor that converts the square root of Q²/τ0², N²/τ0, B² or K²·τ0 to the coefficient.
-    interval: τ0, the time between phase points, s."""
+    `interval`: τ0, the time between phase points, s."""
     root = math.sqrt(interval)
     return {"Q": interval, "N": root, "B": 1.0, "K": 1 / root}

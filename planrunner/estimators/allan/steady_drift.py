@@ -21,9 +21,9 @@ _CHANCE = 1e-3  # probability of differences at least this large by noise alone
 
 @dataclass(frozen=True, slots=True)
 class SteadyDrift:
-    """The steady drift of a record. slope: the drift in the output's unit per second (weighted mean over the runs), with its
-    standard uncertainty. The uncertainty is computed for noise that is one standard uncertainty larger than estimated. probability:
-    chance that noise alone causes differences this large between the halves of runs."""
+    """The steady drift of a record. `slope`: the drift in the output's unit per second (weighted mean over the runs), with its
+    standard uncertainty. The uncertainty is computed for noise that is one standard uncertainty larger than estimated.
+    `probability`: chance that noise alone causes differences this large between the halves of runs."""
 
     slope: float
     standard_uncertainty: float
@@ -35,7 +35,7 @@ class SteadyDrift:
 
 
 def steady_drift(phase: Phase, fit: NoiseFit) -> SteadyDrift:
-    """Estimates the steady drift of a record. fit: a fit of the noise model to the Hadamard variances of the same record."""
+    """Estimates the steady drift of a record. `fit`: a fit of the noise model to the Hadamard variances of the same record."""
     from scipy.special import chdtrc
 
     halves = np.array([(run.size - 1) // 2 for run in phase.runs], dtype=np.int64)

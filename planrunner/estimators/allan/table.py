@@ -18,9 +18,12 @@ KINDS = ("overlapping", "modified", "hadamard")
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """The deviation at one averaging time. kind: one of `KINDS`; factor: averaging factor m; tau: averaging time, s; terms: number
-    of terms in the sum; alpha: noise exponent for which the degrees of freedom were computed; carried: True if alpha was adopted
-    from a shorter averaging time; low, high: limits of the confidence interval."""
+    """The deviation at one averaging time.
+
+    `kind`: one of `KINDS`. `factor`: averaging factor m. `tau`: averaging time, s. `terms`: number of terms in the sum. `alpha`:
+    noise exponent for which the degrees of freedom were computed. `carried`: True if alpha was adopted from a shorter averaging
+    time. `low`, `high`: limits of the confidence interval.
+    """
 
     kind: str
     factor: int

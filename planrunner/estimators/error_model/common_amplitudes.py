@@ -20,10 +20,12 @@ from planrunner.estimators.outputs_fit import OutputsFit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonAmplitudes:
-    """The amplitudes of all outputs, with a statement of which amplitudes are common to several outputs. amplitudes: the q reported
-    amplitudes. The reported amplitudes are computed from the p amplitudes that are fitted separately, output after output. members:
-    for each reported amplitude, the indices of the fitted amplitudes that it combines; a single index if only one output has this
-    amplitude. outputs: (p,), name of the output of each fitted amplitude."""
+    """The amplitudes of all outputs, with a statement of which amplitudes are common to several outputs.
+
+    `amplitudes`: the q reported amplitudes. The reported amplitudes are computed from the p amplitudes that are fitted separately,
+    output after output. `members`: for each reported amplitude, the indices of the fitted amplitudes that it combines; a single
+    index if only one output has this amplitude. `outputs`: (p,), name of the output of each fitted amplitude.
+    """
 
     amplitudes: tuple[ReportedAmplitude, ...]
     members: tuple[tuple[int, ...], ...]
@@ -41,8 +43,8 @@ class CommonAmplitudes:
         return np.array(rows).reshape(-1, len(self.outputs))
 
     def joining(self, covariance: Array) -> Array:
-        """The matrix (q, p) that computes the reported amplitudes from the separately fitted amplitudes. covariance: (p, p),
-        covariance C of the separately fitted amplitudes."""
+        """The matrix (q, p) that computes the reported amplitudes from the separately fitted amplitudes. `covariance`: array of
+        shape (p, p), covariance C of the separately fitted amplitudes."""
         picked = np.eye(len(self.outputs))[[places[0] for places in self.members]]
         R = self.contrasts
         if not len(R):
@@ -54,8 +56,8 @@ class CommonAmplitudes:
         return np.asarray(picked @ moved)
 
     def disagreement(self, values: Array, covariance: Array) -> tuple[float, int]:
-        """The χ² of the differences between the members of common amplitudes, and the degrees of freedom of this χ². values: (p,),
-        fitted amplitudes; covariance: (p, p), their covariance, including all stated inputs."""
+        """The χ² of the differences between the members of common amplitudes, and the degrees of freedom of this χ². `values`:
+        array of shape (p,), fitted amplitudes. `covariance`: array of shape (p, p), their covariance, including all stated inputs."""
         R = self.contrasts
         if not len(R):
             return 0.0, 0
@@ -80,8 +82,8 @@ def between_outputs(fits: Sequence[OutputsFit], rows: Sequence[Sequence[int]], c
     """The covariance (p, p) between the fitted amplitudes of different outputs, which follows from the correlation of the outputs'
     samples; zero within an output. Only the means of segments are taken as correlated, not the contrasts within segments.
 
-    rows: for each fit, the indices of its segments among the segments of the estimate. correlation: (m, m), correlation between the
-    samples of the outputs.
+    `rows`: for each fit, the indices of its segments among the segments of the estimate. `correlation`: array of shape (m, m),
+    correlation between the samples of the outputs.
     """
     n = 1 + max(max(own) for own in rows)
     roots = []

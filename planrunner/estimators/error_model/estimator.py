@@ -76,7 +76,7 @@ WITHIN = "within segments"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedOutput:
-    """The fit of one output. observations: the observations of this output; site: the influences of the uncertain latitude and
+    """The fit of one output. `observations`: the observations of this output. `site`: the influences of the uncertain latitude and
     gravity, and of the meters for supply and pressure, on these observations."""
 
     model: ModelledOutput
@@ -87,8 +87,8 @@ class FittedOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelQuantities(Quantities):
-    """The fitted amplitudes of an estimate. outputs: the fitted outputs in the order of the plan. separate: the amplitudes of all
-    outputs in sequence, before common amplitudes are combined."""
+    """The fitted amplitudes of an estimate. `outputs`: the fitted outputs in the order of the plan. `separate`: the amplitudes of
+    all outputs in sequence, before common amplitudes are combined."""
 
     outputs: tuple[FittedOutput, ...]
     found: Derived
@@ -354,7 +354,7 @@ def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
 def _fitted(
     request: EstimateRequest[ErrorModelParameters], group: Together, shown: Collection[str] = ()
 ) -> list[FittedOutput]:
-    """Fits all outputs of a group. shown: names of the drift functions that at least one output shows.
+    """Fits all outputs of a group. `shown`: names of the drift functions that at least one output shows.
 
     A first fit gives approximate amplitudes of each output. These amplitudes are needed because they determine how strongly errors
     of table and site affect the output.
@@ -457,7 +457,7 @@ def _padded(rows: Array, contrasts: Contrasts | None) -> Array:
 
 
 def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = False) -> CorrelatedError:
-    """Extends an error of the means to the contrasts within segments, which it does not change. own: True for flicker, which also
+    """Extends an error of the means to the contrasts within segments, which it does not change. `own`: True for flicker, which also
     changes the contrasts."""
     if contrasts is None or not len(contrasts.sigma):
         return error

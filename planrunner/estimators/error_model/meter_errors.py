@@ -27,8 +27,8 @@ def meter_errors(
 ) -> tuple[CorrelatedError, ...]:
     """The errors of observations due to errors of the meters for which the plan states an uncertainty.
 
-    estimate: name of the estimate in the plan; nominal_supply: nominal supply voltage, V. coefficients: (m, p), for m outputs and p
-    columns of the model, in the outputs' units per SI unit of each column.
+    `estimate`: name of the estimate in the plan. `nominal_supply`: nominal supply voltage, V. `coefficients`: array of shape (m,
+    p), for m outputs and p columns of the model, in the outputs' units per SI unit of each column.
     """
     found = []
     for quantity, low, high in _moved(model.states, estimate, parameters, nominal_supply):

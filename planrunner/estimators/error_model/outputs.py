@@ -51,8 +51,11 @@ _SENSED = {"angular rate": "gyro", "acceleration": "accel"}
 
 @dataclass(frozen=True, slots=True)
 class ReportedAmplitude:
-    """Describes how one amplitude is reported. si: SI value of one `unit`. common: True if all outputs whose model contains the
-    amplitude share one value. origin: the reported value, in `unit`, if the fitted value is zero."""
+    """Describes how one amplitude is reported.
+
+    `si`: SI value of one `unit`. `common`: True if all outputs whose model contains the amplitude share one value. `origin`: the
+    reported value, in `unit`, if the fitted value is zero.
+    """
 
     name: str
     unit: str
@@ -68,10 +71,10 @@ class ModelledOutput:
     = own/unit.factor + matrix · amplitudes, where `own` and `matrix` are fields of `columns`. Otherwise the amplitude with the
     index `gain` is the complete scale factor, and the other columns are multiplied by this factor.
 
-    rows: indices of the output's segments among the segments of the estimate. gain: index of the scale factor among the amplitudes;
-    None if the scale factor is not fitted. within: the fit to the output's samples, around whose result the model is linearised;
-    None if the output needs only the means. followed: used only if `within` is given: (effect, name) of each amplitude that
-    determines how errors of the table and the site affect the output.
+    `rows`: indices of the output's segments among the segments of the estimate. `gain`: index of the scale factor among the
+    amplitudes; None if the scale factor is not fitted. `within`: the fit to the output's samples, around whose result the model is
+    linearised; None if the output needs only the means. `followed`: used only if `within` is given: (effect, name) of each
+    amplitude that determines how errors of the table and the site affect the output.
     """
 
     errors: OutputErrors
@@ -138,7 +141,7 @@ class ModelledOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Together:
-    """A group of outputs that use the same segments. rows: indices of these segments among the segments of the estimate."""
+    """A group of outputs that use the same segments. `rows`: indices of these segments among the segments of the estimate."""
 
     model: ErrorsAtSegments
     segments: tuple[Segment, ...]
@@ -155,9 +158,11 @@ def models(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> tuple[Together, ...]:
-    """Builds the models of all outputs. units: maps each output to its unit, as declared or recorded; states: states of all
-    segments; samples: samples of all segments. Raises `EstimationError` if the outputs, the effects and the segments do not fit
-    each other."""
+    """Builds the models of all outputs.
+
+    `units`: maps each output to its unit, as declared or recorded. `states`: states of all segments. `samples`: samples of all
+    segments. Raises `EstimationError` if the outputs, the effects and the segments do not fit each other.
+    """
     for name in parameters.axes:
         if name not in parameters.outputs:
             raise EstimationError(f"`axes` names '{name}'", closest(name, parameters.outputs), f"axes.{name}")

@@ -27,8 +27,8 @@ _LEAST = 1e-9  # of the largest value of an output: the least noise of a sample 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutputs:
-    """Gives access to the samples of an estimate's segments. recording: all segments of the estimate, recorded or expected from the
-    schedule."""
+    """Gives access to the samples of an estimate's segments. `recording`: all segments of the estimate, recorded or expected from
+    the schedule."""
 
     recording: Sequence[RecordedSegment]
     site: Site

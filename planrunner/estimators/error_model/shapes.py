@@ -45,7 +45,7 @@ def with_shapes(
     due to these effects within segments are not included. For each shape, the model gets a further column: the derivative with
     respect to this shape.
 
-    together: observations of the group's outputs in the recorded segments. Raises `UnfitDataError` if the observations do not
+    `together`: observations of the group's outputs in the recorded segments. Raises `UnfitDataError` if the observations do not
     determine a shape.
     """
     for k, output in enumerate(group.outputs):
@@ -60,7 +60,7 @@ def _about(
     group: Together, amplitudes: Array, k: int, together: Observations, recorded: Sequence[RecordedSegment]
 ) -> Observations:
     """The observations, in which the standard errors of the k-th output are computed from the scatter about the change due to its
-    effect within each segment. amplitudes: amplitudes of the effect, in the unit of the output."""
+    effect within each segment. `amplitudes`: amplitudes of the effect, in the unit of the output."""
     from scipy.interpolate import PchipInterpolator
 
     part = shaped_part(group.outputs[k])

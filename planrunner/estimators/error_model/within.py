@@ -48,8 +48,8 @@ _IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """The shape of an effect, with the values that the catalogue gives for it, ascending. discrete: True if the effect allows only
-    these values."""
+    """The shape of an effect, with the values that the catalogue gives for it, ascending. `discrete`: True if the effect allows
+    only these values."""
 
     part: EffectPart
     values: Array
@@ -84,9 +84,12 @@ class Shape:
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
     """The contribution of the samples within segments to a fit, as r contrasts (weighted sums of samples), in the output's unit.
-    matrix: (r, p), linear model of the contrasts; values: (r,), the contrasts; sigma: (r,), their standard deviations; flicker: (r,
-    r), a matrix F with F·Fᵀ equal to the covariance of the contrasts due to flicker with the bias instability B = 1. phase: (r, k), change
-    of the contrasts by each of the k errors that an unknown angle of the table causes."""
+
+    `matrix`: array of shape (r, p), linear model of the contrasts. `values`: array of shape (r,), the contrasts. `sigma`: array of
+    shape (r,), their standard deviations. `flicker`: array of shape (r, r), a matrix F with F·Fᵀ equal to the covariance of the
+    contrasts due to flicker with the bias instability B = 1. `phase`: array of shape (r, k), change of the contrasts by each of the
+    k errors that an unknown angle of the table causes.
+    """
 
     matrix: Array
     values: Array
@@ -99,16 +102,17 @@ class Contrasts:
 class WithinFit:
     """The result of a fit of an output to its samples.
 
-    amplitudes: the p amplitudes of the fit: first the amplitudes of the model, then the shapes that are not discrete. matrix: (n,
-    p), linear model of the means, in SI per SI amplitude; mean: (n,), the observed means; offset: (n,), the part of the means that
-    is not fitted. The unit of `mean` and `offset` is that of the output. own: (n,), SI, the mean output of an ideal sensor;
-    available: maps each effect to the names of all amplitudes that it has for this output. shapes: maps each effect to the fitted
-    value of its shape. at_bound: names of effects whose shape is at a bound of the catalogue's values. coloured: ratio of the
-    variance of batch means to the variance that white noise explains; 1 if the noise is white. uneven: for the contributions of
-    segments to a contrast, the ratio of their variance to the expected variance; the largest ratio over all contrasts; 1 if the
-    contributions agree. moved_error: (n,), standard error of the mean of each segment whose motion comes from the recording,
-    computed from the residuals of the fit; NaN for other segments. phase: (n, k), change of the means, in the output's unit, by each of
-    the k errors that an unknown angle of the table causes.
+    `amplitudes`: the p amplitudes of the fit: first the amplitudes of the model, then the shapes that are not discrete. `matrix`:
+    array of shape (n, p), linear model of the means, in SI per SI amplitude. `mean`: array of shape (n,), the observed means.
+    `offset`: array of shape (n,), the part of the means that is not fitted. The unit of `mean` and `offset` is that of the output.
+    `own`: array of shape (n,) in SI units, the mean output of an ideal sensor. `available`: maps each effect to the names of all
+    amplitudes that it has for this output. `shapes`: maps each effect to the fitted value of its shape. `at_bound`: names of
+    effects whose shape is at a bound of the catalogue's values. `coloured`: ratio of the variance of batch means to the variance
+    that white noise explains; 1 if the noise is white. `uneven`: for the contributions of segments to a contrast, the ratio of
+    their variance to the expected variance; the largest ratio over all contrasts; 1 if the contributions agree. `moved_error`:
+    array of shape (n,), standard error of the mean of each segment whose motion comes from the recording, computed from the
+    residuals of the fit; NaN for other segments. `phase`: array of shape (n, k), change of the means, in the output's unit, by each
+    of the k errors that an unknown angle of the table causes.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -128,9 +132,13 @@ class WithinFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutput:
-    """The samples of one output. observed: the stimulus at the samples, in the order of the segments. values: (N,), in the output's
-    unit; None for a schedule. variance: (n,), variance of one sample in each segment; error: (n,), standard error of the mean of
-    each segment. gain: True if the scale factor is among the amplitudes. flicker: declared bias instability, in the output's unit."""
+    """The samples of one output.
+
+    `observed`: the stimulus at the samples, in the order of the segments. `values`: array of shape (N,), in the output's unit; None
+    for a schedule. `variance`: array of shape (n,), variance of one sample in each segment. `error`: array of shape (n,), standard
+    error of the mean of each segment. `gain`: True if the scale factor is among the amplitudes. `flicker`: declared bias
+    instability, in the output's unit.
+    """
 
     observed: Observed
     errors: OutputErrors
@@ -199,8 +207,8 @@ class _Problem:
         return tuple(n for n, one in enumerate(self.amplitudes) if of_stimulus(one.effect))
 
     def _stimulus(self, amplitudes: Array) -> dict[tuple[str, str], float]:
-        """The amplitudes that change the stimulus, in SI units. amplitudes: (p,), all fitted amplitudes, in the output's unit per
-        SI unit."""
+        """The amplitudes that change the stimulus, in SI units. `amplitudes`: array of shape (p,), all fitted amplitudes, in the
+        output's unit per SI unit."""
         if not self.moving:
             return {}
         response = self._response(amplitudes)
@@ -464,8 +472,9 @@ class _Problem:
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
     def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
-        """The contrasts that the docstring of the module describes, and the largest of the ratios that `uneven_ratios` gives. left:
-        (N,), residuals; coloured: ratio of the variance of batch means to the variance that white noise explains."""
+        """The contrasts that the docstring of the module describes, and the largest of the ratios that `uneven_ratios` gives.
+        `left`: array of shape (N,), residuals. `coloured`: ratio of the variance of batch means to the variance that white noise
+        explains."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -507,7 +516,7 @@ class _Problem:
 
     def _colour(self, left: Array) -> float:
         """The ratio of the variance of batch means to the variance that white noise explains; 1 if it is not significantly larger.
-        left: (N,), residuals minus the mean of the residuals in each segment."""
+        `left`: array of shape (N,), residuals minus the mean of the residuals in each segment."""
         from scipy.special import chdtrc
 
         total, freedom = 0.0, 0
@@ -524,9 +533,9 @@ class _Problem:
 
 def errors_of_phase(turning: Sequence[Array]) -> Array:
     """The k components (k, N) of the error of an input once per turn whose phase is unknown. The sum over k of the squares of the
-    components has the second moments of the error. turning: for each segment, the input at its samples as the fit assumes it (real part),
-    and a quarter of a turn earlier or later (imaginary part); complex, zero if the phase is known. N is the number of samples of all
-    segments.
+    components has the second moments of the error. `turning`: for each segment, the input at its samples as the fit assumes it
+    (real part), and a quarter of a turn earlier or later (imaginary part); complex, zero if the phase is known. N is the number of
+    samples of all segments.
 
     If c is the assumed input, and s the input a quarter of a turn later, the true input is c·cos φ + s·sin φ. The phase φ is uniform, and
     independent of other segments. The error c·(cos φ − 1) + s·sin φ therefore has the mean −c, and both of its parts have the variance
@@ -546,9 +555,11 @@ def errors_of_phase(turning: Sequence[Array]) -> Array:
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
     """For each of S contrasts, the ratio (S,) of its variance to the variance that white noise would give. The ratios are estimated
     from the scatter of the segments' contributions. They are all 1 if this scatter is not significantly larger than white noise
-    explains, for all contrasts together. functionals: (S, N), orthonormal weights of the samples in each contrast; left: (N,),
-    residuals divided by their noise; first: (n,), index of the first sample of each segment; coloured: ratio of the variance of
-    batch means to the variance that white noise explains.
+    explains, for all contrasts together.
+
+    `functionals`: array of shape (S, N), orthonormal weights of the samples in each contrast. `left`: array of shape (N,),
+    residuals divided by their noise. `first`: array of shape (n,), index of the first sample of each segment. `coloured`: ratio of
+    the variance of batch means to the variance that white noise explains.
 
     The reason for such scatter is that errors of the recorded motion differ from segment to segment, and that a longer segment does
     not reduce them. The ratio is R = Σ c²/(1 − Σ e²), where c is the contribution of a segment to a contrast, and e is the part of

@@ -28,8 +28,8 @@ def residual_influences(
     sets·2·v, set after set. Within a set, the residuals of the first rate (ω_Y) at all positions come first, then the residuals of
     the second rate (ω_X).
 
-    units: units of the outputs. matrix: (v, p), design matrix of the verification positions, SI. observed: (v, 2), the measured
-    outputs. rate: SI value of the unit of the residuals, rad/s.
+    `units`: units of the outputs. `matrix`: array of shape (v, p), design matrix of the verification positions, SI. `observed`:
+    array of shape (v, 2), the measured outputs. `rate`: SI value of the unit of the residuals, rad/s.
     """
     found: list[Influence] = []
 
@@ -50,8 +50,8 @@ def residual_influences(
 
 def recovery(coefficients: Array, positions: int, rate: float) -> Array:
     """The matrix (2·v, 2·v) that converts differences between measured and predicted outputs to rates in units of `rate` rad/s.
-    coefficients: (2, p), from which the outputs are predicted. Rows are ordered by rate, then by position; columns are ordered by
-    output, then by position."""
+    `coefficients`: array of shape (2, p), from which the outputs are predicted. Rows are ordered by rate, then by position; columns
+    are ordered by output, then by position."""
     return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
 
 

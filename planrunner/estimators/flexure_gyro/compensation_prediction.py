@@ -20,11 +20,13 @@ from planrunner.base.kept import kept
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Predicted residuals of several sets of coefficients; the keys are the names of the sets. expected: the expected residual sum
-    of squares. ratios: the quantiles (5 %, median, 95 %) of the ratio of the sum to the sum of the first set. `expected` and
-    `ratios` include noise and declared uncertainties. relative_spread: half of the central 68.27 % interval of the sum, divided by
-    the expected sum. ratio_spread: half of the central 68.27 % interval of the ratio of the sum to the sum of the first set.
-    `relative_spread` and `ratio_spread` come from noise alone."""
+    """Predicted residuals of several sets of coefficients; the keys are the names of the sets.
+
+    `expected`: the expected residual sum of squares. `ratios`: the quantiles (5 %, median, 95 %) of the ratio of the sum to the sum
+    of the first set. `expected` and `ratios` include noise and declared uncertainties. `relative_spread`: half of the central 68.27
+    % interval of the sum, divided by the expected sum. `ratio_spread`: half of the central 68.27 % interval of the ratio of the sum
+    to the sum of the first set. `relative_spread` and `ratio_spread` come from noise alone.
+    """
 
     expected: dict[str, float]
     ratios: dict[str, tuple[float, float, float]]
@@ -37,10 +39,10 @@ def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[A
     deviation 1 to the outputs at the v verification positions, minus the outputs that the set's coefficients predict there. Rows
     are ordered output after output.
 
-    verification: (v, p), design matrix of the verification positions. sets: maps the name of a set to matrices (2, p, n), which
-    compute the coefficients of each output from the n observations of the calibration. roots: for each output, a matrix L (N, r)
-    for which L·Lᵀ is the covariance of all N observations of this output: first the observations at the verification positions,
-    then those of each set, in the order of the sets.
+    `verification`: array of shape (v, p), design matrix of the verification positions. `sets`: maps the name of a set to matrices
+    (2, p, n), which compute the coefficients of each output from the n observations of the calibration. `roots`: for each output, a
+    matrix L (N, r) for which L·Lᵀ is the covariance of all N observations of this output: first the observations at the
+    verification positions, then those of each set, in the order of the sets.
     """
     found = {}
     for name, maps in _carried(verification, sets).items():
@@ -59,9 +61,9 @@ def expected_sum(maps: Array) -> float:
 
 @kept(64)
 def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) -> tuple[float, ...]:
-    """The expected sum of squared residuals of each set of coefficients, due to noise alone. verification: (v, p), design matrix of
-    the verification positions, where the noise has the standard deviation 1. sets: for each set, the design matrix of its
-    calibration positions (n, p), and the standard deviations (2, n) of the noise of both outputs there."""
+    """The expected sum of squared residuals of each set of coefficients, due to noise alone. `verification`: array of shape (v, p),
+    design matrix of the verification positions, where the noise has the standard deviation 1. `sets`: for each set, the design
+    matrix of its calibration positions (n, p), and the standard deviations (2, n) of the noise of both outputs there."""
     noise = np.concatenate([np.ones((2, len(verification))), *(sigma for _, sigma in sets)], axis=1)
     inverses = {str(k): weighted_inverse(matrix, sigma) for k, (matrix, sigma) in enumerate(sets)}
     maps = noise_maps(verification, inverses, [np.diag(sigma) for sigma in noise])
@@ -69,8 +71,8 @@ def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) ->
 
 
 def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], trials: int, seed: int) -> Prediction:
-    """Predicts the residuals by simulating experiments with a given random seed. noise, stated: for each set, a matrix (r, z) or
-    (r, s) that maps independent inputs of standard deviation 1 to the residuals; `noise` is for the noise, `stated` for the
+    """Predicts the residuals by simulating experiments with a given random seed. `noise`, `stated`: for each set, a matrix (r, z)
+    or (r, s) that maps independent inputs of standard deviation 1 to the residuals; `noise` is for the noise, `stated` for the
     declared uncertainties. In one simulated experiment, all sets have the same inputs."""
     rng = np.random.default_rng(seed)
     first = next(iter(noise))
@@ -114,9 +116,9 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """The matrices (m, p, n) that compute the p coefficients of m outputs from n observations by weighted least squares. sigma: (m,
-    n), standard deviations of the observations. The columns of the design matrix `matrix` (n, p) are scaled internally, because it
-    is ill-conditioned in SI units."""
+    """The matrices (m, p, n) that compute the p coefficients of m outputs from n observations by weighted least squares. `sigma`:
+    array of shape (m, n), standard deviations of the observations. The columns of the design matrix `matrix` (n, p) are scaled
+    internally, because it is ill-conditioned in SI units."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None] / sigma[:, None, :]

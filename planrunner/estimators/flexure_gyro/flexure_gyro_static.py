@@ -75,7 +75,7 @@ class FlexureGyroStaticParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticQuantities(Quantities):
-    """The fitted static coefficients. stated: influences of declared inputs on [U; V] in SI, output after output."""
+    """The fitted static coefficients. `stated`: influences of declared inputs on [U; V] in SI, output after output."""
 
     observations: Observations
     design: PositionsDesign
@@ -303,7 +303,7 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
 
 
 def _drift(axis: str, rate: str, kind: str) -> Said:
-    """The description of a drift coefficient. kind: `F`, or the letters of the axes whose accelerations cause the drift."""
+    """The description of a drift coefficient. `kind`: `F`, or the letters of the axes whose accelerations cause the drift."""
     if kind == "F":
         return said(
             "Part of the drift D({drift}) that is independent of acceleration; D({drift}) adds to the rate ω_{rate}",

@@ -35,8 +35,11 @@ _DIMENSION = {"gyro": DIMENSIONS["angular rate"], "accel": DIMENSIONS["accelerat
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The responses of the three outputs of a triad. kind: gyro or accel. units: (3,), the units in which the outputs are recorded.
-    values: (3, p), for each output, the coefficients of the model's terms, in the unit of the output per SI unit of the term."""
+    """The responses of the three outputs of a triad.
+
+    `kind`: gyro or accel. `units`: (3,), the units in which the outputs are recorded. `values`: array of shape (3, p), for each
+    output, the coefficients of the model's terms, in the unit of the output per SI unit of the term.
+    """
 
     kind: str
     units: tuple[Unit, ...]
@@ -68,8 +71,8 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class Framed:
-    """The responses of all triads in the frame in which they are reported. reference: the kind of the triad that defines the frame;
-    empty for the frame of the fixture."""
+    """The responses of all triads in the frame in which they are reported. `reference`: the kind of the triad that defines the
+    frame; empty for the frame of the fixture."""
 
     responses: tuple[Response, ...]
     reference: str = ""
@@ -77,8 +80,8 @@ class Framed:
 
 @dataclass(frozen=True, slots=True)
 class ImuResults:
-    """All reported quantities, triad after triad, with the formula that computes them from the fitted responses. frame: the fitted
-    responses in the reported frame."""
+    """All reported quantities, triad after triad, with the formula that computes them from the fitted responses. `frame`: the
+    fitted responses in the reported frame."""
 
     frame: Framed
     quantities: tuple[Reported, ...]
@@ -188,8 +191,8 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     found: list[_Part] = []
 
     def add(name: str, text: str, of: RowFormula, words: Said, si: float = own.factor) -> None:
-        """Adds a reported quantity of the output. text: unit of the reported quantity; si: SI value of the unit of the result of
-        `of`."""
+        """Adds a reported quantity of the output. `text`: unit of the reported quantity. `si`: SI value of the unit of the result
+        of `of`."""
         try:
             factor = si / unit(text).factor
         except UnknownUnitError as error:

@@ -105,7 +105,7 @@ class ImuMultiPositionParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Triad:
-    """The observations and the fit of one triad. kind: gyro or accel."""
+    """The observations and the fit of one triad. `kind`: gyro or accel."""
 
     kind: str
     design: PositionsDesign
@@ -115,7 +115,8 @@ class Triad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuQuantities(Quantities):
-    """The results of a multi-position test of an IMU. frame: the responses in the reported frame; found: the reported quantities."""
+    """The results of a multi-position test of an IMU. `frame`: the responses in the reported frame. `found`: the reported
+    quantities."""
 
     triads: tuple[Triad, ...]
     frame: Framed
@@ -362,7 +363,7 @@ def _inverse(one: Response) -> Array | None:
 
 
 def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) -> Mapping[str, object]:
-    """The coefficients at one temperature, in the form that `interface.Estimate` describes for its field `extra`. time: mean time
+    """The coefficients at one temperature, in the form that `interface.Estimate` describes for its field `extra`. `time`: mean time
     of the test, s."""
     return {
         one.name: {

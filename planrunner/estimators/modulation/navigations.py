@@ -27,10 +27,12 @@ _NO_REFERENCE = (
 
 @dataclass(frozen=True, slots=True)
 class Navigation:
-    """One navigation over the time that all navigations cover. course: (5, n), with the rows time [s], east and north position
-    error [m], east and north velocity error [m/s]; cycle: the cycle during navigation, None at rest; aligned: the cycle during the
-    alignment, None at rest; highest: the order of the highest harmonic of interest; spread: relative standard uncertainty of the
-    radial error rate."""
+    """One navigation over the time that all navigations cover.
+
+    `course`: array of shape (5, n), with the rows time [s], east and north position error [m], east and north velocity error [m/s].
+    `cycle`: the cycle during navigation, None at rest. `aligned`: the cycle during the alignment, None at rest. `highest`: the
+    order of the highest harmonic of interest. `spread`: relative standard uncertainty of the radial error rate.
+    """
 
     name: str
     attitude: Array | None

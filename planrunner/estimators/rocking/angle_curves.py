@@ -31,9 +31,9 @@ ARCSEC = math.radians(1 / 3600)
 
 @dataclass(frozen=True, slots=True)
 class StateCurves:
-    """The curves of one level state, averaged over the quadruples of runs in this state. time: (n,), s since the start of a record.
-    angles: (4, n, 2), rad, angles about the two `level` axes in the runs static 1, dynamic 1, dynamic 2 and static 2; the mean
-    angle in the first window is zero; NaN if samples are missing."""
+    """The curves of one level state, averaged over the quadruples of runs in this state. `time`: array of shape (n,), s since the
+    start of a record. `angles`: array of shape (4, n, 2) in rad, angles about the two `level` axes in the runs static 1, dynamic 1,
+    dynamic 2 and static 2; the mean angle in the first window is zero; NaN if samples are missing."""
 
     name: str
     level: tuple[int, int]
@@ -45,7 +45,7 @@ class StateCurves:
 def drift_curves(
     runs: Runs, recorded: Sequence[RecordedSegment], conditions: RockingConditions, parameters: RockingDriftParameters
 ) -> list[StateCurves]:
-    """Computes the curves of each level state. recorded: all chosen segments, to which the runs refer by index. Raises
+    """Computes the curves of each level state. `recorded`: all chosen segments, to which the runs refer by index. Raises
     `EstimationError` for channels that are missing."""
     every = [reduced.run for state in runs for four in state for reduced in four]
     lasting = min(recorded[run.place].statistics.end - recorded[run.place].statistics.start for run in every)

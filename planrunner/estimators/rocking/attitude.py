@@ -36,7 +36,8 @@ def earth_turn(earth: Array, seconds: Array) -> Array:
     """The matrices R(Ω_ie·t), shape (…, n, 3, 3), for times (n,) in s. They transform site components at time t to site components at
     time zero.
 
-    earth: (…, 3), rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in inertial space.
+    `earth`: array of shape (…, 3) in rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in
+    inertial space.
     """
     rate = np.linalg.norm(earth, axis=-1)[..., None]
     a, b, c = np.moveaxis(earth / rate, -1, 0)
@@ -79,9 +80,9 @@ def encoder_attitude(
 ) -> Array:
     """The attitude (n, 3, 3) of the element, computed from ring and gimbal angles.
 
-    rings, gimbals: sequences of angles, (n,) each, the outermost ring or gimbal first. directions: the direction of each ring's
-    axis if all rings are at zero, before the table's `azimuth` is applied. axes: for each gimbal, the axis about which it turns, as
-    an axis of the part that carries the gimbal.
+    `rings`, `gimbals`: sequences of angles, (n,) each, the outermost ring or gimbal first. `directions`: the direction of each
+    ring's axis if all rings are at zero, before the table's `azimuth` is applied. `axes`: for each gimbal, the axis about which it
+    turns, as an axis of the part that carries the gimbal.
     """
     found = np.broadcast_to(turned(2, -azimuth), (len(rings[0]), 3, 3))
     for angle, direction in zip(rings, directions, strict=True):
@@ -95,9 +96,9 @@ def encoder_attitude(
 class LevelState:
     """A state of the element in which two of its axes are level.
 
-    nominal: (3, 3), the planned attitude C of the element. vertical: the vertical axis of the element; sign: +1 if this axis points
-    up, −1 if it points down. sine: the level axis whose tilt is computed by an arc sine, and about which the second-to-last
-    rotation takes place; other: the other level axis, about which the last rotation takes place: C =
+    `nominal`: array of shape (3, 3), the planned attitude C of the element. `vertical`: the vertical axis of the element. `sign`:
+    +1 if this axis points up, −1 if it points down. `sine`: the level axis whose tilt is computed by an arc sine, and about which
+    the second-to-last rotation takes place. `other`: the other level axis, about which the last rotation takes place: C =
     R_other·R_sine·R_vertical·nominal.
     """
 
@@ -144,7 +145,8 @@ class LevelState:
 
 
 def level_state(nominal: Array, order: str) -> LevelState | None:
-    """The level state of a planned attitude; None if no axis is vertical. order: order of the rotations if y is up, `xzy` or `zxy`."""
+    """The level state of a planned attitude; None if no axis is vertical. `order`: order of the rotations if y is up, `xzy` or
+    `zxy`."""
     cosines = nominal @ UP
     vertical = int(np.argmax(np.abs(cosines)))
     if abs(cosines[vertical]) < 1 - UPRIGHT:

@@ -296,7 +296,7 @@ def _extra(
 def _foreseen(
     request: DesignRequest[RockingDriftParameters], groups: Sequence[Sequence[Quadruple]], dwell: float | None
 ) -> Foresight:
-    """Predicts the results of a rocking test. dwell: dwell of the shortest run, s; None if it is not known."""
+    """Predicts the results of a rocking test. `dwell`: dwell of the shortest run, s; None if it is not known."""
     parameters, table = request.parameters, request.setup.table
     recorded = all(request.sensor.output(name) is not None for name in (*parameters.rings, *parameters.gimbals))
     encoders = recorded and table is not None and len(table.axes) == len(parameters.rings)

@@ -18,8 +18,8 @@ WORDS = {False: "static", True: "dynamic"}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of the element in navigation. place: index of the run among the chosen segments; caged_before: True if the element
-    was caged before the run, None if the segments do not show this."""
+    """One run of the element in navigation. `place`: index of the run among the chosen segments. `caged_before`: True if the
+    element was caged before the run, None if the segments do not show this."""
 
     segment: Segment
     place: int

@@ -30,9 +30,11 @@ from planrunner.estimators.rocking.windows import Windows, low_pass, read_pieces
 
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
-    """The conditions under which drifts are computed. earth: (3,), Earth rate in East-North-Up, rad/s; gravity: m/s^2;
-    installation: (6,), rad, installation angles in the order of `Installation.stated`; turned: error of the table's azimuth, rad,
-    positive if the true azimuth is farther east.
+    """The conditions under which drifts are computed.
+
+    `earth`: array of shape (3,), Earth rate in East-North-Up, rad/s. `gravity`: m/s^2. `installation`: array of shape (6,) in rad,
+    installation angles in the order of `Installation.stated`. `turned`: error of the table's azimuth, rad, positive if the true
+    azimuth is farther east.
 
     One object can hold m conditions (see `several_conditions`); its arrays then have a leading axis of length m."""
 
@@ -62,8 +64,12 @@ class RockingConditions:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """The filtered samples of one window. time: (n,), s; readings: (…, n, 3), m/s^2, readings of the accelerometers; turn: (…, n,
-    3), rad, rotation vector from the planned attitude to the attitude that the encoders show, None without encoders."""
+    """The filtered samples of one window.
+
+    `time`: array of shape (n,) in s. `readings`: array of shape (…, n, 3) in m/s^2, readings of the accelerometers. `turn`: array
+    of shape (…, n, 3) in rad, rotation vector from the planned attitude to the attitude that the encoders show, None without
+    encoders.
+    """
 
     time: Array
     readings: Array
@@ -72,10 +78,12 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class ReducedRun:
-    """The windows of one run. before: the window that ends when the base begins to rock; None if there is no such window. lead:
-    time [s] from the release to the start of the record. If `lead` is None, the encoders give the azimuth at t0. Otherwise the
-    azimuth at t0 is computed from the planned orientation and from the Earth's rotation since the release. off: assumed error of
-    the azimuth of this run, rad, from which sensitivities are computed.
+    """The windows of one run.
+
+    `before`: the window that ends when the base begins to rock; None if there is no such window. `lead`: time [s] from the release
+    to the start of the record. If `lead` is None, the encoders give the azimuth at t0. Otherwise the azimuth at t0 is computed from
+    the planned orientation and from the Earth's rotation since the release. `off`: assumed error of the azimuth of this run, rad,
+    from which sensitivities are computed.
 
     One object can hold m variants of a run (see `several_runs`); `off` and the arrays of the second window then have a leading axis
     of length m."""
@@ -126,7 +134,7 @@ def reduce_run(
 
 
 def expected_run(run: Run, times: tuple[float, float], conditions: RockingConditions, encoders: bool) -> ReducedRun:
-    """The windows of an expected run, in which the element is fixed in inertial space. times: t0 and t1, s from the start of the
+    """The windows of an expected run, in which the element is fixed in inertial space. `times`: t0 and t1, s from the start of the
     record."""
     windows = []
     for time in np.array(times):
@@ -194,7 +202,8 @@ def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array
     """The tilts (…, n, 2) [rad] about the two level axes, minus the tilts of an inertially fixed element that has the same attitude
     at t0.
 
-    time: (n,), s from the start of the record. readings: (…, n, 3), m/s^2, readings of the accelerometers at these times.
+    `time`: array of shape (n,), s from the start of the record. `readings`: array of shape (…, n, 3) in m/s^2, readings of the
+    accelerometers at these times.
     """
     state, earth = reduced.run.state, conditions.felt_earth
     gravity = np.asarray(conditions.gravity)[..., None]

@@ -27,10 +27,13 @@ WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 
 @dataclass(frozen=True, slots=True)
 class StateDrifts:
-    """The drifts of all quadruples of one state. level: the two level axes. quadruples: the q quadruples of the state. drifts: (q,
-    4, k), deg/h, the drifts of the four runs of each quadruple. The first two of the k columns are the drifts about the two level
-    axes by the accelerometers. If there are encoders, the next two are the drifts about these axes by the gimbals. expected: only
-    for a prediction, the covariance (k, k) of the rocking drift of one quadruple."""
+    """The drifts of all quadruples of one state.
+
+    `level`: the two level axes. `quadruples`: the q quadruples of the state. `drifts`: array of shape (q, 4, k) in deg/h, the
+    drifts of the four runs of each quadruple. The first two of the k columns are the drifts about the two level axes by the
+    accelerometers. If there are encoders, the next two are the drifts about these axes by the gimbals. `expected`: only for a
+    prediction, the covariance (k, k) of the rocking drift of one quadruple.
+    """
 
     name: str
     level: tuple[int, int]
@@ -68,9 +71,12 @@ class StateDrifts:
 
 @dataclass(frozen=True, slots=True)
 class CombinedDrifts:
-    """The m rocking drifts, averaged over the states; the drifts by the accelerometers come first. axes: the axis of each drift.
-    by_gimbals: (m,), True for each drift that comes from the gimbals. values: (m,), deg/h, the drifts; `covariance` (m, m) is their
-    covariance. shares: for each state, a matrix (m, k) with the weights of the k drifts of this state in the m results."""
+    """The m rocking drifts, averaged over the states; the drifts by the accelerometers come first.
+
+    `axes`: the axis of each drift. `by_gimbals`: (m,), True for each drift that comes from the gimbals. `values`: array of shape
+    (m,) in deg/h, the drifts; `covariance` (m, m) is their covariance. `shares`: for each state, a matrix (m, k) with the weights
+    of the k drifts of this state in the m results.
+    """
 
     axes: tuple[int, ...]
     by_gimbals: tuple[bool, ...]
@@ -109,8 +115,8 @@ def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Pairings:
-    """Random pairs of a static and a dynamic run, for one axis. accelerometers: (p,), deg/h, the rocking drift of each pair by the
-    accelerometers; gimbals: (p,), deg/h, the rocking drift of each pair by the gimbals."""
+    """Random pairs of a static and a dynamic run, for one axis. `accelerometers`: array of shape (p,) in deg/h, the rocking drift
+    of each pair by the accelerometers. `gimbals`: array of shape (p,) in deg/h, the rocking drift of each pair by the gimbals."""
 
     axis: int
     accelerometers: Array
@@ -155,8 +161,8 @@ def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float)
     """Warnings about runs whose drift is larger than half of the Earth rate, and about differences between the drifts by the two
     methods.
 
-    earth_rate: the Earth rate, deg/h. stated: standard uncertainty [deg/h] of the difference between the two methods, due to the
-    declared errors of the rings.
+    `earth_rate`: the Earth rate, deg/h. `stated`: standard uncertainty [deg/h] of the difference between the two methods, due to
+    the declared errors of the rings.
     """
     tests = sum(2 * len(state.level) for state in states)
     for state in states:

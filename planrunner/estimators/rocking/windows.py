@@ -29,9 +29,9 @@ LONGEST_GAP = 0.5  # s, filled on a straight line
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """The positions of the windows in a record. All times are in s from the start of the record. before: the start of a third
+    """The positions of the windows in a record. All times are in s from the start of the record. `before`: the start of a third
     window, which lies between the first and the second window and ends when the base begins to rock; None if there is no such
-    window. end: the end of the record."""
+    window. `end`: the end of the record."""
 
     first: float
     second: float
@@ -61,7 +61,8 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class RecordPiece:
-    """Evenly spaced samples of a part of a record. time: (n,), s from the start of the record; values: (n, k), SI."""
+    """Evenly spaced samples of a part of a record. `time`: array of shape (n,), s from the start of the record. `values`: array of
+    shape (n, k) in SI units."""
 
     time: Array
     values: Array

@@ -43,11 +43,15 @@ _MOVED = 0.1  # m/s; a unit on a floor or in a parked vehicle does not change it
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """The result of an alignment. alignment: the fine alignment, with the covariance that is used. last: (6,), the last increments
-    of angle and velocity. density: (6, 6), density of the white noise in navigation axes, from the scatter at rest. This is the
-    covariance that the noise adds per second to the integrated outputs. white: (6,), square roots of the noise densities in body
-    axes. seconds: duration of the alignment, s. turned: True if the sensor was turned from stop to stop during the alignment, so
-    that its constant errors were estimated too. rest: the readings at the first stop; stops: the readings at all stops."""
+    """The result of an alignment.
+
+    `alignment`: the fine alignment, with the covariance that is used. `last`: array of shape (6,), the last increments of angle and
+    velocity. `density`: array of shape (6, 6), density of the white noise in navigation axes, from the scatter at rest. This is the
+    covariance that the noise adds per second to the integrated outputs. `white`: array of shape (6,), square roots of the noise
+    densities in body axes. `seconds`: duration of the alignment, s. `turned`: True if the sensor was turned from stop to stop
+    during the alignment, so that its constant errors were estimated too. `rest`: the readings at the first stop. `stops`: the
+    readings at all stops.
+    """
 
     alignment: Alignment
     last: Array
@@ -62,8 +66,11 @@ class Aligned:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """The readings of the sensors at rest. means: (6, b), means over b successive time spans of `length` [s], rad/s and m/s².
-    white: (6,), square roots of the densities of the white noise, rad/√s and m/s/√s; freedom: degrees of freedom of `white`."""
+    """The readings of the sensors at rest.
+
+    `means`: array of shape (6, b), means over b successive time spans of `length` [s], rad/s and m/s². `white`: array of shape
+    (6,), square roots of the densities of the white noise, rad/√s and m/s/√s. `freedom`: degrees of freedom of `white`.
+    """
 
     means: Array
     length: float
@@ -80,10 +87,13 @@ def align(
     follow: float | None = None,
     lasting: float = 0.0,
 ) -> Aligned:
-    """Aligns the sensor, and so determines its attitude at the end of a segment. site: the place, with its latitude, height and
-    gravity. constant: (6,), standard uncertainty of the constant errors of gyros and accelerometers, rad/s and m/s²; used only if
-    the sensor is turned during the alignment. follow: passed on to `FineAlignment`. lasting: total time of alignment and
-    navigation, s. Raises `EstimationError` if the segment is unsuitable for an alignment."""
+    """Aligns the sensor, and so determines its attitude at the end of a segment.
+
+    `site`: the place, with its latitude, height and gravity. `constant`: array of shape (6,), standard uncertainty of the constant
+    errors of gyros and accelerometers, rad/s and m/s²; used only if the sensor is turned during the alignment. `follow`: passed on
+    to `FineAlignment`. `lasting`: total time of alignment and navigation, s. Raises `EstimationError` if the segment is unsuitable
+    for an alignment.
+    """
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
@@ -145,8 +155,8 @@ def stillness(segment: Segment, seconds: float) -> float:
 
 
 def end_attitude(segment: Segment, table: TableModel | None, seconds: float | None = None) -> Array | None:
-    """The planned attitude (3, 3) at the end of a segment, whose rows are the sensor's axes; None if it is not known. seconds: the
-    recorded length of the segment; by default the planned dwell."""
+    """The planned attitude (3, 3) at the end of a segment, whose rows are the sensor's axes; None if it is not known. `seconds`:
+    the recorded length of the segment; by default the planned dwell."""
     if segment.attitude is None or not isinstance(segment.motion, Cycle):
         return segment.attitude if isinstance(segment.motion, Rest) else None
     dwell = segment.dwell if seconds is None else seconds
@@ -165,8 +175,8 @@ def same_attitude(one: Array | None, other: Array | None) -> bool:
 
 def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, ...]:
     """A warning if the attitude from the alignment differs from the planned attitude by more than 90 deg. One reversed channel
-    changes the attitude by 180 deg. planned: (3, 3), planned attitude, whose rows are the sensor's axes; None if it is not known.
-    rotation: (3, 3), attitude from the alignment, from body to navigation axes."""
+    changes the attitude by 180 deg. `planned`: array of shape (3, 3), planned attitude, whose rows are the sensor's axes; None if
+    it is not known. `rotation`: array of shape (3, 3), attitude from the alignment, from body to navigation axes."""
     if planned is None:
         return ()
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(planned @ rotation)) - 1) / 2)))
@@ -262,7 +272,7 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
 
 def _rate_error(mean: Array, site: Site) -> float:
     """The magnitude [rad/s] of the difference between the mean rate at rest and the Earth's rate, where each rate is a vector of
-    its horizontal and its upward component. mean: (6,), mean readings at rest, rad/s and m/s²."""
+    its horizontal and its upward component. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
     found, earth = _rates(mean, site)
     return float(np.linalg.norm(found - earth))
 
@@ -285,8 +295,8 @@ def _quiet(label: str, mean: Array, site: Site) -> Said:
 
 
 def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site) -> None:
-    """Raises `UnfitDataError` unless the mean readings are those of a sensor at rest. channels: (6,), names of the channels; mean:
-    (6,), rad/s and m/s², mean readings at the first stop."""
+    """Raises `UnfitDataError` unless the mean readings are those of a sensor at rest. `channels`: (6,), names of the channels.
+    `mean`: array of shape (6,), rad/s and m/s², mean readings at the first stop."""
     if not np.isfinite(mean).all():
         raise UnfitDataError(f"segment '{label}' has too few usable samples: record it again")
     force = float(np.linalg.norm(mean[3:]))

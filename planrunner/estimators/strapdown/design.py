@@ -259,7 +259,7 @@ def _about_up(stop: Segment, count: int, step: float) -> Array:
 
 def _turning(segments: Sequence[Segment], rotation: Array, step: float) -> Array:
     """Matrices (n, 6, 6) that convert gyro errors ε and accelerometer errors ∇ from body to navigation axes, averaged over each
-    `step` [s]. rotation: (3, 3), attitude at the start of each segment."""
+    `step` [s]. `rotation`: array of shape (3, 3), attitude at the start of each segment."""
     found = []
     for segment in segments:
         count = max(1, round((segment.dwell or 0.0) / step))

@@ -31,13 +31,17 @@ _MOST_POSITIONS = 0.5  # of the observations: otherwise a drift looks like a cha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopDrift:
-    """What the readings at the stops show about a drift of the six sensors. fitted: the fitted drift functions. changes: (6,), for
-    each sensor, the largest minus the smallest bias during alignment and navigation according to the fitted drift, rad/s and m/s²;
-    uncertainties: (6,), uncertainties of these changes. effect: (7, n, r), errors that the drift causes at n times of the
-    navigation, in the states that `error_equations` defines. The first of the r columns is the effect of the fitted drift of all
-    sensors. Each other column is the effect of an independent change of the drift that is as large as its uncertainty. time: (n,),
-    s since the navigation began. scatter: (6,), for each sensor, the standard deviation of the readings about the fitted drift,
-    divided by the expected standard deviation; unexplained: (6,), True if noise and stated flicker do not explain this ratio."""
+    """What the readings at the stops show about a drift of the six sensors.
+
+    `fitted`: the fitted drift functions. `changes`: array of shape (6,), for each sensor, the largest minus the smallest bias
+    during alignment and navigation according to the fitted drift, rad/s and m/s². `uncertainties`: array of shape (6,),
+    uncertainties of these changes. `effect`: array of shape (7, n, r), errors that the drift causes at n times of the navigation,
+    in the states that `error_equations` defines. The first of the r columns is the effect of the fitted drift of all sensors. Each
+    other column is the effect of an independent change of the drift that is as large as its uncertainty. `time`: array of shape
+    (n,), s since the navigation began. `scatter`: array of shape (6,), for each sensor, the standard deviation of the readings
+    about the fitted drift, divided by the expected standard deviation. `unexplained`: array of shape (6,), True if noise and stated
+    flicker do not explain this ratio.
+    """
 
     fitted: FittedDrift
     changes: Array
@@ -49,8 +53,8 @@ class StopDrift:
 
 
 def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, float]) -> StopDrift | None:
-    """Searches for a drift of the six sensors in the readings at the stops. flicker: maps the index of a sensor to its stated bias
-    instability, rad/s or m/s². Returns None if the stops cannot show a drift."""
+    """Searches for a drift of the six sensors in the readings at the stops. `flicker`: maps the index of a sensor to its stated
+    bias instability, rad/s or m/s². Returns None if the stops cannot show a drift."""
     n = len(stops.time)
     if not n or not (stops.white > 0).all():
         return None
@@ -72,8 +76,8 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
 
     def judged(scale: Array) -> tuple[FittedDrift, Sequence[LinearFit], Sequence[LinearFit], bool]:
         """Returns the fitted drift; the fits with this drift; the fits with all drift functions; and True if noise explains the
-        residuals of the fits with all drift functions. scale: (6,), assumed standard deviations of the readings, divided by the
-        expected standard deviations."""
+        residuals of the fits with all drift functions. `scale`: array of shape (6,), assumed standard deviations of the readings,
+        divided by the expected standard deviations."""
         spread, whitening = scale[:, None] * sigma, None
         if flicker:
             noise = np.array([np.diag(one**2) for one in spread])
@@ -107,9 +111,9 @@ def _with_effect(
     response: WanderingBias,
     freedom: float,
 ) -> StopDrift:
-    """The fitted drift together with its effect on the navigation. expected: (6,), standard deviations of the readings that the
-    fits assume, divided by the standard deviations that noise and stated flicker explain. courses: the fitted drift functions, each
-    with one column of n + l rows: n rows for the observations, then l rows for the intervals of the response."""
+    """The fitted drift together with its effect on the navigation. `expected`: array of shape (6,), standard deviations of the
+    readings that the fits assume, divided by the standard deviations that noise and stated flicker explain. `courses`: the fitted
+    drift functions, each with one column of n + l rows: n rows for the observations, then l rows for the intervals of the response."""
     from scipy.special import fdtrc
 
     left = fits[0].degrees_of_freedom

@@ -59,8 +59,11 @@ _ACCELEROMETER = STANDARD_GRAVITY * 1e-3  # m/s^2, 1 mg
 
 @dataclass(frozen=True, slots=True)
 class _Coordinate:
-    """Describes one coordinate of the start position. information: name of the run information that may give the coordinate;
-    channel: name of the reference channel that may give it; farthest: largest value of the coordinate on Earth, rad or m."""
+    """Describes one coordinate of the start position.
+
+    `information`: name of the run information that may give the coordinate. `channel`: name of the reference channel that may give
+    it. `farthest`: largest value of the coordinate on Earth, rad or m.
+    """
 
     information: str
     channel: str
@@ -142,11 +145,14 @@ class StrapdownNavigationParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class Navigated:
-    """The result of a navigation. site: the place at which the navigation starts. final: (4,), east and north errors of position
-    [m] and of velocity [m/s] at the end. seconds: duration of the navigation, s. start: time at which the navigation begins, s.
-    gap: time without samples after the alignment, s. wandering: response of the navigation to biases that change over time.
-    opposed: indices of the gyros that seem to have the wrong sign. drift: what the stops show about a drift; None if the stops
-    cannot show a drift, or if the carrier moves."""
+    """The result of a navigation.
+
+    `site`: the place at which the navigation starts. `final`: array of shape (4,), east and north errors of position [m] and of
+    velocity [m/s] at the end. `seconds`: duration of the navigation, s. `start`: time at which the navigation begins, s. `gap`:
+    time without samples after the alignment, s. `wandering`: response of the navigation to biases that change over time. `opposed`:
+    indices of the gyros that seem to have the wrong sign. `drift`: what the stops show about a drift; None if the stops cannot show
+    a drift, or if the carrier moves.
+    """
 
     site: Site
     aligned: Aligned
@@ -181,7 +187,7 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
     """The place at which the alignment takes place. Each coordinate is taken from the run information; if it is not given there,
-    from the reference channels; otherwise from the bench's site. factor: gravity at the site divided by normal gravity. Raises
+    from the reference channels; otherwise from the bench's site. `factor`: gravity at the site divided by normal gravity. Raises
     `EstimationError` for run information that is not a place on Earth."""
 
     def place(coordinate: _Coordinate) -> float | None:

@@ -60,11 +60,13 @@ class Truth:
 @dataclass
 class ErrorRecord:
     """Sums of navigation errors over all knots, and the errors at every `stride`-th knot. A knot is a moment for which the
-    navigator returns attitude, velocity and position. Times are in s since the navigation began, errors in m and m/s. knots: number
-    of knots. squares: sum of the squares of the radial position error; speed_squares: sum of the squares of the radial velocity
-    error. time_error: sum of time multiplied by radial error; time_squares: sum of time². largest: largest radial position error,
-    which occurs at the time `largest_at`; largest_speed: largest radial velocity error. course: the errors at every `stride`-th
-    knot; see `points`."""
+    navigator returns attitude, velocity and position. Times are in s since the navigation began, errors in m and m/s.
+
+    `knots`: number of knots. `squares`: sum of the squares of the radial position error. `speed_squares`: sum of the squares of the
+    radial velocity error. `time_error`: sum of time multiplied by radial error. `time_squares`: sum of time². `largest`: largest
+    radial position error, which occurs at the time `largest_at`. `largest_speed`: largest radial velocity error. `course`: the
+    errors at every `stride`-th knot; see `points`.
+    """
 
     stride: int
     knots: int = 0
@@ -78,7 +80,7 @@ class ErrorRecord:
     course: list[Array] = field(default_factory=lambda: [np.zeros((5, 1))])
 
     def take(self, time: Array, knots: Knots, truth: Truth) -> None:
-        """Adds the errors at the next m moments. time: (m,), s since the navigation began."""
+        """Adds the errors at the next m moments. `time`: array of shape (m,), s since the navigation began."""
         errors = difference(knots, truth)
         if not len(time):
             return

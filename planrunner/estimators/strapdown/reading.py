@@ -37,9 +37,13 @@ _RATE_TOLERANCE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Increments:
-    """The increments of angle and velocity of a part of a recording. values: (6, n), rad and m/s along the body axes x, y, z.
-    interval: (n,), s, the length of time that each increment covers; time: (n,), s, the end of this time. reference: maps each
-    reference channel to its values (n,), SI. kelvin: (n,), readings of the sensor's thermometer, K; None without a thermometer."""
+    """The increments of angle and velocity of a part of a recording.
+
+    `values`: array of shape (6, n), rad and m/s along the body axes x, y, z. `interval`: array of shape (n,) in s, the length of
+    time that each increment covers. `time`: array of shape (n,) in s, the end of this time. `reference`: maps each reference
+    channel to its values (n,), SI. `kelvin`: array of shape (n,), readings of the sensor's thermometer, K; None without a
+    thermometer.
+    """
 
     time: Array
     interval: Array
@@ -52,9 +56,9 @@ class IncrementReader:
     """Reads the increments of successive segments. The time of samples continues from one segment to the next."""
 
     def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float, thermometer: str | None = None):
-        """channels: names of three gyros and three accelerometers, in the order x, y, z of each. sample_rate: sample rate, Hz.
-        bridge: length of the longest gap that is filled, s. thermometer: a temperature channel that is read together with the other
-        channels."""
+        """`channels`: names of three gyros and three accelerometers, in the order x, y, z of each. `sample_rate`: sample rate, Hz.
+        `bridge`: length of the longest gap that is filled, s. `thermometer`: a temperature channel that is read together with the
+        other channels."""
         self.channels = tuple(channels)
         self.interval = 1 / sample_rate
         self.bridge = bridge

@@ -306,6 +306,6 @@ def _at_stops(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _change(channel: str, size: float, sensor: int) -> Said:
-    """A text that states the drift of one sensor. size: size of the drift, rad/s or m/s²."""
+    """A text that states the drift of one sensor. `size`: size of the drift, rad/s or m/s²."""
     text, factor = ("deg/h", DEGREE * HOUR) if sensor < _GYROS else ("ug", 1e6 / STANDARD_GRAVITY)
     return said("{output} by {size:.2g} {unit}", output=channel, size=size * factor, unit=text)

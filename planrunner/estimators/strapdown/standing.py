@@ -30,11 +30,14 @@ _SHORTEST = 10.0  # s, of such a block
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stops:
-    """The mean readings over parts of stops. time: (n,), s, mean time of each part since the alignment began; seconds: (n,), s,
-    length of the part; means: (n, 6), rad/s and m/s²; position: (n,), number of the position; kelvin: (n,), temperature, NaN where
-    it is not known; rotation: (n, 3, 3), navigated attitude, with the body axes as columns in East-North-Up. white: (6,), white
-    noise, rad/√s and m/s/√s, computed from the differences of means over successive intervals of the navigator; freedom: degrees of
-    freedom of `white`."""
+    """The mean readings over parts of stops.
+
+    `time`: array of shape (n,) in s, mean time of each part since the alignment began. `seconds`: array of shape (n,) in s, length
+    of the part. `means`: array of shape (n, 6), rad/s and m/s². `position`: array of shape (n,), number of the position. `kelvin`:
+    array of shape (n,), temperature, NaN where it is not known. `rotation`: array of shape (n, 3, 3), navigated attitude, with the
+    body axes as columns in East-North-Up. `white`: array of shape (6,), white noise, rad/√s and m/s/√s, computed from the
+    differences of means over successive intervals of the navigator. `freedom`: degrees of freedom of `white`.
+    """
 
     time: Array
     seconds: Array
@@ -48,8 +51,9 @@ class Stops:
 
 @dataclass(slots=True, eq=False)
 class _Part:
-    """Sums of readings in one position of the sensor during one block of time. rotation: attitude in this position at the start of
-    the block. sums: (9,), sums of the increments, of the seconds, of seconds × time, and of seconds × temperature."""
+    """Sums of readings in one position of the sensor during one block of time. `rotation`: attitude in this position at the start
+    of the block. `sums`: array of shape (9,), sums of the increments, of the seconds, of seconds × time, and of seconds ×
+    temperature."""
 
     position: int
     rotation: Array
@@ -61,8 +65,8 @@ class StopReader:
     recording."""
 
     def __init__(self, earth_rate: float, white: Array, seconds: float, begin: float):
-        """earth_rate: Earth rate, rad/s; white: (6,), noise at rest, rad/√s and m/s/√s; seconds: total time of alignment and
-        navigation, s; begin: time at which the alignment begins, s."""
+        """`earth_rate`: Earth rate, rad/s. `white`: array of shape (6,), noise at rest, rad/√s and m/s/√s. `seconds`: total time of
+        alignment and navigation, s. `begin`: time at which the alignment begins, s."""
         self._limit, self._white, self._begin = _STILL * earth_rate, white, begin
         self._block = max(_SHORTEST, seconds / _BLOCKS)
         self._parts: dict[tuple[int, int], _Part] = {}
@@ -79,8 +83,8 @@ class StopReader:
         self._before, self._last, self._was_still = None, None, False
 
     def take(self, piece: Increments, at: NDArray[np.int64], rotations: Array) -> None:
-        """Adds the samples of a piece of the recording. at: (m,), indices of those samples at which intervals of the navigator end;
-        rotations: (m, 3, 3), attitude at these samples."""
+        """Adds the samples of a piece of the recording. `at`: array of shape (m,), indices of those samples at which intervals of
+        the navigator end. `rotations`: array of shape (m, 3, 3), attitude at these samples."""
         kelvin = np.full(piece.time.size, math.nan) if piece.kelvin is None else piece.kelvin
         known = np.isfinite(kelvin)
         if known.any() and not known.all():  # a thermometer may be slower than the sensor
@@ -112,8 +116,8 @@ class StopReader:
         self._before = each[-1:], times[-1:], rotations[-1:]
 
     def _add(self, each: Array, times: Array, rotation: Array, block: int) -> None:
-        """Adds successive intervals of one stop. each: (m, 8), increments, seconds, and seconds × temperature of each interval;
-        times: (m,), middle of each interval, s."""
+        """Adds successive intervals of one stop. `each`: array of shape (m, 8), increments, seconds, and seconds × temperature of
+        each interval. `times`: array of shape (m,), middle of each interval, s."""
         position = self._position(rotation)
         part = self._parts.setdefault((block, position), _Part(position, rotation))
         part.sums += np.array([*each[:, :7].sum(axis=0), times @ each[:, 6], each[:, 7].sum()])
@@ -151,8 +155,8 @@ class StopReader:
 
 
 def opposed_gyros(stops: Stops, earth_rate: Array) -> tuple[int, ...]:
-    """Indices of the gyros whose readings change from position to position in the opposite sense to the Earth's rate. earth_rate:
-    (3,), Earth rate in East-North-Up, rad/s. A constant error of a gyro does not affect the result."""
+    """Indices of the gyros whose readings change from position to position in the opposite sense to the Earth's rate. `earth_rate`:
+    array of shape (3,), Earth rate in East-North-Up, rad/s. A constant error of a gyro does not affect the result."""
     found = []
     expected = np.einsum("nij,i->nj", stops.rotation, earth_rate)
     weights = np.sqrt(stops.seconds)

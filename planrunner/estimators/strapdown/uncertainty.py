@@ -65,7 +65,7 @@ _MOMENTS = 96  # at which the effect of biases that wander is evaluated
 
 
 class Spread:
-    """The uncertainty that comes from noise. covariance: (m, m), covariance of the coefficients, in their units. radial: (n,),
+    """The uncertainty that comes from noise. `covariance`: (m, m), covariance of the coefficients, in their units. `radial`: (n,),
     standard uncertainty of the radial error [m] at the points of `ErrorRecord.points`."""
 
     def __init__(self, equations: ErrorEquations, found: Navigated, points: Array, turns: bool):
@@ -86,9 +86,12 @@ class Spread:
 
 
 class Wander:
-    """The uncertainty that comes from biases which change over time (flicker). influences: one influence for each sensor whose bias
-    instability is stated. radial: (n,), standard uncertainty [m] of the radial error at the points of `ErrorRecord.points`, due to
-    these sensors. unstated: the flicker of each sensor whose bias instability the bench file does not give."""
+    """The uncertainty that comes from biases which change over time (flicker).
+
+    `influences`: one influence for each sensor whose bias instability is stated. `radial`: (n,), standard uncertainty [m] of the
+    radial error at the points of `ErrorRecord.points`, due to these sensors. `unstated`: the flicker of each sensor whose bias
+    instability the bench file does not give.
+    """
 
     def __init__(self, request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, points: Array):
         self.influences: tuple[Influence, ...] = ()
@@ -121,7 +124,7 @@ class Wander:
 
 def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> FlickerEvidence | None:
     """The information in the readings at the first stop of the alignment about the flicker of a sensor; None if these readings are
-    too few. rate: SI value of the unit of the sensor's channel, rad/s or m/s²."""
+    too few. `rate`: SI value of the unit of the sensor's channel, rad/s or m/s²."""
     rest = found.aligned.rest
     n = rest.means.shape[1]
     if not (n > 1 and rest.white[sensor] > 0):
@@ -157,9 +160,9 @@ def joined(found: Navigated, both: Array, over_time: Array) -> Array:
     """The covariance (m, m) of the results `NAMES`, in their units, without the contribution of the CEP rate.
 
     The angles and the errors at the end are linear functions of the state. Correlations between figures that summarise the errors
-    over time (largest and root-mean-square errors, error rate) are set to zero. both: (7, 7), joint covariance of the tilts after
-    the alignment and of the errors at the end; over_time: (5,), standard uncertainties of the figures that summarise the errors
-    over time.
+    over time (largest and root-mean-square errors, error rate) are set to zero. `both`: array of shape (7, 7), joint covariance of
+    the tilts after the alignment and of the errors at the end. `over_time`: array of shape (5,), standard uncertainties of the
+    figures that summarise the errors over time.
     """
     angles = np.eye(_DIRECT)
     angles[:3, :3] = -attitude.angle_sensitivities(found.aligned.alignment.rotation) * DEGREE
@@ -179,8 +182,8 @@ def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Ar
     error rate). They are computed as follows: errors that noise may cause are drawn at random and subtracted from the errors of the
     navigation, and the figures are computed again for each draw. On average, noise increases the largest and the root-mean-square
     errors. The figures are not corrected for this; instead, the mean change is added to the expanded uncertainty (JCGM 100:2008,
-    F.2.4.5). start: (7, 7), covariance of the state at the start of the navigation; density: (6, 6), density of the white noise in
-    navigation axes."""
+    F.2.4.5). `start`: array of shape (7, 7), covariance of the state at the start of the navigation. `density`: array of shape (6,
+    6), density of the white noise in navigation axes."""
     last = points.shape[1] - 1
     every = max(1, -(-last // _MOMENTS))
     course = np.column_stack([points[:, every::every], [found.seconds, *found.final]])
@@ -204,8 +207,8 @@ def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Ar
 
 def _bounds(found: Navigated, points: Array, radial: Array, speed: Array) -> Array:
     """Upper bounds (5,) of the standard uncertainties of the figures that summarise the errors over time. They assume that the
-    errors at all times are fully correlated. radial, speed: (n,), standard uncertainties of the radial position and velocity errors
-    at the points."""
+    errors at all times are fully correlated. `radial`, `speed`: arrays of shape (n,), standard uncertainties of the radial position
+    and velocity errors at the points."""
     time, away, fast = points[0], np.hypot(*points[1:3]), np.hypot(*points[3:5])
     return np.array(
         [
@@ -234,8 +237,8 @@ def influences(
     """The influences of the latitude and of constant sensor errors. Constant sensor errors influence only the angles. An error of
     the latitude makes the assumed Earth rate wrong, and so influences the navigation errors; its influence on the alignment is
     neglected. Repeating a navigation under other conditions would take too long, so the sensitivities come from the error
-    equations. A test compares them with repeated navigations. points: (5, n), navigation errors as `ErrorRecord.points` returns
-    them."""
+    equations. A test compares them with repeated navigations. `points`: array of shape (5, n), navigation errors as
+    `ErrorRecord.points` returns them."""
     parameters = request.parameters
     rotation = found.aligned.alignment.rotation
     turned = np.zeros((INPUTS, INPUTS))
@@ -271,8 +274,8 @@ def influences(
 
 
 def drift_influence(found: Navigated, points: Array) -> Influence | None:
-    """The influence of the drift that the stops show; None if they show no drift. points: (5, n), navigation errors as
-    `ErrorRecord.points` returns them.
+    """The influence of the drift that the stops show; None if they show no drift. `points`: array of shape (5, n), navigation
+    errors as `ErrorRecord.points` returns them.
 
     The change of each coefficient is its value with the drift minus its value without the drift. Changes of the drift that are as
     large as its uncertainty count as small and independent of each other."""

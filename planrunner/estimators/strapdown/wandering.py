@@ -26,10 +26,10 @@ _AXES = 3
 class WanderingBias:
     """The response of a navigation to sensor errors that are constant in each interval of `step` [s].
 
-    aligned: (3, 6, m), rad, tilt after the alignment for an error of 1 rad/s or 1 m/s² of each of the 6 sensors in each of the m
-    intervals of the alignment. attitude: (n, 3, 3), mean attitude over each interval of the navigation, with the body axes as
-    columns in East-North-Up. between: number of intervals from the start of the alignment to the start of the navigation. span: the
-    time over which constant errors are averages, s.
+    `aligned`: array of shape (3, 6, m) in rad, tilt after the alignment for an error of 1 rad/s or 1 m/s² of each of the 6 sensors
+    in each of the m intervals of the alignment. `attitude`: array of shape (n, 3, 3), mean attitude over each interval of the
+    navigation, with the body axes as columns in East-North-Up. `between`: number of intervals from the start of the alignment to
+    the start of the navigation. `span`: the time over which constant errors are averages, s.
     """
 
     equations: ErrorEquations
@@ -51,8 +51,8 @@ class WanderingBias:
 
     def errors(self, biases: Array) -> Array:
         """The navigation errors (7, n + 1, r) at the start of the navigation and after each of its n intervals, in the states that
-        `error_equations` defines, for r cases of changing biases. biases: (6, l, r), rad/s and m/s², mean biases over the l
-        intervals whose middles are `middles`."""
+        `error_equations` defines, for r cases of changing biases. `biases`: array of shape (6, l, r), rad/s and m/s², mean biases
+        over the l intervals whose middles are `middles`."""
         m = self.aligned.shape[2]
         start = np.zeros((SIZE, biases.shape[2]))
         start[TILT] = np.einsum("asm,smr->ar", self.aligned, biases[:, :m])
@@ -110,8 +110,8 @@ class MeanAttitude:
         self._counts: list[int] = []
 
     def take(self, time: Array, rotations: Array) -> None:
-        """Adds attitudes of the navigator. time: (m,), s since the navigation began; rotations: (m, 3, 3), attitudes at these
-        times."""
+        """Adds attitudes of the navigator. `time`: array of shape (m,), s since the navigation began. `rotations`: array of shape
+        (m, 3, 3), attitudes at these times."""
         place = np.maximum(np.ceil(time / self.step - 1e-9).astype(np.int64) - 1, 0)
         for k in np.unique(place):
             while len(self._sums) <= k:

@@ -62,9 +62,9 @@ def approached(temperature: Sequence[float], least: float) -> tuple[Integers, In
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference D between the values at rising temperature and the values at falling temperature. curve: form of D as a
-    function of temperature; low, high: limits of the temperature range in which both directions were recorded, degC. Outside this
-    range, D has its value at the nearer limit."""
+    """The difference D between the values at rising temperature and the values at falling temperature. `curve`: form of D as a
+    function of temperature. `low`, `high`: limits of the temperature range in which both directions were recorded, degC. Outside
+    this range, D has its value at the nearer limit."""
 
     curve: Curve
     low: float
@@ -84,7 +84,7 @@ def difference_of(temperature: Array, direction: Integers, highest: int, width: 
     fewer than two temperatures were reached in both directions. The form does not depend on the measured values, so the uncertainty
     of D need not include the choice of the form.
 
-    width: temperatures that differ by no more than this count as one temperature, K; left: the largest possible number of
+    `width`: temperatures that differ by no more than this count as one temperature, K. `left`: the largest possible number of
     coefficients for the number of values.
     """
     group = groups_of(temperature, width)

@@ -50,9 +50,11 @@ _EXACT, _TINY = (
 
 @dataclass(frozen=True)
 class Curve:
-    """The form of a curve, without its coefficients. form: one of `FORMS`. order: the order of a polynomial, or the number of knots
-    of a spline minus one. Order 1 is a straight line in either form. reference: reference temperature T₀ of a polynomial, degC;
-    knots: knots of a spline, degC, ascending."""
+    """The form of a curve, without its coefficients.
+
+    `form`: one of `FORMS`. `order`: the order of a polynomial, or the number of knots of a spline minus one. Order 1 is a straight
+    line in either form. `reference`: reference temperature T₀ of a polynomial, degC. `knots`: knots of a spline, degC, ascending.
+    """
 
     form: str
     order: int
@@ -100,8 +102,8 @@ def natural_spline(knots: Array, at: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """States how well a curve of one order predicts held-out values. error: mean square error over the held-out folds, in the
-    squared unit of the values; standard_error: standard error of this mean."""
+    """States how well a curve of one order predicts held-out values. `error`: mean square error over the held-out folds, in the
+    squared unit of the values. `standard_error`: standard error of this mean."""
 
     order: int
     error: float
@@ -119,9 +121,12 @@ def held_out(
     beside: Array | None = None,
     whitening: Array | None = None,
 ) -> tuple[HeldOut, ...]:
-    """The held-out errors of the curves of each order. sigma: (n,), standard uncertainties for the weights; fold: (n,), index of
-    the fold in which each value is held out; beside: (n, q), columns that are fitted together with each curve; whitening: (n, n),
-    matrix that whitens correlated values; without it, values are divided by sigma."""
+    """The held-out errors of the curves of each order.
+
+    `sigma`: array of shape (n,), standard uncertainties for the weights. `fold`: (n,), index of the fold in which each value is
+    held out. `beside`: array of shape (n, q), columns that are fitted together with each curve. `whitening`: array of shape (n, n),
+    matrix that whitens correlated values; without it, values are divided by sigma.
+    """
     whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
     weight = 1 / sigma**2
@@ -186,10 +191,12 @@ def groups_of(temperature: Array, width: float) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class RampScatter:
-    """One random difference between ramps, in their offset or in their slope. size: standard deviation of the offset or slope, in
-    the value's unit; zero if noise explains it; degrees_of_freedom: degrees of freedom of `size`; ratio: the statistic F, which is
-    the mean square due to the ramps divided by the mean square due to noise; probability: probability that noise alone gives a
-    ratio at least this large."""
+    """One random difference between ramps, in their offset or in their slope.
+
+    `size`: standard deviation of the offset or slope, in the value's unit; zero if noise explains it. `degrees_of_freedom`: degrees
+    of freedom of `size`. `ratio`: the statistic F, which is the mean square due to the ramps divided by the mean square due to
+    noise. `probability`: probability that noise alone gives a ratio at least this large.
+    """
 
     size: float
     degrees_of_freedom: int
@@ -200,8 +207,8 @@ class RampScatter:
 @dataclass(frozen=True, slots=True)
 class SummedCovariance:
     """The covariance of m coefficients as a sum of independent mean squares for noise and for the scatter of ramps, each with its
-    degrees of freedom. parts: for each mean square, a matrix (m, m) and its degrees of freedom; the first matrix may have negative
-    eigenvalues."""
+    degrees of freedom. `parts`: for each mean square, a matrix (m, m) and its degrees of freedom; the first matrix may have
+    negative eigenvalues."""
 
     parts: tuple[tuple[Array, float], ...]
 
@@ -211,7 +218,7 @@ class SummedCovariance:
 
     def of(self, rows: Array) -> tuple[Array, Array]:
         """The standard uncertainties (k,) of k linear functions of the coefficients, and their effective degrees of freedom (k,)
-        (Welch and Satterthwaite). rows: (k, m), the linear functions."""
+        (Welch and Satterthwaite). `rows`: array of shape (k, m), the linear functions."""
         shares = np.array([np.einsum("ki,ij,kj->k", rows, own, rows) for own, _ in self.parts])
         freedom = np.array([own for _, own in self.parts])
         variance = np.maximum(shares.sum(axis=0), 0.0)
@@ -220,20 +227,22 @@ class SummedCovariance:
         return np.sqrt(variance), np.where(known, variance**2 / np.where(known, squares, 1.0), freedom[0])
 
     def through(self, rows: Array, away: Array | None = None) -> SummedCovariance:
-        """The covariance of k linear functions of the coefficients, again as a sum of mean squares. rows: (k, m), the linear
-        functions. away: (k,), uncorrected errors of these functions."""
+        """The covariance of k linear functions of the coefficients, again as a sum of mean squares. `rows`: array of shape (k, m),
+        the linear functions. `away`: array of shape (k,), uncorrected errors of these functions."""
         (noise, freedom), *others = [(rows @ own @ rows.T, own_freedom) for own, own_freedom in self.parts]
         return SummedCovariance(((noise if away is None else noise + np.outer(away, away), freedom), *others))
 
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fitted curve with its uncertainty. spread: covariance of the coefficients (p,) as a sum of mean squares. correlation:
-    factor by which the variance of noise was increased because successive residuals are correlated. beside: coefficients (q,) of
-    the columns that are fitted together with the curve; beside_spread: covariance of these coefficients. ramps: how the offsets and
-    slopes of ramps scatter; empty if there are too few ramps to determine this. fullest: the curve of the highest order tried, if
-    the curve was selected and has a lower order; otherwise None. gains: (p, n), derivatives of the coefficients with respect to the
-    n values."""
+    """A fitted curve with its uncertainty.
+
+    `spread`: covariance of the coefficients (p,) as a sum of mean squares. `correlation`: factor by which the variance of noise was
+    increased because successive residuals are correlated. `beside`: coefficients (q,) of the columns that are fitted together with
+    the curve. `beside_spread`: covariance of these coefficients. `ramps`: how the offsets and slopes of ramps scatter; empty if
+    there are too few ramps to determine this. `fullest`: the curve of the highest order tried, if the curve was selected and has a
+    lower order; otherwise None. `gains`: array of shape (p, n), derivatives of the coefficients with respect to the n values.
+    """
 
     curve: Curve
     coefficients: Array
@@ -276,11 +285,14 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class OverTemperature:
-    """The n values at different temperatures to which a curve is fitted. temperature: (n,), degC; sigma: (n,), standard
-    uncertainties for the weights; group: (n,), number of the temperature, equal for values at the same temperature; series: (n,),
-    index of the ramp along which a value follows other values, −1 for a single value; ramp: (n,), index of the ramp or sweep that
-    has a common offset, −1 for none; direction: (n,), direction of this ramp. beside: (n, q), columns that are fitted together with
-    the curve. covariance: (n, n), covariance of the values, if they are correlated; `sigma` is then the uncorrelated part."""
+    """The n values at different temperatures to which a curve is fitted.
+
+    `temperature`: array of shape (n,) in degC. `sigma`: array of shape (n,), standard uncertainties for the weights. `group`: (n,),
+    number of the temperature, equal for values at the same temperature. `series`: (n,), index of the ramp along which a value
+    follows other values, −1 for a single value. `ramp`: (n,), index of the ramp or sweep that has a common offset, −1 for none.
+    `direction`: (n,), direction of this ramp. `beside`: array of shape (n, q), columns that are fitted together with the curve.
+    `covariance`: array of shape (n, n), covariance of the values, if they are correlated; `sigma` is then the uncorrelated part.
+    """
 
     temperature: Array
     value: Array
@@ -298,8 +310,8 @@ class OverTemperature:
         return None if self.covariance is None else least_squares.whitener(self.covariance)
 
     def white(self, columns: Array, transposed: bool = False) -> Array:
-        """The columns (n, …) multiplied by `whitening`, or divided by `sigma` if the values are not correlated. transposed: True to
-        multiply by the transpose of `whitening`."""
+        """The columns (n, …) multiplied by `whitening`, or divided by `sigma` if the values are not correlated. `transposed`: True
+        to multiply by the transpose of `whitening`."""
         whitening = self.whitening
         return _white(columns, self.sigma, whitening.T if transposed and whitening is not None else whitening)
 
@@ -323,7 +335,7 @@ def fit_curve(
 ) -> CurveFit:
     """Fits a curve of a given order. If `order` is None, it first selects, by the held-out errors, an order of at most `highest`.
 
-    scatter: True if the covariance is computed from the scatter of the residuals, False if it is computed from sigma. Raises
+    `scatter`: True if the covariance is computed from the scatter of the residuals, False if it is computed from sigma. Raises
     `EstimationError` if there are too few temperatures or values.
     """
     temperature, group = values.temperature, values.group
@@ -399,8 +411,8 @@ def _parted(whole: CurveFit, p: int) -> CurveFit:
 
 @dataclass(frozen=True)
 class _Way:
-    """One possible difference between ramps: in their offset or in their slope. columns: (n, r), weighted columns, one for each of
-    r ramps; by_direction: (n, d), for each of d directions, the sum of the columns of its ramps."""
+    """One possible difference between ramps: in their offset or in their slope. `columns`: array of shape (n, r), weighted columns,
+    one for each of r ramps. `by_direction`: array of shape (n, d), for each of d directions, the sum of the columns of its ramps."""
 
     columns: Array
     by_direction: Array
@@ -445,7 +457,7 @@ def _space(columns: Array) -> Array:
 
 
 def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequence[_Way]) -> CurveFit:
-    """Fits a curve together with random differences between ramps. ways: the differences, from `_ways`.
+    """Fits a curve together with random differences between ramps. `ways`: the differences, from `_ways`.
 
     Let y be the weighted values, A the columns of the curve, Z the columns of one difference, and M the projector that removes A,
     the mean of Z in each direction, and the columns of the other differences. The reduction of the sum of squares by Z has the

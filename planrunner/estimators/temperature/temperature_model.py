@@ -55,9 +55,12 @@ _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 @dataclass(frozen=True)
 class Loop:
-    """The differences between values at rising and values at falling temperature, at n temperatures. celsius: (n,), temperatures,
-    degC. width: (n,), value at rising temperature minus value at falling temperature, in the value's unit; uncertainty: (n,),
-    standard uncertainty of `width`; freedom: (n,), degrees of freedom of this uncertainty."""
+    """The differences between values at rising and values at falling temperature, at n temperatures.
+
+    `celsius`: array of shape (n,), temperatures, degC. `width`: array of shape (n,), value at rising temperature minus value at
+    falling temperature, in the value's unit. `uncertainty`: array of shape (n,), standard uncertainty of `width`. `freedom`: array
+    of shape (n,), degrees of freedom of this uncertainty.
+    """
 
     celsius: Array
     width: Array
@@ -72,9 +75,10 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class HiddenDrift:
-    """A linear drift in time that would remain unnoticed because of the order of the temperatures. power: index of the coefficient
-    that the drift affects most, which for a polynomial is the power of the temperature; growth: factor by which the standard
-    uncertainty of this coefficient grows if the drift is fitted, infinite if the drift cannot be separated from the coefficient."""
+    """A linear drift in time that would remain unnoticed because of the order of the temperatures. `power`: index of the
+    coefficient that the drift affects most, which for a polynomial is the power of the temperature. `growth`: factor by which the
+    standard uncertainty of this coefficient grows if the drift is fitted, infinite if the drift cannot be separated from the
+    coefficient."""
 
     power: int
     growth: float
@@ -82,9 +86,9 @@ class HiddenDrift:
 
 @dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its fitted curve and, if both directions of temperature are recorded, with its hysteresis loop. drift: the
-    drift functions (powers of the time) that are fitted together with curve and loop; hidden: a drift that is not fitted and would
-    remain unnoticed."""
+    """One quantity with its fitted curve and, if both directions of temperature are recorded, with its hysteresis loop. `drift`:
+    the drift functions (powers of the time) that are fitted together with curve and loop. `hidden`: a drift that is not fitted and
+    would remain unnoticed."""
 
     points: Points
     fit: CurveFit
@@ -439,7 +443,7 @@ def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
 
 
 def _label(form: str, name: str, text: str, k: int) -> tuple[str, str]:
-    """The name and the unit of the k-th coefficient of a curve. text: unit of the values of the curve."""
+    """The name and the unit of the k-th coefficient of a curve. `text`: unit of the values of the curve."""
     return (f"{name}_knot_{k + 1}", text) if form == "spline" else (f"{name}_T{k}", _per_kelvin(text, k))
 
 

@@ -25,10 +25,13 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 @dataclass(frozen=True, slots=True)
 class TiltedConditions:
-    """The conditions under which scale factors are computed. axes: the sensor axes with their directions. commanded: (N,), rad/s,
-    the table's rate in each segment. along: (N, 3), the rotation axis in the fixture's frame. felt: (N, 3), rad/s, mean rate
-    including the Earth's rotation; None if the Earth's rotation is not corrected for. rate_error: relative error of the table's
-    rate, either one value for all segments or (N,)."""
+    """The conditions under which scale factors are computed.
+
+    `axes`: the sensor axes with their directions. `commanded`: array of shape (N,) in rad/s, the table's rate in each segment.
+    `along`: array of shape (N, 3), the rotation axis in the fixture's frame. `felt`: array of shape (N, 3) in rad/s, mean rate
+    including the Earth's rotation; None if the Earth's rotation is not corrected for. `rate_error`: relative error of the table's
+    rate, either one value for all segments or (N,).
+    """
 
     axes: MountedAxes
     commanded: Array
@@ -47,11 +50,14 @@ class TiltedConditions:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The data of q repeats of n rates at one temperature. kelvin: measured or planned temperature, K; NaN if neither is known.
-    spins: (q, n), indices of the segments; rest: (q, N), weights of the segments in the rest value of a repeat, which consists in
-    equal parts of the zeros before the rates and of the zeros after them; between: (q, N), weights of the segments in the
-    difference between end zero and start zero. outputs: (q, n, m), the output at each rate minus the output at rest, F_j − F_r.
-    drift: (q, m), end zero minus start zero."""
+    """The data of q repeats of n rates at one temperature.
+
+    `kelvin`: measured or planned temperature, K; NaN if neither is known. `spins`: array of shape (q, n), indices of the segments.
+    `rest`: array of shape (q, N), weights of the segments in the rest value of a repeat, which consists in equal parts of the zeros
+    before the rates and of the zeros after them. `between`: array of shape (q, N), weights of the segments in the difference
+    between end zero and start zero. `outputs`: array of shape (q, n, m), the output at each rate minus the output at rest, F_j −
+    F_r. `drift`: array of shape (q, m), end zero minus start zero.
+    """
 
     label: str
     kelvin: float
@@ -83,10 +89,13 @@ class Group:
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
     """The results of an evaluation. They can be compared with the results for other conditions. For g temperatures and m axes:
-    means: (g, m, 5), means over the repeats of the five `QUANTITIES`; repeats: for each temperature (q, m, 5), the quantities of
-    each repeat; residuals: for each temperature (n, m), residuals averaged over the repeats. repeatability: (g, m), standard
-    deviation of K divided by K, NaN for a single repeat. coefficient: (m,), slope of K as a function of temperature, divided by K
-    at the reference temperature; sensitivity: (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); both are NaN for a single temperature."""
+    means: (g, m, 5), means over the repeats of the five `QUANTITIES`.
+
+    `repeats`: for each temperature (q, m, 5), the quantities of each repeat. `residuals`: for each temperature (n, m), residuals
+    averaged over the repeats. `repeatability`: array of shape (g, m), standard deviation of K divided by K, NaN for a single
+    repeat. `coefficient`: array of shape (m,), slope of K as a function of temperature, divided by K at the reference temperature.
+    `sensitivity`: array of shape (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); both are NaN for a single temperature.
+    """
 
     means: Array
     repeats: tuple[Array, ...]
@@ -105,9 +114,11 @@ class TiltedResults:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """The rates and temperatures that determine the largest values of each axis. rate: (g, m), index of the rate with the largest
-    residual at each temperature; sign: (g, m), sign of this residual; temperature: (m,), index of the temperature that determines
-    the sensitivity."""
+    """The rates and temperatures that determine the largest values of each axis.
+
+    `rate`: array of shape (g, m), index of the rate with the largest residual at each temperature. `sign`: array of shape (g, m),
+    sign of this residual. `temperature`: array of shape (m,), index of the temperature that determines the sensitivity.
+    """
 
     rate: NDArray[np.int64]
     sign: Array
@@ -115,7 +126,8 @@ class Worst:
 
 
 def make_group(series: Sequence[RateSeries], label: str, kelvin: float, commanded: Array, mean: Array) -> Group:
-    """Combines the repeats at one temperature. commanded: (N,), rad/s, rate of each segment; mean: (N, m), means of all segments."""
+    """Combines the repeats at one temperature. `commanded`: array of shape (N,) in rad/s, rate of each segment. `mean`: array of
+    shape (N, m), means of all segments."""
     spins = np.array([one.spins for one in series])
     before, after = (
         _weights(series, [one.start for one in series], mean),
@@ -139,8 +151,8 @@ def _weights(series: Sequence[RateSeries], rows: Sequence[tuple[int, ...]], mean
 def evaluate(
     groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
 ) -> TiltedResults:
-    """Computes all results of an evaluation. reference: index of the group whose scale factor K is the reference for the other
-    groups. worst: the rates and temperatures that determine the largest values; they are given if only the conditions change, so
+    """Computes all results of an evaluation. `reference`: index of the group whose scale factor K is the reference for the other
+    groups. `worst`: the rates and temperatures that determine the largest values; they are given if only the conditions change, so
     that the same rates and temperatures are used."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
@@ -162,8 +174,8 @@ def evaluate(
 
 
 def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
-    """The five `QUANTITIES` (q, m, 5) of each repeat. rate: (m,), index of the rate with the largest residual; sign: (m,), sign of
-    this residual."""
+    """The five `QUANTITIES` (q, m, 5) of each repeat. `rate`: array of shape (m,), index of the rate with the largest residual.
+    `sign`: array of shape (m,), sign of this residual."""
     at = line.residuals[:, rate, np.arange(len(rate))]
     return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
 
@@ -229,7 +241,7 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
-    """The temperature coefficients and the sensitivities, together (2, m), of scale factors (g, m). decides: index of the
+    """The temperature coefficients and the sensitivities, together (2, m), of scale factors (g, m). `decides`: index of the
     temperature that determines the sensitivity."""
     base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
     change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))

@@ -38,8 +38,11 @@ def tilt_part(orientation: str, axis: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class GainModel:
-    """The stimulus of n segments in several orientations. felt: (n, 3), mean rate in the fixture's frame, rad/s; turning: (n, 3),
-    the part of this rate that comes from the table; place: (n,), index of the orientation."""
+    """The stimulus of n segments in several orientations.
+
+    `felt`: array of shape (n, 3), mean rate in the fixture's frame, rad/s. `turning`: array of shape (n, 3), the part of this rate
+    that comes from the table. `place`: array of shape (n,), index of the orientation.
+    """
 
     segments: tuple[Segment, ...]
     orientations: tuple[str, ...]
@@ -59,8 +62,8 @@ class GainModel:
         return (*(f"offset {text}" for text in self.orientations), *gains)
 
     def matrix(self, basis: Array) -> Array:
-        """The design matrix. It has one column for the offset of each orientation, and then the columns of the gains. basis: (3,
-        r), directions in the fixture's frame that span the gain vector."""
+        """The design matrix. It has one column for the offset of each orientation, and then the columns of the gains. `basis`:
+        array of shape (3, r), directions in the fixture's frame that span the gain vector."""
         return np.column_stack([np.eye(len(self.orientations))[self.place], self.felt @ basis])
 
     def magnitudes(self, basis: Array) -> Array:
@@ -107,9 +110,9 @@ def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
 
 def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
     """A formula that converts n gain vectors (r, n) to their polar form (q, n): K in output unit/(rad/s), angle [rad] and, if it is
-    fitted, azimuth [rad]. The r gains are the components of the gain vector of axis k along the columns of `basis` (3, r). gain:
-    (r,), a gain vector near which the formula is used. K is negative if the gain vector points away from the stated direction.
-    Raises `EstimationError` for an axis along z, which has no azimuth."""
+    fitted, azimuth [rad]. The r gains are the components of the gain vector of axis k along the columns of `basis` (3, r). `gain`:
+    array of shape (r,), a gain vector near which the formula is used. K is negative if the gain vector points away from the stated
+    direction. Raises `EstimationError` for an axis along z, which has no azimuth."""
     sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
     if len(gain) == 3 and math.hypot(*gain[:2]) < 1e-9 * float(np.linalg.norm(gain)):

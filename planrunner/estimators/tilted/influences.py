@@ -42,11 +42,13 @@ _BESIDE = 1e-6  # rad, of differences
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """The data from which the influences are computed. answers: for each group, sensitivities (n, m, 5) of its quantities to its
-    outputs; gradient: derivatives of `TiltedResults.vector` with respect to the means of all groups. segments: the segments with
-    their attitude at the start of the recording; seconds: recorded durations, s; home: the home orientation in words; units: units
-    of the outputs. fixture: (m, r), rad, influences on the angles of the axes, if these angles come from a calibration instead of
-    the plan."""
+    """The data from which the influences are computed.
+
+    `answers`: for each group, sensitivities (n, m, 5) of its quantities to its outputs. `gradient`: derivatives of
+    `TiltedResults.vector` with respect to the means of all groups. `segments`: the segments with their attitude at the start of the
+    recording. `seconds`: recorded durations, s. `home`: the home orientation in words. `units`: units of the outputs. `fixture`:
+    (m, r), rad, influences on the angles of the axes, if these angles come from a calibration instead of the plan.
+    """
 
     groups: tuple[Group, ...]
     conditions: TiltedConditions
@@ -69,8 +71,8 @@ class Situation:
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """The rounding error in the means of one output. share: rounding error of a mean divided by the rounding error of a single
-    sample, 1 if the rounding errors do not average out; in_scatter: True if the samples vary, so that their scatter includes the
+    """The rounding error in the means of one output. `share`: rounding error of a mean divided by the rounding error of a single
+    sample, 1 if the rounding errors do not average out. `in_scatter`: True if the samples vary, so that their scatter includes the
     rounding error."""
 
     share: float
@@ -86,9 +88,12 @@ def influences(
     flicker: Sequence[CorrelatedError] = (),
     drifts: Mapping[int, float] | None = None,
 ) -> list[Influence]:
-    """The influences on `TiltedResults.vector`. inputs: values that bench and plan state with an uncertainty; common: relative
-    error that all rates have in common; rounding: maps each output to the rounding error of its means; flicker: declared flicker of
-    the segments' means, if the basis of uncertainty uses it; drifts: maps the index of an axis to half of the change of its zero."""
+    """The influences on `TiltedResults.vector`.
+
+    `inputs`: values that bench and plan state with an uncertainty. `common`: relative error that all rates have in common.
+    `rounding`: maps each output to the rounding error of its means. `flicker`: declared flicker of the segments' means, if the
+    basis of uncertainty uses it. `drifts`: maps the index of an axis to half of the change of its zero.
+    """
     found = [
         *_calibrated_fixture(situation),
         *influences_on(situation.again, _conditions(situation, inputs, common)),

@@ -25,10 +25,10 @@ ALONG = 1e-5  # rad by which the fixture's z axis may stand off the rotation axi
 
 @dataclass(frozen=True, slots=True)
 class MountedAxes:
-    """The m input axes in a fixture. names: names of the axes in `mounting`; outputs: names of the channels of the axes.
+    """The m input axes in a fixture. `names`: names of the axes in `mounting`. `outputs`: names of the channels of the axes.
 
-    angles: (m,), rad; azimuths: (m,), rad, NaN for an azimuth that is not stated; tilt: (2,), rad, a small rotation of all axes
-    about the fixture's x and y axes, from which sensitivities are computed.
+    `angles`: array of shape (m,) in rad. `azimuths`: array of shape (m,) in rad, NaN for an azimuth that is not stated. `tilt`:
+    (2,), rad, a small rotation of all axes about the fixture's x and y axes, from which sensitivities are computed.
     """
 
     names: tuple[str, ...]
@@ -47,7 +47,8 @@ class MountedAxes:
         return np.column_stack([x + about_y * z, y - about_x * z, z + about_x * y - about_y * x])
 
     def require_azimuths(self, why: str) -> None:
-        """Raises `EstimationError` if an azimuth is not stated. why: the end of the error message, which follows the word "which"."""
+        """Raises `EstimationError` if an azimuth is not stated. `why`: the end of the error message, which follows the word
+        "which"."""
         for name, azimuth in zip(self.names, self.azimuths, strict=True):
             if math.isnan(azimuth):
                 raise EstimationError(f"mounting.{name} states no azimuth, which {why}")
@@ -57,8 +58,8 @@ def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], 
     """The axes of the outputs `chosen`. If no output is chosen, these are all axes of `mounting`. An output belongs to the axis
     with whose name its own name ends.
 
-    mounting: maps the name of an axis to its `planrunner.plan.model.MountedAxis`; available: names of the existing channels. Raises
-    `EstimationError` for an axis without an output, and for an output without an axis.
+    `mounting`: maps the name of an axis to its `planrunner.plan.model.MountedAxis`. `available`: names of the existing channels.
+    Raises `EstimationError` for an axis without an output, and for an output without an axis.
     """
     if not mounting:
         raise EstimationError(
@@ -94,7 +95,7 @@ def seeing(axes: MountedAxes) -> MountedAxes:
 def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
     """The direction (n, 3), in the fixture's frame, about which each segment spins; zero for a segment that does not spin.
 
-    If the orientation of a segment is unknown, z is assumed to lie along the rotation axis. along_z: True if an `EstimationError`
+    If the orientation of a segment is unknown, z is assumed to lie along the rotation axis. `along_z`: True if an `EstimationError`
     is raised when z does not lie along the rotation axis; the angles of the mounting are measured from z.
     """
     found = np.zeros((len(segments), 3))

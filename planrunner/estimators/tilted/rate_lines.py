@@ -21,9 +21,12 @@ TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding
 
 @dataclass(frozen=True, slots=True)
 class RateLines:
-    """The fits of q series of n rates on m axes. slope: (q, m); offset: (q, m); residuals: (q, n, m); asymmetry: (q, m), 2·(K₊ −
-    K₋)/(K₊ + K₋), NaN if the rates do not allow it; response: (q, m), change of the output between the two lowest rates, divided by
-    the change according to the line."""
+    """The fits of q series of n rates on m axes.
+
+    `slope`: array of shape (q, m). `offset`: array of shape (q, m). `residuals`: array of shape (q, n, m). `asymmetry`: array of
+    shape (q, m), 2·(K₊ − K₋)/(K₊ + K₋), NaN if the rates do not allow it. `response`: array of shape (q, m), change of the output
+    between the two lowest rates, divided by the change according to the line.
+    """
 
     slope: Array
     offset: Array
@@ -39,8 +42,8 @@ def line_through(rates: Array) -> tuple[Array, Array]:
 
 
 def fit_lines(x: Array, f: Array) -> RateLines:
-    """Fits a line to each series of each axis. x: input of each axis, (q, n, m), rad/s; f: outputs minus the rest value, (q, n, m).
-    The rates of a series must not all be equal."""
+    """Fits a line to each series of each axis. `x`: input of each axis, (q, n, m), rad/s. `f`: outputs minus the rest value, (q, n,
+    m). The rates of a series must not all be equal."""
     centre = x.mean(axis=1, keepdims=True)
     off = x - centre
     slope = np.sum(off * f, axis=1) / np.sum(off * off, axis=1)

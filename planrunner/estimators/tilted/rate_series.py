@@ -23,7 +23,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 @dataclass(frozen=True, slots=True)
 class RateSeries:
-    """The indices of the segments of one series. temperature: planned temperature, K; None if the plan does not state it."""
+    """The indices of the segments of one series. `temperature`: planned temperature, K; None if the plan does not state it."""
 
     name: str
     temperature: float | None
@@ -46,7 +46,7 @@ class RateSeries:
 
 
 def split_series(segments: Sequence[Segment], zero: Sequence[str]) -> tuple[RateSeries, ...]:
-    """Divides segments, which are in the order of the plan, into series. zero: patterns for the labels of the segments at rest
+    """Divides segments, which are in the order of the plan, into series. `zero`: patterns for the labels of the segments at rest
     before and after the rates; other segments at rest, such as pauses, belong to no series.
 
     Raises `EstimationError` for a motion that is not a constant rate, and for rates about different directions.

@@ -59,7 +59,7 @@ class Item:
 def items(
     found: TiltedResults, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
 ) -> tuple[Item, ...]:
-    """The results that can be computed; those at the reference temperature come first. units: for each axis, the unit of the rate
+    """The results that can be computed; those at the reference temperature come first. `units`: for each axis, the unit of the rate
     and the unit of the output."""
     listed = [item for k in _order(len(groups), reference) for item in _at(found, groups, axes, units, k, reference)]
     return tuple(item for item in listed if np.isfinite(found.vector[item.at]))
@@ -68,7 +68,7 @@ def items(
 def coefficients(
     found: TiltedResults, kept: Sequence[Item], covariance: Array, freedom: Array
 ) -> tuple[Coefficient, ...]:
-    """The coefficients of the estimate. covariance: covariance of `TiltedResults.vector`; freedom: degrees of freedom of
+    """The coefficients of the estimate. `covariance`: covariance of `TiltedResults.vector`. `freedom`: degrees of freedom of
     `TiltedResults.vector`."""
     spread = np.sqrt(np.diag(covariance))
     return tuple(

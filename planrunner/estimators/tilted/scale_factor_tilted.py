@@ -78,10 +78,13 @@ from planrunner.uncertainty.influences import Influence
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TiltedQuantities(Quantities):
-    """The results of a scale-factor test in a tilted fixture. kept: labels of the segments in complete series; units: for each
-    axis, the unit of the rate and the unit of the output. scatter: type A uncertainty on the chosen basis; within: type A
-    uncertainty from the noise within the segments alone; acting: influences on `TiltedResults.vector`; doubts: warnings about
-    series that are left out and about zeros that drift too much."""
+    """The results of a scale-factor test in a tilted fixture.
+
+    `kept`: labels of the segments in complete series. `units`: for each axis, the unit of the rate and the unit of the output.
+    `scatter`: type A uncertainty on the chosen basis. `within`: type A uncertainty from the noise within the segments alone.
+    `acting`: influences on `TiltedResults.vector`. `doubts`: warnings about series that are left out and about zeros that drift too
+    much.
+    """
 
     situation: Situation
     kept: tuple[str, ...]
@@ -204,8 +207,9 @@ def _unstated(
     freedom: Array,
     shown: Sequence[Item],
 ) -> tuple[UnstatedFlicker, ...]:
-    """The effect of flicker on the coefficients, for outputs for which the bench file states no flicker. sigma: (N, m), noise of
-    each segment's mean; freedom: (m,), degrees of freedom of this noise; both as `_sigma` returns them."""
+    """The effect of flicker on the coefficients, for outputs for which the bench file states no flicker. `sigma`: array of shape
+    (N, m), noise of each segment's mean. `freedom`: array of shape (m,), degrees of freedom of this noise; both as `_sigma` returns
+    them."""
     silent = unstated_flicker(observations, request.setup.inputs, SPAN.value)
     found = []
     for error, influence in unstated_influences(situation, silent, request.parameters.uncertainty):

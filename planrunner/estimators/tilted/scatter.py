@@ -44,9 +44,12 @@ BASES = ("repeats", "residual", "within_segment")
 
 @dataclass(frozen=True, slots=True)
 class NoiseOfMeans:
-    """The uncertainty of the means over the repeats. rates: (g, n, m), standard uncertainties of the outputs at the rates, in the
-    outputs' units; rest: (g, m), standard uncertainties of the rest values F_r; correlation: (m, m), correlation between outputs;
-    degrees_of_freedom: (m,)."""
+    """The uncertainty of the means over the repeats.
+
+    `rates`: array of shape (g, n, m), standard uncertainties of the outputs at the rates, in the outputs' units. `rest`: array of
+    shape (g, m), standard uncertainties of the rest values F_r. `correlation`: array of shape (m, m), correlation between outputs.
+    `degrees_of_freedom`: array of shape (m,).
+    """
 
     rates: tuple[Array, ...]
     rest: Array
@@ -56,9 +59,12 @@ class NoiseOfMeans:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """The type A uncertainty of the mean quantities of the groups. covariance: (g, 5·m, 5·m), covariance of the mean quantities of
-    each group; the groups are independent of each other. degrees_of_freedom: (g, 5·m), degrees of freedom of the variances. pooled:
-    (5·m,), True if one variance is used for all temperatures."""
+    """The type A uncertainty of the mean quantities of the groups.
+
+    `covariance`: array of shape (g, 5·m, 5·m), covariance of the mean quantities of each group; the groups are independent of each
+    other. `degrees_of_freedom`: array of shape (g, 5·m), degrees of freedom of the variances. `pooled`: array of shape (5·m,), True
+    if one variance is used for all temperatures.
+    """
 
     covariance: Array
     degrees_of_freedom: Array
@@ -71,7 +77,7 @@ def scatter_between_repeats(
     """The type A uncertainty from the scatter of the repeats. The variance of a quantity is pooled over the temperatures, unless
     Bartlett's test finds that it differs between them. The correlations between quantities come from the repeats of all
     temperatures. All repeats have a part of the declared flicker in common. Their scatter cannot show this part, so it is added.
-    answers: sensitivities of each group, from `answers_of`."""
+    `answers`: sensitivities of each group, from `answers_of`."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(
@@ -117,8 +123,11 @@ def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) 
 
 
 def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> NoiseOfMeans:
-    """The uncertainty of the means over the repeats. sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m,
-    m), correlation between outputs; freedom: (m,), degrees of freedom of `sigma`."""
+    """The uncertainty of the means over the repeats.
+
+    `sigma`: array of shape (N, m), standard uncertainty of each segment's mean. `correlation`: array of shape (m, m), correlation
+    between outputs. `freedom`: array of shape (m,), degrees of freedom of `sigma`.
+    """
     spread = [np.sqrt(group.averages**2 @ sigma**2) for group in groups]
     return NoiseOfMeans(tuple(one[:-1] for one in spread), np.array([one[-1] for one in spread]), correlation, freedom)
 
@@ -131,9 +140,9 @@ def scatter_of_means(
     basis: str,
     flicker: Sequence[CorrelatedError] = (),
 ) -> Scatter:
-    """The type A uncertainty from the residuals of the means, or from the noise within the segments. answers: sensitivities of each
-    group, from `answers_of`. flicker: the declared flicker, which contributes to the residuals. Raises `EstimationError` if the
-    basis is `residual` and there are no residuals."""
+    """The type A uncertainty from the residuals of the means, or from the noise within the segments. `answers`: sensitivities of
+    each group, from `answers_of`. `flicker`: the declared flicker, which contributes to the residuals. Raises `EstimationError` if
+    the basis is `residual` and there are no residuals."""
     covariances, freedoms = [], []
     for k, group in enumerate(groups):
         gains = answers_to_averages(answers[k])
@@ -213,7 +222,7 @@ def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, w
 
 
 def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
-    """The covariance of `TiltedResults.vector`, and the degrees of freedom of its elements. gradient: derivatives from
+    """The covariance of `TiltedResults.vector`, and the degrees of freedom of its elements. `gradient`: derivatives from
     `gradient_of`."""
     g, m, p = found.means.shape
     count, each = len(found.vector), m * p
@@ -260,8 +269,8 @@ def _correlation(products: Array) -> Array:
 def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -> float:
     """Half of the drift of an axis's zero, as a root mean square over temperatures and repeats, without the contribution of noise.
 
-    sigma: (N,), standard uncertainty of each segment's mean. shared: True to return only the part that all repeats have in common;
-    this part includes noise.
+    `sigma`: array of shape (N,), standard uncertainty of each segment's mean. `shared`: True to return only the part that all
+    repeats have in common; this part includes noise.
     """
     drifts = [group.drift[:, axis] for group in groups]
     if shared:
@@ -274,7 +283,8 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
 def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[CorrelatedError]) -> set[int]:
     """The axes whose zeros drifted by more than noise and declared flicker explain, by a χ² test of all drifts at 1 %.
 
-    sigma: (N, m), standard uncertainty of each segment's mean from noise. Without noise and flicker, any drift counts as too large.
+    `sigma`: array of shape (N, m), standard uncertainty of each segment's mean from noise. Without noise and flicker, any drift
+    counts as too large.
     """
     from scipy.special import chdtrc
 

@@ -35,7 +35,7 @@ def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[floa
     """The mean angular rate (n, 3) relative to inertial space in the fixture's frame, rad/s. The segments must have the attitudes
     that they have at the start of the recording.
 
-    durations: recorded durations, s. Raises `EstimationError` for an unknown orientation.
+    `durations`: recorded durations, s. Raises `EstimationError` for an unknown orientation.
     """
     try:
         return segment_means(segments, site, durations).omega
@@ -51,8 +51,8 @@ def recorded_seconds(recorded: RecordedSegment) -> float | None:
 def part_turns(
     segments: Sequence[Segment], durations: Sequence[float | None], intervals: Sequence[float]
 ) -> list[tuple[str, float]]:
-    """For each spin that does not cover whole turns, its label and the number of its turns. intervals: time between samples of each
-    segment, s; a dwell may differ from whole turns by one such interval."""
+    """For each spin that does not cover whole turns, its label and the number of its turns. `intervals`: time between samples of
+    each segment, s; a dwell may differ from whole turns by one such interval."""
     found = []
     for segment, seconds, interval in zip(segments, durations, intervals, strict=True):
         if not isinstance(segment.motion, Spin) or seconds is None:

@@ -37,8 +37,10 @@ _MOST = 0.3  # r above which a channel is not used: r then differs between the m
 
 @dataclass(frozen=True, slots=True)
 class RepeatedStretch:
-    """Consecutive samples of a channel, each equal to the sample before it. channel: index of the channel; first: index of the
-    first of these samples; count: number of these samples."""
+    """Consecutive samples of a channel, each equal to the sample before it.
+
+    `channel`: index of the channel. `first`: index of the first of these samples. `count`: number of these samples.
+    """
 
     channel: int
     first: int
@@ -47,8 +49,11 @@ class RepeatedStretch:
 
 @dataclass(frozen=True)
 class Repeated:
-    """The stuck stretches of a recording. log_bayes: log BF of stuck stretches against none. stretches: the likely stretches, the
-    longest first. held: (N, K), True for the samples of the stretches."""
+    """The stuck stretches of a recording.
+
+    `log_bayes`: log BF of stuck stretches against none. `stretches`: the likely stretches, the longest first. `held`: array of
+    shape (N, K), True for the samples of the stretches.
+    """
 
     log_bayes: float
     stretches: tuple[RepeatedStretch, ...]
@@ -87,10 +92,13 @@ _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with 
 
 @dataclass(frozen=True)
 class Apart:
-    """Effects that were found outside the coefficients of the recording. log_bayes: log BF of these effects. parameters: estimated
-    parameters of these effects. lines: those of these effects that are tones. removed: (N, K), SI, contribution of the effects to
-    the samples; None if nothing was found. outside: evidence for patterns that the basis of the coefficients cannot represent; None
-    if it must be computed again because `removed` changes it."""
+    """Effects that were found outside the coefficients of the recording.
+
+    `log_bayes`: log BF of these effects. `parameters`: estimated parameters of these effects. `lines`: those of these effects that
+    are tones. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if nothing was found.
+    `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if it must be computed again because
+    `removed` changes it.
+    """
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, list[ParameterEstimate]] = field(default_factory=dict)
@@ -163,7 +171,7 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
     """Fits one line, which is a tone of one frequency. Returns the frequency of the line and its standard uncertainty, Hz; the
     columns of the effect at this frequency; and the amplitudes and their standard uncertainties (P, 2), SI.
 
-    frequency: start of the search; it must agree with the line within the resolution of the recording. The fit takes Gauss–Newton
+    `frequency`: start of the search; it must agree with the line within the resolution of the recording. The fit takes Gauss–Newton
     steps in the frequency, which is the same for all channels. The basis vectors of the segments are projected out of every column,
     because they have been removed from the samples as well. The noise level of a channel is computed from the samples without the
     line.

@@ -56,9 +56,12 @@ WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 
 @dataclass(frozen=True, slots=True)
 class ChannelClosure:
-    """The closure of one channel. before, after: size of the held-out gap in standard deviations of the noise, root mean square
-    over the coefficients; before_value, after_value: size of this gap in `unit`, root mean square over the samples. shrinks_by,
-    interval_90: the same quantities as in `Closure`, for this channel."""
+    """The closure of one channel.
+
+    `before`, `after`: size of the held-out gap in standard deviations of the noise, root mean square over the coefficients.
+    `before_value`, `after_value`: size of this gap in `unit`, root mean square over the samples. `shrinks_by`, `interval_90`: the
+    same quantities as in `Closure`, for this channel.
+    """
 
     channel: str
     unit: str
@@ -85,11 +88,14 @@ class NotMeasured(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Result of the check on held-out data, which shows how much of the gap the effects explain. before, after: size of the
-    held-out gap without and with the effects, in standard deviations of the noise, root mean square over coefficients. shrinks_by:
-    relative reduction, 1 for a closed gap. interval_90: 90 % interval of `shrinks_by`. reason: why the data do not determine the
-    reduction (all numbers are then NaN), or None. channels: one entry for each channel whose data determine the reduction.
-    unpredicted: named effects whose part of the gap remains, because the other segments cannot predict it."""
+    """Result of the check on held-out data, which shows how much of the gap the effects explain.
+
+    `before`, `after`: size of the held-out gap without and with the effects, in standard deviations of the noise, root mean square
+    over coefficients. `shrinks_by`: relative reduction, 1 for a closed gap. `interval_90`: 90 % interval of `shrinks_by`. `reason`:
+    why the data do not determine the reduction (all numbers are then NaN), or None. `channels`: one entry for each channel whose
+    data determine the reduction. `unpredicted`: named effects whose part of the gap remains, because the other segments cannot
+    predict it.
+    """
 
     before: float
     after: float
@@ -110,10 +116,13 @@ def not_measured(reason: NotMeasured) -> Closure:
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """A form of an effect, or of a set of effects, that can be chosen in a fold, which is a group of held-out segments. effect:
-    name of the effect or set. raw: for each channel, the columns (M, p) of the form in magnitudes, not whitened; widths: number of
-    columns of each effect. probability: probability that this form is the whole cause. prior: log prior probability of this form
-    among the forms of the same effect, up to a constant. whole: True if the amplitude is fixed at 1 and not fitted."""
+    """A form of an effect, or of a set of effects, that can be chosen in a fold, which is a group of held-out segments.
+
+    `effect`: name of the effect or set. `raw`: for each channel, the columns (M, p) of the form in magnitudes, not whitened.
+    `widths`: number of columns of each effect. `probability`: probability that this form is the whole cause. `prior`: log prior
+    probability of this form among the forms of the same effect, up to a constant. `whole`: True if the amplitude is fixed at 1 and
+    not fitted.
+    """
 
     effect: str
     raw: tuple[Array, ...] = field(repr=False)
@@ -136,10 +145,13 @@ class FoldChoice:
 
 @dataclass(frozen=True)
 class MeasuredNoise:
-    """The measured noise of the coefficients. weights: weights of each channel, at the most probable level of flicker. scale: for
-    each channel (M,), measured standard deviation of the whitened coefficients, which is 1 if `weights` are right. group: for each
-    channel (M,), the number of the noise group to which each coefficient belongs; degrees: (groups,), degrees of freedom of the
-    measured level of each group."""
+    """The measured noise of the coefficients.
+
+    `weights`: weights of each channel, at the most probable level of flicker. `scale`: for each channel (M,), measured standard
+    deviation of the whitened coefficients, which is 1 if `weights` are right. `group`: for each channel (M,), the number of the
+    noise group to which each coefficient belongs. `degrees`: array of shape (groups,), degrees of freedom of the measured level of
+    each group.
+    """
 
     weights: tuple[ChannelWeights, ...] = field(repr=False)
     scale: tuple[Array, ...] = field(repr=False)
@@ -149,9 +161,12 @@ class MeasuredNoise:
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Amplitudes that are fitted to all segments. mean: (p,), mean of the amplitudes; roots: (groups + 1, p, p), one root of the
-    covariance for the errors that each noise group causes, and a last one for the prior; degrees: (groups + 1,), degrees of freedom
-    of each root, as in `MeasuredNoise`, and infinite for the prior."""
+    """Amplitudes that are fitted to all segments.
+
+    `mean`: array of shape (p,), mean of the amplitudes. `roots`: array of shape (groups + 1, p, p), one root of the covariance for
+    the errors that each noise group causes, and a last one for the prior. `degrees`: array of shape (groups + 1,), degrees of
+    freedom of each root, as in `MeasuredNoise`, and infinite for the prior.
+    """
 
     mean: Array
     roots: Array = field(repr=False)
@@ -168,8 +183,9 @@ class Amplitudes:
 
 @dataclass(frozen=True)
 class KnownCause:
-    """A cause from the catalogue. d is the difference between the predictions with and without the chosen effect. gram: (p, p),
-    inner products of the held-out signatures of the cause with each other; along: (p,), inner products of these signatures with d."""
+    """A cause from the catalogue. d is the difference between the predictions with and without the chosen effect. `gram`: array of
+    shape (p, p), inner products of the held-out signatures of the cause with each other. `along`: array of shape (p,), inner
+    products of these signatures with d."""
 
     probability: float
     gram: Array = field(repr=False)
@@ -179,10 +195,13 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """The held-out coefficients (rows) of one fold, which is a group of segments. channel, group: (m,), channel and noise group (as
-    in `MeasuredNoise`) of each row. residual: (m,), whitened residuals of the nominal simulation; difference: (m,), whitened change
-    of the prediction by the chosen effect; signatures: one array (m, p) for each choice; told: one matrix (p, p) for each choice,
-    the information that the other segments contain about its amplitudes."""
+    """The held-out coefficients (rows) of one fold, which is a group of segments.
+
+    `channel`, `group`: arrays of shape (m,), channel and noise group (as in `MeasuredNoise`) of each row. `residual`: array of
+    shape (m,), whitened residuals of the nominal simulation. `difference`: array of shape (m,), whitened change of the prediction
+    by the chosen effect. `signatures`: one array (m, p) for each choice. `told`: one matrix (p, p) for each choice, the information
+    that the other segments contain about its amplitudes.
+    """
 
     channel: NDArray[np.int64]
     group: NDArray[np.int64]
@@ -194,7 +213,7 @@ class _Fold:
 
 def choices_of(effect: str, members: Sequence[tuple[Weighed, Candidate]], probability: float) -> list[FoldChoice]:
     """The choices for an effect or a set of effects: its best form, and the forms in which one of the effects has another probable
-    shape. members: for each effect, its best form and the candidate with all its forms."""
+    shape. `members`: for each effect, its best form and the candidate with all its forms."""
     best = [form for form, _ in members]
     varied = [(best, 0.0)]
     for number, (form, candidate) in enumerate(members):
@@ -235,8 +254,8 @@ def _probable_shapes(best: Weighed, candidate: Candidate) -> list[tuple[Weighed,
 
 
 def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], beyond: float) -> Closure:
-    """Computes the closure. choices: the effects and sets of effects among which each fold chooses again. beyond: probability that
-    none of `choices` is the whole cause."""
+    """Computes the closure. `choices`: the effects and sets of effects among which each fold chooses again. `beyond`: probability
+    that none of `choices` is the whole cause."""
     if not choices:
         return not_measured(NotMeasured.NO_EFFECT)
     if len(weighing.observed) < FEWEST:
@@ -265,10 +284,12 @@ def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoi
 def measured_noise(
     weighing: Weighing, choice: FoldChoice, log_bayes: Array, walking: bool, explained: bool
 ) -> MeasuredNoise:
-    """Measures the noise that remains after the fit of an effect. log_bayes: (G,), log BF of the effect at each setting of the
-    noise. walking: True if a random walk of the gyros acts in addition; the random walk belongs to the gap, not to the noise.
-    explained: True if the effect leaves only noise. If False, the residuals contain a part of the gap, so the measured noise is
-    limited to the noise of the model."""
+    """Measures the noise that remains after the fit of an effect.
+
+    `log_bayes`: array of shape (G,), log BF of the effect at each setting of the noise. `walking`: True if a random walk of the
+    gyros acts in addition; the random walk belongs to the gap, not to the noise. `explained`: True if the effect leaves only noise.
+    If False, the residuals contain a part of the gap, so the measured noise is limited to the noise of the model.
+    """
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
     still = next(k for k, one in enumerate(weighing.settings["gyro"]) if one.flicker == flicker and one.walk == 0)
@@ -291,9 +312,9 @@ def measured_noise(
 class _Left:
     """The residuals that remain after a choice has been fitted to all segments.
 
-    squares: (groups,), sum of squares of the residuals in each noise group; degrees: (groups,), their degrees of freedom; ratio:
-    (groups,), `squares` divided by `degrees`, 1 for a group without residuals. evidence: restricted log likelihood, up to a
-    constant, with the measured noise level in each group."""
+    `squares`: array of shape (groups,), sum of squares of the residuals in each noise group. `degrees`: array of shape (groups,),
+    their degrees of freedom. `ratio`: array of shape (groups,), `squares` divided by `degrees`, 1 for a group without residuals.
+    `evidence`: restricted log likelihood, up to a constant, with the measured noise level in each group."""
 
     squares: Array
     degrees: Array
@@ -306,7 +327,7 @@ def _left(
 ) -> _Left:
     """Fits a choice to all segments and returns its residuals.
 
-    group: as in `MeasuredNoise`."""
+    `group`: as in `MeasuredNoise`."""
     count = 2 * len(KINDS)
     one = tuple(np.ones(len(own)) for own in group)
     (fit,) = _fits(weighing, MeasuredNoise(tuple(weights), one, group, np.full(count, np.inf)), [choice])
@@ -412,7 +433,7 @@ def _measured_rows(
     beyond: float,
     degrees: Array,
 ) -> Closure:
-    """The closure computed from the selected `rows` of every fold. degrees: as in `MeasuredNoise`."""
+    """The closure computed from the selected `rows` of every fold. `degrees`: as in `MeasuredNoise`."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
@@ -447,8 +468,8 @@ def predictions(
     weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row.
-    change: (M, K), coefficients of the known change in the outputs. The function serves tests in which the true gap is known.
-    worth: the log BF that a choice must reach to be selected in a fold."""
+    `change`: array of shape (M, K), coefficients of the known change in the outputs. The function serves tests in which the true
+    gap is known. `worth`: the log BF that a choice must reach to be selected in a fold."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
@@ -497,10 +518,10 @@ def measured(
     beyond: float = 1.0,
     degrees: Array | None = None,
 ) -> Closure:
-    """Computes the closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). beyond: the
+    """Computes the closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). `beyond`: the
     probability that the cause is none of `known`. `beyond` and the probabilities of `known` are used only in proportion to each
-    other; their sum need not be 1. degrees: (m,), degrees of freedom of the measured noise of each residual; residuals with equal
-    degrees share one noise level. None means that the noise level is known."""
+    other; their sum need not be 1. `degrees`: array of shape (m,), degrees of freedom of the measured noise of each residual;
+    residuals with equal degrees share one noise level. None means that the noise level is known."""
     m = len(residual)
     if float(np.linalg.norm(difference)) < 1e-9 or m < 3:
         return not_measured(NotMeasured.WIDE)
@@ -538,8 +559,8 @@ def _levels(degrees: Array, draw: np.random.Generator) -> Array:
 
 def _unknown(residual: Array, difference: Array, level: Array, count: int, draw: np.random.Generator) -> Array:
     """Draws random values (count, 2) of the squared size of the gap before and after, if the composition of the gap is unknown.
-    level: (m,), variance of the noise of each residual; for the part of the gap orthogonal to `difference`, the mean of `level` is
-    used."""
+    `level`: array of shape (m,), variance of the noise of each residual; for the part of the gap orthogonal to `difference`, the
+    mean of `level` is used."""
     from scipy.special import chndtr
 
     m, size = len(residual), float(np.linalg.norm(difference))
@@ -555,7 +576,7 @@ def _unknown(residual: Array, difference: Array, level: Array, count: int, draw:
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """Draws random values (count, 2) of the squared size of the gap before and after, if a known cause is the whole gap. squared:
+    """Draws random values (count, 2) of the squared size of the gap before and after, if a known cause is the whole gap. `squared`:
     |d|², squared size of the difference between the predictions with and without the chosen effect."""
     amplitudes = cause.amplitudes.drawn(count, draw)
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
@@ -597,8 +618,8 @@ def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
     """True if the segments that are used for the fit show every effect of a choice; otherwise rounding errors would determine an
     amplitude.
 
-    used, held: (p,), energy of each column in the used and in the held-out segments, without the part that the nominal parameters
-    absorb."""
+    `used`, `held`: arrays of shape (p,), energy of each column in the used and in the held-out segments, without the part that the
+    nominal parameters absorb."""
     starts = np.concatenate(([0], np.cumsum(widths)[:-1])).astype(int)
     shown, whole = np.add.reduceat(used, starts), np.add.reduceat(used + held, starts)
     return bool(np.all(shown > ABSORBED * whole))

@@ -27,12 +27,15 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """The comparison of one channel, in its `unit`. before, after: size of the difference between the recording and a simulation
-    without the effects (before) or with them (after), root mean square over the segments. Each segment contributes its mean, slow
-    changes and harmonics. noise: size of the difference that noise alone causes. before_sigma, after_sigma: `before` and `after` in
-    standard deviations of the noise; 1 if there is only noise. sample_noise: standard deviation of a single sample in the recording
-    and in both simulations. means: offset of each common segment (S,), in the recording and both simulations, after the fit of the
-    nominal parameters; sigma: (S,), standard uncertainty of the offsets in the recording, from noise."""
+    """The comparison of one channel, in its `unit`.
+
+    `before`, `after`: size of the difference between the recording and a simulation without the effects (before) or with them
+    (after), root mean square over the segments. Each segment contributes its mean, slow changes and harmonics. `noise`: size of the
+    difference that noise alone causes. `before_sigma`, `after_sigma`: `before` and `after` in standard deviations of the noise; 1
+    if there is only noise. `sample_noise`: standard deviation of a single sample in the recording and in both simulations. `means`:
+    offset of each common segment (S,), in the recording and both simulations, after the fit of the nominal parameters. `sigma`:
+    array of shape (S,), standard uncertainty of the offsets in the recording, from noise.
+    """
 
     unit: str
     before: float
@@ -47,7 +50,7 @@ class ChannelComparison:
 
 @dataclass(frozen=True)
 class GapComparison:
-    """The comparison of all channels. labels: labels of the segments that the recording and both simulations share."""
+    """The comparison of all channels. `labels`: labels of the segments that the recording and both simulations share."""
 
     labels: tuple[str, ...]
     channels: dict[str, ChannelComparison]
@@ -85,7 +88,7 @@ class GapComparison:
 
 
 def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> GapComparison:
-    """Compares the recording in `weighing` with two simulations: `before` is without the effects, `after` is with them. nominal:
+    """Compares the recording in `weighing` with two simulations: `before` is without the effects, `after` is with them. `nominal`:
     names of the terms that the nominal simulation fits. Raises `ObservationError` if the recording and the simulations share too
     few segments, or if a simulation lacks a channel of the recording."""
     recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white)
@@ -102,10 +105,13 @@ def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A recording or simulation, reduced to coefficients. values: (M, K), SI, coefficients, each scaled to a root mean square over
-    its segment; counts: (M,), number of samples in the segment of each coefficient. rows: the rows of each segment, by label; the
-    first row is the mean. columns: the column of each channel, by name. white: (K,), standard deviation of the white noise of a
-    single sample."""
+    """A recording or simulation, reduced to coefficients.
+
+    `values`: array of shape (M, K) in SI units, coefficients, each scaled to a root mean square over its segment. `counts`: array
+    of shape (M,), number of samples in the segment of each coefficient. `rows`: the rows of each segment, by label; the first row
+    is the mean. `columns`: the column of each channel, by name. `white`: array of shape (K,), standard deviation of the white noise
+    of a single sample.
+    """
 
     observed: Observed
     values: Array
@@ -132,8 +138,8 @@ class _Reduced:
 
 @dataclass(frozen=True)
 class _Common:
-    """Rows that the recording and both simulations have in common. rows: indices (m,) of these rows in the recording and in each
-    simulation; means: (m,), True for rows that are means of segments."""
+    """Rows that the recording and both simulations have in common. `rows`: indices (m,) of these rows in the recording and in each
+    simulation. `means`: array of shape (m,), True for rows that are means of segments."""
 
     rows: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
     means: NDArray[np.bool_]

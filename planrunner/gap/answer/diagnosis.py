@@ -62,9 +62,12 @@ _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
-    """Options of a diagnosis. nominal: names of the terms that the nominal simulation fits, from `candidates.FULL`; effects: names
-    of the candidates, by default all installed effects. given: names of effects that are known to act. Given effects are fitted,
-    and the gap that remains is diagnosed."""
+    """Options of a diagnosis.
+
+    `nominal`: names of the terms that the nominal simulation fits, from `candidates.FULL`. `effects`: names of the candidates, by
+    default all installed effects. `given`: names of effects that are known to act. Given effects are fitted, and the gap that
+    remains is diagnosed.
+    """
 
     nominal: tuple[str, ...] = FULL
     effects: tuple[str, ...] | None = None
@@ -73,9 +76,11 @@ class DiagnosisOptions:
 
 @dataclass(frozen=True)
 class Grounds:
-    """Data on which a diagnosis is based, for further analysis. nominal: names of the terms that the nominal simulation fits;
-    choices: the effects and sets among which the closure chooses; noise: the noise measured for the closure, None if the diagnosis
-    names no effect that other segments can predict."""
+    """Data on which a diagnosis is based, for further analysis.
+
+    `nominal`: names of the terms that the nominal simulation fits. `choices`: the effects and sets among which the closure chooses.
+    `noise`: the noise measured for the closure, None if the diagnosis names no effect that other segments can predict.
+    """
 
     weighing: Weighing
     candidates: tuple[Candidate, ...]
@@ -86,12 +91,14 @@ class Grounds:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of a diagnosis. gap: size of the gap of each channel, in its unit. noise: the noise of every channel. posterior:
-    probabilities of all hypotheses. absorbed: effects that the nominal parameters reproduce almost completely, each with the
-    fraction of its energy that remains. unknown: form of a gap that the catalogue does not contain, if the verdict is unknown.
-    rest: the part of the gap that the named effects do not explain; None if no effect is named, or if a random walk is among the
-    named effects. pictures: data for plots. given: parameters of the effects that are known to act, fitted together with the named
-    effects."""
+    """Result of a diagnosis.
+
+    `gap`: size of the gap of each channel, in its unit. `noise`: the noise of every channel. `posterior`: probabilities of all
+    hypotheses. `absorbed`: effects that the nominal parameters reproduce almost completely, each with the fraction of its energy
+    that remains. `unknown`: form of a gap that the catalogue does not contain, if the verdict is unknown. `rest`: the part of the
+    gap that the named effects do not explain; None if no effect is named, or if a random walk is among the named effects.
+    `pictures`: data for plots. `given`: parameters of the effects that are known to act, fitted together with the named effects.
+    """
 
     gap: Mapping[str, Mapping[str, Json]]
     noise: tuple[NoiseFound, ...]
@@ -360,7 +367,7 @@ def _parameters(
     apart: Apart,
     ratios: Array | None,
 ) -> list[ParameterEstimate]:
-    """Estimates the parameters of the effects that the verdict names. The effects of a set are fitted together. ratios: as in
+    """Estimates the parameters of the effects that the verdict names. The effects of a set are fitted together. `ratios`: as in
     `estimates.amplitudes`."""
     listed: list[ParameterEstimate] = []
     walking = any(

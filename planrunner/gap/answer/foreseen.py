@@ -32,9 +32,12 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Information that a segment gives about P columns from K channels, in units of the noise. within: (P, P), information per
-    second from changes within the segment. means: (K, P), mean of each column over the segment. noise: (K,), white noise density of
-    each channel; flicker: (K,), declared bias instability of each channel."""
+    """Information that a segment gives about P columns from K channels, in units of the noise.
+
+    `within`: array of shape (P, P), information per second from changes within the segment. `means`: array of shape (K, P), mean of
+    each column over the segment. `noise`: array of shape (K,), white noise density of each channel. `flicker`: array of shape (K,),
+    declared bias instability of each channel.
+    """
 
     segment: Segment
     within: Array
@@ -58,10 +61,10 @@ class Foreseen:
 def foresee(
     observed: Observed, white: Array, segments: Sequence[Segment], columns: Columns, widths: Sequence[int]
 ) -> Iterator[Foreseen]:
-    """Yields the information that each segment would give if it were measured after the recording. white: (K,), standard deviation
-    of the white noise of a sample.
+    """Yields the information that each segment would give if it were measured after the recording. `white`: array of shape (K,),
+    standard deviation of the white noise of a sample.
 
-    columns: function that computes groups of columns for a recording; widths: number of columns in each group. A column is
+    `columns`: function that computes groups of columns for a recording. `widths`: number of columns in each group. A column is
     identified by its place among the columns of all groups. A column is zero in a channel that it does not affect.
     """
     noise = white / math.sqrt(observed.sample_rate)
@@ -89,8 +92,9 @@ def foresee(
 
 
 def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array, seconds: float) -> Array:
-    """Information (P, P) per second that a segment loses because the angle of the turning table is unknown. rows: for each channel,
-    the columns (n, P); noise: (K,), white noise density; seconds: dwell.
+    """Information (P, P) per second that a segment loses because the angle of the turning table is unknown.
+
+    `rows`: for each channel, the columns (n, P). `noise`: array of shape (K,), white noise density. `seconds`: dwell.
 
     A component c·√2·cos θ, which is in phase with the turning, competes with the input of amplitude A and unknown phase
     (`Observed.unknown_phase`). Let the samples have the covariance σ²·I + A²·w·wᵀ, where w = cos θ and |w|² = T/2 for a dwell T and

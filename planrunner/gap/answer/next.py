@@ -39,11 +39,14 @@ _HELPS = 0.005  # smallest reduction of the expected loss that justifies a segme
 
 @dataclass(frozen=True)
 class SegmentProposal:
-    """Segments that a diagnosis proposes to measure next. segments: the proposed segments in order; empty if nothing on the bench
-    helps. rivals: names and present probabilities of the remaining explanations (rivals). now: expected probability of the true
-    rival at present; probability: expected probability of the true rival after `seconds` of test time. repeating: time [s] of
-    repeating the recorded segments, and the expected probability of the true rival after it. sensor: description of an instrument
-    that could distinguish the rivals if the segments of the bench cannot."""
+    """Segments that a diagnosis proposes to measure next.
+
+    `segments`: the proposed segments in order; empty if nothing on the bench helps. `rivals`: names and present probabilities of
+    the remaining explanations (rivals). `now`: expected probability of the true rival at present. `probability`: expected
+    probability of the true rival after `seconds` of test time. `repeating`: time [s] of repeating the recorded segments, and the
+    expected probability of the true rival after it. `sensor`: description of an instrument that could distinguish the rivals if the
+    segments of the bench cannot.
+    """
 
     segments: tuple[Segment, ...]
     rivals: tuple[tuple[str, float], ...]
@@ -65,8 +68,8 @@ def propose(
 ) -> SegmentProposal | None:
     """Proposes the segments to measure next; None if one explanation is clear.
 
-    options: segments that the bench can execute; seconds: function that computes the test time of a segment, including moves,
-    settling and dwell, from the previous segment (None for the first) and the segment; lasted: test time of the recording, s.
+    `options`: segments that the bench can execute. `seconds`: function that computes the test time of a segment, including moves,
+    settling and dwell, from the previous segment (None for the first) and the segment. `lasted`: test time of the recording, s.
     """
     listed = explanations(found, candidates)
     if not options or not _open(listed):

@@ -15,11 +15,14 @@ from planrunner.gap.hypotheses.open_set import Line
 
 @dataclass(frozen=True, slots=True)
 class NoiseFound:
-    """Noise of a channel, in the channel's unit. white, declared: standard deviation of a sample, as found in the recording and as
-    declared; `declared` includes the rounding to `declared_count`, and is 0 if no noise is declared. count, declared_count: size of
-    one count, as found in the recording and as declared; 0 if there are no counts. slow: amplitude density at the lowest measured
-    frequency, relative to that of the white noise; 1 for white noise alone. quietest, loudest: standard deviation in the quietest
-    and in the loudest segment, relative to the white level. line: the strongest tone, None if there is none."""
+    """Noise of a channel, in the channel's unit.
+
+    `white`, `declared`: standard deviation of a sample, as found in the recording and as declared; `declared` includes the rounding
+    to `declared_count`, and is 0 if no noise is declared. `count`, `declared_count`: size of one count, as found in the recording
+    and as declared; 0 if there are no counts. `slow`: amplitude density at the lowest measured frequency, relative to that of the
+    white noise; 1 for white noise alone. `quietest`, `loudest`: standard deviation in the quietest and in the loudest segment,
+    relative to the white level. `line`: the strongest tone, None if there is none.
+    """
 
     channel: str
     unit: str
@@ -34,7 +37,7 @@ class NoiseFound:
 
 
 def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, ...]:
-    """The noise of every channel. lines: tones in the recording, at most one per channel."""
+    """The noise of every channel. `lines`: tones in the recording, at most one per channel."""
     declared, noise = weighing.declared, weighing.noise
     by_channel = {line.channel: line for line in lines}
     found = []

@@ -36,10 +36,12 @@ def amplitudes(
     walking: bool = False,
     ratios: Array | None = None,
 ) -> list[ParameterEstimate]:
-    """Means and standard deviations of the amplitudes of an effect, at the most probable prior size of the amplitudes. columns: in
-    a set of effects, the columns that belong to this effect. walking: True if a random walk of the gyros acts in addition. ratios:
-    (K,), for each channel, variance of the residuals divided by the variance of the noise at its most probable setting; None if the
-    residuals are only noise. An amplitude that is fixed at 1 is not a parameter."""
+    """Means and standard deviations of the amplitudes of an effect, at the most probable prior size of the amplitudes.
+
+    `columns`: in a set of effects, the columns that belong to this effect. `walking`: True if a random walk of the gyros acts in
+    addition. `ratios`: array of shape (K,), for each channel, variance of the residuals divided by the variance of the noise at its
+    most probable setting; None if the residuals are only noise. An amplitude that is fixed at 1 is not a parameter.
+    """
     if weighed.held:
         return []
     mean, covariance = weighing.amplitudes(weighed, walking)
@@ -63,7 +65,7 @@ def amplitudes(
 
 
 def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array | None) -> list[ParameterEstimate]:
-    """Increases the uncertainties of shape estimates, because the residuals are more than noise. ratios: as in `amplitudes`; the
+    """Increases the uncertainties of shape estimates, because the residuals are more than noise. `ratios`: as in `amplitudes`; the
     variance is multiplied by their mean, weighted by the energy of the effect in each channel."""
     if ratios is None:
         return list(listed)

@@ -41,14 +41,17 @@ _Key = TypeVar("_Key", str, tuple[str, ...])
 
 @dataclass(frozen=True)
 class Posterior:
-    """The posterior probabilities of the hypotheses. probability: probability of every cause. A set of effects has a name such as
-    'a+b', in alphabetical order, or 'a+b+unknown' if something else acts in addition. An effect on the level of the noise is a
-    cause only if nothing else acts. noise: probability of each effect on the level of the noise, summed over all causes.
-    log_evidence: log evidence of each hypothesis relative to "none"; for effects, it is computed from the coefficients alone.
-    pairs: evaluated columns of each set of two or more deterministic effects. sets: the sets in `pairs`, each with its effects.
-    kinds: log evidence, relative to "none", of each pattern that "unknown" can mean. by_channel: log BF (K,) of each pattern,
-    computed in each channel alone. levels: effects that only change the noise level. lines: tones in the recording. beside:
-    probability that a tone or bursts are present in addition to an effect."""
+    """The posterior probabilities of the hypotheses.
+
+    `probability`: probability of every cause. A set of effects has a name such as 'a+b', in alphabetical order, or 'a+b+unknown' if
+    something else acts in addition. An effect on the level of the noise is a cause only if nothing else acts. `noise`: probability
+    of each effect on the level of the noise, summed over all causes. `log_evidence`: log evidence of each hypothesis relative to
+    "none"; for effects, it is computed from the coefficients alone. `pairs`: evaluated columns of each set of two or more
+    deterministic effects. `sets`: the sets in `pairs`, each with its effects. `kinds`: log evidence, relative to "none", of each
+    pattern that "unknown" can mean. `by_channel`: log BF (K,) of each pattern, computed in each channel alone. `levels`: effects
+    that only change the noise level. `lines`: tones in the recording. `beside`: probability that a tone or bursts are present in
+    addition to an effect.
+    """
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -78,10 +81,13 @@ def without_unknown(name: str) -> str:
 
 @dataclass(frozen=True)
 class _NoiseOnly:
-    """Effects on the noise. walk: name of the random walk of the gyros, or ''; others: maps each state of the noise of a triad
-    (gyro or accel) to the effect that causes it; levels: log density of the measured white noise for each combination of states.
-    apart: log BF of the effects that the recording shows outside the coefficients, such as a line; each of these effects is present
-    or absent independently of the others."""
+    """Effects on the noise.
+
+    `walk`: name of the random walk of the gyros, or ''. `others`: maps each state of the noise of a triad (gyro or accel) to the
+    effect that causes it. `levels`: log density of the measured white noise for each combination of states. `apart`: log BF of the
+    effects that the recording shows outside the coefficients, such as a line; each of these effects is present or absent
+    independently of the others.
+    """
 
     walk: str
     others: Mapping[tuple[str, Level], str]
@@ -110,8 +116,11 @@ class _NoiseOnly:
 def posterior(
     weighing: Weighing, effects: Sequence[Effect], candidates: Sequence[Candidate], apart: Apart | None = None
 ) -> Posterior:
-    """Evaluates all hypotheses. effects: all effects that are hypotheses; candidates: evaluated effects with signatures; apart:
-    effects that were found outside the coefficients."""
+    """Evaluates all hypotheses.
+
+    `effects`: all effects that are hypotheses. `candidates`: evaluated effects with signatures. `apart`: effects that were found
+    outside the coefficients.
+    """
     apart = apart or Apart()
     nothing = np.zeros(len(weighing.base))
     on_noise = [effect for effect in effects if isinstance(effect, OutsideCoefficients)]
@@ -173,8 +182,8 @@ def posterior(
 
 
 def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str, float]:
-    """Probabilities of the causes. Hypotheses that differ only in effects on the level of the noise are added up. levels: names of
-    the effects on the level of the noise."""
+    """Probabilities of the causes. Hypotheses that differ only in effects on the level of the noise are added up. `levels`: names
+    of the effects on the level of the noise."""
     found: dict[str, float] = {}
     for name, share in shares.items():
         key = key_of(part for part in name.split("+") if part not in levels) or name
@@ -186,8 +195,8 @@ def _of_noise(
     shares: Mapping[str, float], levels: Set[str], noise: _NoiseOnly, found: Mapping[str, float], count: int
 ) -> dict[str, float]:
     """Probability of each effect on the level of the noise. The probability of a hypothesis with something else covers all states
-    of the noise, so it is divided among them. levels: names of the effects on the level of the noise; found: the hypotheses that
-    `posterior` evaluated directly; for the size of these hypotheses, "unknown" counts as an effect."""
+    of the noise, so it is divided among them. `levels`: names of the effects on the level of the noise. `found`: the hypotheses
+    that `posterior` evaluated directly; for the size of these hypotheses, "unknown" counts as an effect."""
     total = dict.fromkeys(sorted(levels), 0.0)
     for name, share in shares.items():
         parts = name.split("+")
@@ -294,7 +303,7 @@ def _as_named(
     """Divides the probability of effects among the sets as in `named`, and adds the hypotheses with something else; returns log
     weights.
 
-    more: log weights of sets of effects in combination with something else. Each of these weights is divided among the probable
+    `more`: log weights of sets of effects in combination with something else. Each of these weights is divided among the probable
     sets of the same size, in proportion to `named`. Sets with a random walk (`walk`) are excluded, because a random walk explains
     the same part as something else.
     """
@@ -347,7 +356,7 @@ def log_prior(name: str, acting: int) -> float:
 
 
 def _log_prior_of(size: int, acting: int, besides: bool = False) -> float:
-    """Log prior of one set of `size` effects. besides: True if something else acts in addition."""
+    """Log prior of one set of `size` effects. `besides`: True if something else acts in addition."""
     share = PRIORS["several"] / 2 ** (size + 1 if besides else size - 1)
     if not besides and size < 3:
         share = PRIORS["single" if size == 1 else "pair"]

@@ -23,7 +23,7 @@ LEAST = 0.01  # smallest probability of an explanation
 
 @dataclass(frozen=True)
 class ExplanationPart:
-    """One effect of an explanation, in the form that fits the recording best. prior: prior variance of the amplitudes of the
+    """One effect of an explanation, in the form that fits the recording best. `prior`: prior variance of the amplitudes of the
     effect, in magnitudes²."""
 
     effect: Effect
@@ -107,8 +107,8 @@ class Layout:
 
     @classmethod
     def of(cls, listed: Sequence[Explanation], weighing: Weighing, nominal: Sequence[str], whole: Observed) -> Layout:
-        """Makes the layout of the listed explanations. whole: the recording followed by all segments that may be measured next; it
-        determines which columns exist."""
+        """Makes the layout of the listed explanations. `whole`: the recording followed by all segments that may be measured next;
+        it determines which columns exist."""
         distinct = tuple({part.key: part for item in listed for part in item.parts}.values())
         names = tuple(tuple(column.name for column in part.on(whole)) for part in distinct)
         return cls(tuple(nominal), distinct, names, _fitted(weighing))

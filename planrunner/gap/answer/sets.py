@@ -40,9 +40,11 @@ PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 @dataclass(frozen=True)
 class Member:
-    """An effect of a set, in one of its forms. candidate: the effect with all its forms, evaluated alone or in addition to the
-    other effects of the set. form: the chosen form. cost: logarithm of the factor by which averaging over the shape of the effect
-    reduces the evidence; never positive."""
+    """An effect of a set, in one of its forms.
+
+    `candidate`: the effect with all its forms, evaluated alone or in addition to the other effects of the set. `form`: the chosen
+    form. `cost`: logarithm of the factor by which averaging over the shape of the effect reduces the evidence; never positive.
+    """
 
     candidate: Candidate
     form: Weighed
@@ -59,9 +61,12 @@ class Member:
 
 @dataclass(frozen=True)
 class EffectSet:
-    """A set of effects that act together. members: the effects, in the order of their columns. weighed: the evaluation of all
-    columns together. log_bayes: (G,), log BF at each setting of the noise. evidence: log evidence without a random walk of the
-    gyros; walking: log evidence with a random walk, −∞ if it was not evaluated."""
+    """A set of effects that act together.
+
+    `members`: the effects, in the order of their columns. `weighed`: the evaluation of all columns together. `log_bayes`: array of
+    shape (G,), log BF at each setting of the noise. `evidence`: log evidence without a random walk of the gyros. `walking`: log
+    evidence with a random walk, −∞ if it was not evaluated.
+    """
 
     members: tuple[Member, ...]
     weighed: Weighed = field(repr=False)
@@ -82,8 +87,8 @@ class EffectSet:
 
 @dataclass(frozen=True)
 class Sets:
-    """The evaluated sets of effects. quick: log evidence of each pair at the declared noise, from the quick evaluation. full: the
-    sets evaluated in full, by key."""
+    """The evaluated sets of effects. `quick`: log evidence of each pair at the declared noise, from the quick evaluation. `full`:
+    the sets evaluated in full, by key."""
 
     quick: dict[str, float]
     full: dict[str, EffectSet] = field(repr=False)
@@ -96,9 +101,11 @@ def key_of(names: Sequence[str] | Iterator[str]) -> str:
 def sets_of(
     weighing: Weighing, candidates: Sequence[Candidate], prior: Callable[[int], float], walks: bool, refit: bool = True
 ) -> Sets:
-    """Evaluates pairs and larger sets of effects that have signatures. prior: function that returns the log prior of one set of a
-    given number of effects; walks: True if a random walk is a hypothesis; refit: True to fit the shapes of the most probable set
-    again."""
+    """Evaluates pairs and larger sets of effects that have signatures.
+
+    `prior`: function that returns the log prior of one set of a given number of effects. `walks`: True if a random walk is a
+    hypothesis. `refit`: True to fit the shapes of the most probable set again.
+    """
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     quick, level = _pairs(weighing, usable)
     full = {one.key: one for one in level}

@@ -35,9 +35,12 @@ class FormPoint:
 
 @dataclass(frozen=True)
 class UnknownForm:
-    """The form of an unknown cause. pattern: name of the pattern in words. factor: the factor that the gap follows. channels,
-    units: channels that show the gap, and their units. share: fraction of the gap's energy in all channels; None for noise and
-    tones, which lie outside the coefficients. points: offsets at each level if the pattern consists of offsets; otherwise empty."""
+    """The form of an unknown cause.
+
+    `pattern`: name of the pattern in words. `factor`: the factor that the gap follows. `channels`, `units`: channels that show the
+    gap, and their units. `share`: fraction of the gap's energy in all channels; None for noise and tones, which lie outside the
+    coefficients. `points`: offsets at each level if the pattern consists of offsets; otherwise empty.
+    """
 
     pattern: str
     factor: Factor

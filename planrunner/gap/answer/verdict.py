@@ -33,8 +33,8 @@ def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[
     effect or pair, and the effects of `top` that then count as a remainder. Returns None if there is no such effect, or if `top`
     consists only of terms of the nominal model.
 
-    log_evidence: log evidence of every hypothesis relative to none; for a strong effect, this is half the explained energy.
-    signatures: effects that change more than the noise.
+    `log_evidence`: log evidence of every hypothesis relative to none; for a strong effect, this is half the explained energy.
+    `signatures`: effects that change more than the noise.
     """
     parts = set(top.split("+"))
     if parts <= set(NOMINAL_TERMS):
@@ -67,11 +67,14 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict of a diagnosis. kind: none, effect, pair, several, unknown or indistinguishable. effects: the effects of the most
-    probable hypothesis. members: the hypotheses that this plan cannot distinguish, including `effects`; a set of effects is written
-    'a+b'. residue: an effect, or "unknown", that may be only form residue: energy that is left because the strongest named effect
-    deviates from its idealised form. It can be one of the named effects. something_else: True if something that the catalogue does
-    not contain acts in addition to the named effects. noise: effects on the level of the noise that probably act in addition."""
+    """The verdict of a diagnosis.
+
+    `kind`: none, effect, pair, several, unknown or indistinguishable. `effects`: the effects of the most probable hypothesis.
+    `members`: the hypotheses that this plan cannot distinguish, including `effects`; a set of effects is written 'a+b'. `residue`:
+    an effect, or "unknown", that may be only form residue: energy that is left because the strongest named effect deviates from its
+    idealised form. It can be one of the named effects. `something_else`: True if something that the catalogue does not contain acts
+    in addition to the named effects. `noise`: effects on the level of the noise that probably act in addition.
+    """
 
     kind: str
     effects: tuple[str, ...] = ()

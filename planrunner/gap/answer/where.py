@@ -37,10 +37,13 @@ _NEAR = math.sqrt(2 - 2 * 0.999)
 
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
-    """A part of the recording where the gap appears. share: fraction of the energy above the noise. Every factor divides the same
-    energy: the shares of one factor, over all channels, add up to at most 1; shares of different factors overlap. of: the quantity
-    of which `share` is a fraction: `gap`, or `noise` for energy outside the basis, which is compared with the noise of the channel.
-    p: p-value, adjusted for the number of places."""
+    """A part of the recording where the gap appears.
+
+    `share`: fraction of the energy above the noise. Every factor divides the same energy: the shares of one factor, over all
+    channels, add up to at most 1; shares of different factors overlap. `of`: the quantity of which `share` is a fraction: `gap`, or
+    `noise` for energy outside the basis, which is compared with the noise of the channel. `p`: p-value, adjusted for the number of
+    places.
+    """
 
     channel: str
     factor: Factor
@@ -51,7 +54,7 @@ class MisfitPlace:
 
 
 def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPlace]:
-    """Lists all places, the most conspicuous first. kinds: for each pattern outside the catalogue, the log BF (K,) of the pattern
+    """Lists all places, the most conspicuous first. `kinds`: for each pattern outside the catalogue, the log BF (K,) of the pattern
     in each channel alone.
 
     The best level of each channel and factor is ranked by the evidence that the residual of the channel follows the factor. This
@@ -75,7 +78,7 @@ def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPla
 
 
 def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, Array]:
-    """Log BF (K,) of each factor. noisier: log BF (K,) that the white noise is larger than declared."""
+    """Log BF (K,) of each factor. `noisier`: log BF (K,) that the white noise is larger than declared."""
     sorted_: dict[Factor, list[Array]] = {Factor.BAND: [noisier]}
     for pattern, values in kinds.items():
         sorted_.setdefault(pattern.factor, []).append(values)

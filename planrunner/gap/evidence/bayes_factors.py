@@ -32,14 +32,14 @@ misalignment of the sensor, which are seldom larger."""
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
     """The log BF averaged over λ, for stacked arrays gram (…, p, p) and score (…, p), in units of the prior magnitudes (D = I).
 
-    trace: energy of an effect with the amplitude 1, which scales the grid of s²; by default it is tr(gram) of the first element.
+    `trace`: energy of an effect with the amplitude 1, which scales the grid of s²; by default it is tr(gram) of the first element.
     """
     return averaged(by_energy(gram, score, trace))
 
 
 def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
-    """Averages Bayes factors over the prior of λ. terms: (…, E), log BF at each point of the grid of s². Returns the logarithm of
-    the mean, (…)."""
+    """Averages Bayes factors over the prior of λ. `terms`: array of shape (…, E), log BF at each point of the grid of s². Returns
+    the logarithm of the mean, (…)."""
     step = float(np.log(energies[1] / energies[0]))
     return np.asarray(log_mean_exp(terms, -1) + np.log(len(energies) * step / RANGE))
 
@@ -67,8 +67,8 @@ def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array
 
 
 def gaussian(grown: Array, gain: Array) -> Array:
-    """The log BF (…) of amplitudes θ ~ N(0, s²·D), whatever their energy. grown: (…, p), 1 + s²·eigenvalue; gain: (…, p),
-    s²·squared score ÷ grown."""
+    """The log BF (…) of amplitudes θ ~ N(0, s²·D), whatever their energy. `grown`: array of shape (…, p), 1 + s²·eigenvalue.
+    `gain`: array of shape (…, p), s²·squared score ÷ grown."""
     return np.asarray(0.5 * (gain - np.log(grown)).sum(-1))
 
 
@@ -96,9 +96,9 @@ def held_amplitude(gram: float, score: float) -> tuple[float, float]:
 
 
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
-    """The change of the log BF if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of N(0, s²). scales:
-    (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density at amplitude 1 (Dickey, Ann. Math.
-    Stat. 42, 1971)."""
+    """The change of the log BF if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of N(0, s²).
+    `scales`: array of shape (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density at
+    amplitude 1 (Dickey, Ann. Math. Stat. 42, 1971)."""
     at = np.asarray(held)
     covariance = np.linalg.inv(gram + np.diag(1 / scales))
     away = 1 - (covariance @ score)[at]
@@ -111,7 +111,7 @@ def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) ->
 def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:
     """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes.
 
-    widths: number of columns of each effect if the columns belong to several effects, each with a separate s².
+    `widths`: number of columns of each effect if the columns belong to several effects, each with a separate s².
     """
     covariance: Array = np.asarray(np.linalg.inv(gram + np.diag(1 / best_scales(gram, score, widths))))
     return covariance @ score, covariance
@@ -149,7 +149,7 @@ def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
     """The log BF that any number of effects act together. Each effect has a separate s², averaged over the grid `energies`, and at
-    least the strength `WEAKEST`. near: (p,), s² with which the search for the most probable s² starts.
+    least the strength `WEAKEST`. `near`: array of shape (p,), s² with which the search for the most probable s² starts.
 
     A grid over all s² together would have one dimension for each effect. Instead, the most probable s² are found for one effect at
     a time, and the average over the s² of each effect is computed with the other s² fixed at their most probable values. This is
@@ -183,7 +183,7 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
     """The log BF (E,) of several effects at E combinations of their s² (E, effects), plus the log probability that each effect has
-    at least the strength `WEAKEST`. widths: number of columns of each effect."""
+    at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]

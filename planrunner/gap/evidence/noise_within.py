@@ -40,12 +40,16 @@ _SMALLEST = (
 
 @dataclass(frozen=True)
 class NoiseWithin:
-    """Variance of the noise of each channel, relative to its white level. frequency: (B,), Hz, centres of the bands; weight: (B,),
-    number of coefficients in each band. spectrum: (2, B, K), spectra of the segments at rest and of those in motion, as the cosine
-    transform of a segment shows them. density: (2, B, K), the same spectra without the leakage of the transform. level: (S, K),
-    level of each segment; own: (S, B, K), variance in each band of a segment, divided by the product of spectrum and level. moving:
-    (S,), index of the spectrum that applies to each segment: 0 at rest, 1 in motion. coloured: (2, K), True if a spectrum is not
-    white; differing: (K,), True if the level differs between segments."""
+    """Variance of the noise of each channel, relative to its white level.
+
+    `frequency`: array of shape (B,) in Hz, centres of the bands. `weight`: array of shape (B,), number of coefficients in each
+    band. `spectrum`: array of shape (2, B, K), spectra of the segments at rest and of those in motion, as the cosine transform of a
+    segment shows them. `density`: array of shape (2, B, K), the same spectra without the leakage of the transform. `level`: array
+    of shape (S, K), level of each segment. `own`: array of shape (S, B, K), variance in each band of a segment, divided by the
+    product of spectrum and level. `moving`: array of shape (S,), index of the spectrum that applies to each segment: 0 at rest, 1
+    in motion. `coloured`: array of shape (2, K), True if a spectrum is not white. `differing`: array of shape (K,), True if the
+    level differs between segments.
+    """
 
     frequency: Array
     weight: Array
@@ -91,7 +95,7 @@ class NoiseWithin:
         return found
 
     def _covariance(self, segment: int, basis: SpectralBasis, half: float) -> Array:
-        """Covariance (K, m, m) of the coefficients of a segment, relative to its level. half: half of the sampling rate, Hz.
+        """Covariance (K, m, m) of the coefficients of a segment, relative to its level. `half`: half of the sampling rate, Hz.
 
         The harmonics of the motion take up all coefficients near their frequencies, so that a segment in motion does not show a line
         of the noise there. The spectrum at rest shows such a line. Where it is larger, the difference is added to the variance.
@@ -132,8 +136,9 @@ class NoiseWithin:
 
 
 def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Array) -> NoiseWithin:
-    """Measures the noise within the segments, outside the coefficients. white: (K,), SI, standard deviation of the white noise of a
-    sample; left: (M, K), SI·√samples, coefficients after the fitted nominal parameters have been subtracted."""
+    """Measures the noise within the segments, outside the coefficients. `white`: array of shape (K,) in SI units, standard
+    deviation of the white noise of a sample. `left`: array of shape (M, K) in SI·√samples, coefficients after the fitted nominal
+    parameters have been subtracted."""
     count = np.maximum(spectrum.count, 0.0)
     low = np.flatnonzero((spectrum.harmonic == 0) & (spectrum.frequency > 0))
     band_of = np.minimum(np.searchsorted(spectrum.edges, spectrum.frequency[low], side="right"), count.shape[1]) - 1
@@ -187,8 +192,8 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
 
 
 def _leakage(turns: Array, count: float) -> Array:
-    """Matrix (B, B): the part of the density of each band (second index) that the cosine transform of `count` samples shows in another
-    band (first index). turns: (3, B), edges and centres of the bands, rad per sample.
+    """Matrix (B, B): the part of the density of each band (second index) that the cosine transform of `count` samples shows in
+    another band (first index). `turns`: array of shape (3, B), edges and centres of the bands, rad per sample.
 
     A vector of the transform with the frequency θ contains other frequencies ω with the density
     sin²(ω/2)·cos²(θ/2)/(n·(sin²(ω/2) − sin²(θ/2))²), averaged over the phase of the ends of the segment.
@@ -220,8 +225,8 @@ def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) ->
 
 
 def _of_median(squares: Array, band: NDArray[np.int64], bands: int) -> tuple[Array, Array]:
-    """Energies (B,) and degrees of freedom (B,) of the bands, estimated from the medians of squares (n,) of normal values. band:
-    (n,), band of each square."""
+    """Energies (B,) and degrees of freedom (B,) of the bands, estimated from the medians of squares (n,) of normal values. `band`:
+    array of shape (n,), band of each square."""
     size: Array = np.bincount(band, minlength=bands).astype(np.float64) * _OF_MEDIAN
     level = np.array([np.median(squares[band == b]) if size[b] > 0 else 0.0 for b in range(bands)]) / _MEDIAN
     return level * size, size

@@ -42,7 +42,8 @@ _DEVIATION = 0.6745  # median absolute value of a normal variable
 
 @dataclass(frozen=True)
 class Pulses:
-    """Errors of single samples. rows: (p,), rows of the samples; sizes: (p,), errors of these samples."""
+    """Errors of single samples. `rows`: array of shape (p,), rows of the samples. `sizes`: array of shape (p,), errors of these
+    samples."""
 
     rows: NDArray[np.int64]
     sizes: Array
@@ -51,9 +52,9 @@ class Pulses:
 def outliers(
     observed: Observed, spectrum: Spectrum, noise: NoiseWithin, white: Array, coarse: NDArray[np.bool_]
 ) -> Array | None:
-    """The errors (N, K) of the outliers, SI; None if there are none. white: (K,), SI, standard deviation of the white noise of a
-    sample; coarse: (K,), True for channels that are not examined, because their samples show the rounding. The errors of samples
-    that `spectrum` replaced are estimated, too."""
+    """The errors (N, K) of the outliers, SI; None if there are none. `white`: array of shape (K,) in SI units, standard deviation
+    of the white noise of a sample. `coarse`: array of shape (K,), True for channels that are not examined, because their samples
+    show the rounding. The errors of samples that `spectrum` replaced are estimated, too."""
     from scipy.fft import dct
 
     found = np.zeros_like(spectrum.remainder)
@@ -80,9 +81,10 @@ def outliers(
 def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.int64]) -> Pulses:
     """The outliers among the samples (n,) of a segment.
 
-    basis: (n, m), cosine transform of the vectors that the samples contain with unknown amplitudes. variance: (n,), variance of the
-    noise in each coefficient of the cosine transform. known: rows of samples that are already known to be wrong. If too many
-    outliers are found, only the known rows are returned; if there are too many known rows, none are returned.
+    `basis`: array of shape (n, m), cosine transform of the vectors that the samples contain with unknown amplitudes. `variance`:
+    array of shape (n,), variance of the noise in each coefficient of the cosine transform. `known`: rows of samples that are
+    already known to be wrong. If too many outliers are found, only the known rows are returned; if there are too many known rows,
+    none are returned.
     """
     from scipy.fft import dct, idct
 
@@ -116,7 +118,7 @@ def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.i
 
 def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
     """Returns an orthonormal basis Q of the whitened columns, and the matrix T for which Q = (whitened columns)·Tᵀ. The columns are
-    the vectors `basis` (n, m) and a unit pulse at each of the rows. root: (n,), inverse standard deviations."""
+    the vectors `basis` (n, m) and a unit pulse at each of the rows. `root`: array of shape (n,), inverse standard deviations."""
     columns = np.column_stack([basis, _unit(len(root), rows)]) * root[:, None]
     size = np.linalg.norm(columns, axis=0)
     turned = np.linalg.inv(np.linalg.cholesky((columns.T @ columns) / np.outer(size, size))) / size
@@ -132,7 +134,7 @@ def _unit(count: int, rows: Sequence[int] | NDArray[np.int64]) -> Array:
 
 
 def _diagonal(weight: Array) -> Array:
-    """The diagonal (n,) of Σ⁻¹. weight: (n,), inverse variance of each coefficient of the cosine transform."""
+    """The diagonal (n,) of Σ⁻¹. `weight`: array of shape (n,), inverse variance of each coefficient of the cosine transform."""
     count = len(weight)
     turned = weight * np.exp(1j * np.pi * np.arange(count) / count)
     turned[0] = 0.0

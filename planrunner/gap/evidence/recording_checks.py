@@ -54,7 +54,7 @@ POSE_PARAMETERS = 9
 
 
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
-    """Checks the segments, missing numbers, the clock and the ranges of a recording. where: name of the run or recording, used in
+    """Checks the segments, missing numbers, the clock and the ranges of a recording. `where`: name of the run or recording, used in
     messages."""
     mark = Mark(where)
     if len(recording) < 2:
@@ -184,7 +184,7 @@ def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, flo
     from the output in the middle because the rate changes; and the largest such deviation relative to the rate. Both numbers are 0
     if the rate is steady. For this purpose, the segment is divided into `PARTS` parts. Other changes, such as an uneven motion, are
     judged by the scatter between the means of the parts in the middle half. If this scatter is large, no part of the segment counts
-    as steady. earth_rate: rad/s, amplitude of the input that the Earth's rotation may add once per turn."""
+    as steady. `earth_rate`: rad/s, amplitude of the input that the Earth's rotation may add once per turn."""
     if len(values) < 4 * PARTS:
         return 0.0, 0.0
     means = np.array([part.mean() for part in np.array_split(values, PARTS)])

@@ -33,9 +33,12 @@ _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the low
 
 @dataclass(frozen=True)
 class SpectralBasis:
-    """The basis of one segment. vectors: (n, m), orthonormal columns, the first of which is constant. frequency: (m,), Hz, 0 for
-    the mean. harmonic: (m,), order of the motion's harmonic; 0 for a vector of the cosine transform; `RESPONSE` for the response to
-    a recorded motion."""
+    """The basis of one segment.
+
+    `vectors`: array of shape (n, m), orthonormal columns, the first of which is constant. `frequency`: array of shape (m,) in Hz, 0
+    for the mean. `harmonic`: array of shape (m,), order of the motion's harmonic; 0 for a vector of the cosine transform;
+    `RESPONSE` for the response to a recorded motion.
+    """
 
     vectors: Array
     frequency: Array
@@ -44,14 +47,18 @@ class SpectralBasis:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The M coefficients of all segments, and the remainder of the samples. segment: (M,), index of the segment to which a
-    coefficient belongs; frequency, harmonic: (M,), as in `SpectralBasis`. means: (S,), indices of the coefficients of order 0.
-    values: (M, K), SI·√samples, the coefficients. energy: (S, B, K), SI², energy of the DCT-II of the remainder in the bands
-    between `edges` (B + 1,), Hz; count: (S, B), number of coefficients of the DCT-II in each band. remainder: (N, K), samples minus
-    their components in the basis. spikes: (K,), number of samples that were replaced by the fit. replaced: (N, K), for replaced
-    samples the difference between the sample and the fit; otherwise zero. readings: (S, K), SI, mean outputs of the segments. If
-    the samples are means over bins of k samples, all values except `readings` are multiplied by √k, so that their white noise is
-    that of a single sample."""
+    """The M coefficients of all segments, and the remainder of the samples.
+
+    `segment`: array of shape (M,), index of the segment to which a coefficient belongs. `frequency`, `harmonic`: arrays of shape
+    (M,), as in `SpectralBasis`. `means`: array of shape (S,), indices of the coefficients of order 0. `values`: array of shape (M,
+    K) in SI·√samples, the coefficients. `energy`: array of shape (S, B, K) in SI², energy of the DCT-II of the remainder in the
+    bands between `edges` (B + 1,), Hz. `count`: array of shape (S, B), number of coefficients of the DCT-II in each band.
+    `remainder`: array of shape (N, K), samples minus their components in the basis. `spikes`: array of shape (K,), number of
+    samples that were replaced by the fit. `replaced`: array of shape (N, K), for replaced samples the difference between the sample
+    and the fit; otherwise zero. `readings`: array of shape (S, K) in SI units, mean outputs of the segments. If the samples are
+    means over bins of k samples, all values except `readings` are multiplied by √k, so that their white noise is that of a single
+    sample.
+    """
 
     bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
@@ -68,7 +75,8 @@ class Spectrum:
     readings: Array
 
     def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
-        """The coefficients (M, P) of columns of samples (N, P). acting: (S,), True for the segments to compute; by default all."""
+        """The coefficients (M, P) of columns of samples (N, P). `acting`: array of shape (S,), True for the segments to compute; by
+        default all."""
         made, roots = [], _roots(observed)
         if acting is None or acting.all():
             made = [
@@ -155,7 +163,7 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 def _responses(observed: Observed, part: slice, motion: object, rate: float) -> list[tuple[Array, float]]:
     """The angular rates (n,) that an encoder shows, each with its mean frequency [Hz]. Scale factors and misalignments act in
     proportion to these rates. The result is empty for other motions: the reference of a free motion has its own delays and filters,
-    which act at the same frequencies. rate: sample rate, Hz."""
+    which act at the same frequencies. `rate`: sample rate, Hz."""
     if not isinstance(motion, RecordedMotion) or not motion.angle:
         return []
     omega = observed.omega[part]
@@ -170,8 +178,8 @@ def _responses(observed: Observed, part: slice, motion: object, rate: float) -> 
 
 
 def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | None = None) -> Spectrum:
-    """The spectrum of the samples after the nominal simulation `reference` (N, K) has been subtracted. held: (N, K), True for
-    samples that are replaced by the fit."""
+    """The spectrum of the samples after the nominal simulation `reference` (N, K) has been subtracted. `held`: array of shape (N,
+    K), True for samples that are replaced by the fit."""
     from scipy.fft import dct
 
     known: dict[tuple[int, int, object], SpectralBasis] = {}
@@ -230,7 +238,7 @@ def _roots(observed: Observed) -> Array | None:
 
 def band_edges(half: float) -> Array:
     """Edges (B + 1,), Hz, of the frequency bands. The bands are octaves, the upper of which are divided into four; the lowest band
-    contains all lower frequencies. half: half of the sampling rate, which is the upper edge of the highest band."""
+    contains all lower frequencies. `half`: half of the sampling rate, which is the upper edge of the highest band."""
     octaves = 2.0 ** -np.arange(OCTAVES, -1, -1)
     fine = [np.linspace(low, 2 * low, 5)[1:] for low in octaves[-FINE - 1 : -1]]
     return half * np.concatenate([[0.0], octaves[: OCTAVES - FINE + 1], *fine])

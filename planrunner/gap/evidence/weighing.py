@@ -44,10 +44,13 @@ DEPENDENT = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One setting of the noise of a triad. flicker: factor by which the declared flicker level is multiplied. walk: SI/√s; if
-    `alike` is True, the density of the random walk in all axes; otherwise the scale of the prior for separate densities of the
-    axes. prior: for a setting with a random walk, its prior probability among all settings with one; for a setting without, its
-    prior probability among all settings without."""
+    """One setting of the noise of a triad.
+
+    `flicker`: factor by which the declared flicker level is multiplied. `walk`: SI/√s; if `alike` is True, the density of the
+    random walk in all axes; otherwise the scale of the prior for separate densities of the axes. `prior`: for a setting with a
+    random walk, its prior probability among all settings with one; for a setting without, its prior probability among all settings
+    without.
+    """
 
     flicker: float
     walk: float
@@ -131,10 +134,10 @@ class ChannelWeights:
     """The weights of one channel for one level of flicker (relative to the declared level) and one level of the random walk.
     `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
 
-    relative: (M,), variance of the noise of each coefficient, divided by white². undithered: variance of the rounding error of a
-    segment mean. log_likelihood: REML of the data without any effect. log_det: −2·log_likelihood, without the sum of the squared
-    residuals. basis: (M, q), orthonormal basis of the whitened nominal columns. scale: (M,), factors that whiten coefficients one
-    by one: all coefficients if there is no slow noise, otherwise those above order 0.
+    `relative`: (M,), variance of the noise of each coefficient, divided by white². `undithered`: variance of the rounding error of
+    a segment mean. `log_likelihood`: REML of the data without any effect. `log_det`: −2·log_likelihood, without the sum of the
+    squared residuals. `basis`: array of shape (M, q), orthonormal basis of the whitened nominal columns. `scale`: (M,), factors
+    that whiten coefficients one by one: all coefficients if there is no slow noise, otherwise those above order 0.
     """
 
     def __init__(
@@ -182,7 +185,7 @@ class ChannelWeights:
         self._fit(nominal, spectrum.values[:, channel], jointly=level > 0 or walk > 0)
 
     def _fit(self, nominal: Array, values: Array, jointly: bool) -> None:
-        """Projects the nominal columns (M, q) out of the coefficients (M,). jointly: True if the means are whitened jointly."""
+        """Projects the nominal columns (M, q) out of the coefficients (M,). `jointly`: True if the means are whitened jointly."""
         if jointly:
             factor = np.linalg.cholesky(self._covariance)
             self._inverse = np.asarray(np.linalg.inv(factor))
@@ -203,8 +206,8 @@ class ChannelWeights:
     def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
         """The weights for the covariance C + share·(C′ − C), where C is the covariance of these weights, and C′ is the covariance
         of `other`, which must contain slow noise. `share` may be negative or above 1, as long as the result is a covariance. As the
-        covariance is linear in the square of the flicker level, this gives the weights for any level of flicker. nominal: (M, q),
-        nominal columns; values: (M,), SI, coefficients of the channel."""
+        covariance is linear in the square of the flicker level, this gives the weights for any level of flicker. `nominal`: array
+        of shape (M, q), nominal columns. `values`: array of shape (M,) in SI units, coefficients of the channel."""
         made = copy(self)
         made._covariance = self._covariance + share * (other._covariance - self._covariance)
         variance = 1 / self.scale**2
@@ -300,10 +303,9 @@ class ChannelWeights:
         return float((gap**2).sum()), whole - float((basis**2).sum())
 
     def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """Whitens columns that are zero except in a few rows. columns: (n, P), values of these columns in the rows `rows` (n,).
-        Returns the rows in which the whitened columns are not zero, and the whitened values in these rows. Means are whitened
-        jointly, so each mean affects all later means.
-        """
+        """Whitens columns that are zero except in a few rows. `columns`: array of shape (n, P), values of these columns in the rows
+        `rows` (n,). Returns the rows in which the whitened columns are not zero, and the whitened values in these rows. Means are
+        whitened jointly, so each mean affects all later means."""
         if self._correlation is not None:
             whole = np.zeros((len(self.scale), columns.shape[1]))
             whole[rows] = columns
@@ -355,8 +357,8 @@ def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Co
 
 @dataclass
 class _Shared:
-    """A table of samples (N, P) whose columns belong to several effect columns. places: for each effect column, its index, its
-    channel, and the index of the table's column; acting: True for segments in which any of these effect columns acts."""
+    """A table of samples (N, P) whose columns belong to several effect columns. `places`: for each effect column, its index, its
+    channel, and the index of the table's column. `acting`: True for segments in which any of these effect columns acts."""
 
     table: Array
     places: list[tuple[int, int, int]] = field(default_factory=list)
@@ -392,8 +394,8 @@ _NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
 class Left:
     """A channel at one setting of the noise, from which some rows of coefficients may have been removed.
 
-    rows: (M,), True for the remaining rows. basis: (M, q), orthonormal basis of the whitened nominal columns on these rows;
-    residual: (M,), whitened residual. basis and residual are zero in the removed rows.
+    `rows`: (M,), True for the remaining rows. `basis`: array of shape (M, q), orthonormal basis of the whitened nominal columns on
+    these rows. `residual`: array of shape (M,), whitened residual. basis and residual are zero in the removed rows.
     """
 
     def __init__(self, weight: ChannelWeights, rows: Rows, basis: Array, residual: Array):
@@ -414,16 +416,15 @@ class Left:
 
     def whitened(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
         """Whitens columns as `ChannelWeights.whitened_rows` does, but leaves out the removed rows. The columns are zero except in a
-        few rows. columns: (n, P), their values in the rows `rows` (n,). Returns the remaining rows in which the whitened columns
-        are not zero, and the whitened values in these rows.
-        """
+        few rows. `columns`: array of shape (n, P), their values in the rows `rows` (n,). Returns the remaining rows in which the
+        whitened columns are not zero, and the whitened values in these rows."""
         at, whitened = self.weight.whitened_rows(columns, rows)
         here = self.rows[at]
         return (at, whitened) if here.all() else (at[here], whitened[here])
 
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Eigenvalues and squared scores of a design. design: columns (M, P); or a mask (M,) of rows, which means a design with one
+    """Eigenvalues and squared scores of a design. `design`: columns (M, P); or a mask (M,) of rows, which means a design with one
     column for each selected row that is zero in all other rows. Both results are empty if the design is zero in all remaining rows."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
@@ -466,7 +467,7 @@ def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
 
 
 def _seen(values: Array, along: Array, largest: float) -> Eigen:
-    """Removes from the eigenvalues and the squared scores those directions that the nominal parameters absorb completely. largest:
-    largest energy of a column before the projection."""
+    """Removes from the eigenvalues and the squared scores those directions that the nominal parameters absorb completely.
+    `largest`: largest energy of a column before the projection."""
     seen = values > _NOTHING**2 * largest
     return values[seen], along[seen]

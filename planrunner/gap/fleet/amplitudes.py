@@ -25,8 +25,8 @@ _UNDETERMINED = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class AmplitudeKey:
-    """Identifies an amplitude, so that it can be compared between runs. orientations: for an effect with separate amplitudes in
-    every orientation, the orientations in the order of their numbers; otherwise empty. shape: shape of the effect, in the unit of
+    """Identifies an amplitude, so that it can be compared between runs. `orientations`: for an effect with separate amplitudes in
+    every orientation, the orientations in the order of their numbers; otherwise empty. `shape`: shape of the effect, in the unit of
     the shape; None if the effect has no shape."""
 
     effect: str
@@ -38,8 +38,8 @@ class AmplitudeKey:
 
 @dataclass(frozen=True, slots=True)
 class AmplitudeEstimate:
-    """The estimated amplitude of an effect in one run. value, standard_uncertainty: estimate and standard uncertainty, in the unit
-    of the key."""
+    """The estimated amplitude of an effect in one run. `value`, `standard_uncertainty`: estimate and standard uncertainty, in the
+    unit of the key."""
 
     key: AmplitudeKey
     value: float
@@ -49,8 +49,8 @@ class AmplitudeEstimate:
 def amplitudes(
     weighing: Weighing, nominal: Sequence[str], effects: Sequence[tuple[Effect, float | None]]
 ) -> list[AmplitudeEstimate]:
-    """Estimates the amplitudes that a run determines. nominal: terms that the nominal simulation fits; effects: further effects,
-    each with the value of its shape, or None if it has no shape."""
+    """Estimates the amplitudes that a run determines. `nominal`: terms that the nominal simulation fits. `effects`: further
+    effects, each with the value of its shape, or None if it has no shape."""
     observed = weighing.observed
     listed = [(key, column) for key, column in zip(_terms(observed, nominal), weighing.nominal_columns, strict=True)]
     orientations = tuple(dict.fromkeys(map(orientation_key, observed.attitude)))

@@ -66,10 +66,13 @@ _NUMBERS = 2_000_000  # of the matrices M that are in memory at once
 
 @dataclass(frozen=True)
 class Estimates:
-    """Estimates of one amplitude in n runs. values, standard_uncertainties: (n,), in one unit; all are finite, and the
-    uncertainties are positive. groups: for each source except `COMMON`, the labels (n) of the groups to which the runs belong.
-    since: for each source with steps, one text for every run (n): the moment of the last step of the run's group that is not later
-    than the run; an empty text if there is no such step. After each step, the group counts as a new group."""
+    """Estimates of one amplitude in n runs.
+
+    `values`, `standard_uncertainties`: arrays of shape (n,), in one unit; all are finite, and the uncertainties are positive.
+    `groups`: for each source except `COMMON`, the labels (n) of the groups to which the runs belong. `since`: for each source with
+    steps, one text for every run (n): the moment of the last step of the run's group that is not later than the run; an empty text
+    if there is no such step. After each step, the group counts as a new group.
+    """
 
     values: Array
     standard_uncertainties: Array
@@ -83,8 +86,8 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One or more sources that group the runs in the same way. labels: (m,), for each group its label and the moment of the step
-    with which it begins (empty if there is none); members: (n,), index of the group of each run."""
+    """One or more sources that group the runs in the same way. `labels`: (m,), for each group its label and the moment of the step
+    with which it begins (empty if there is none). `members`: array of shape (n,), index of the group of each run."""
 
     sources: tuple[Source, ...]
     labels: tuple[tuple[str, str], ...]
@@ -107,10 +110,12 @@ class Uncertain:
 @dataclass(frozen=True, slots=True)
 class SourcePart:
     """The part of an amplitude that belongs to one device, bench or occasion, under the condition that this source contributes.
-    level: this part plus the part that all runs have in common. The data often determine this sum better than either of the two
-    parts. difference: this part minus the mean of the other parts of the same source. `level` and `difference` are None if every
-    group of the source has only one run; `difference` is also None if there is only one group. runs: number of runs that contain
-    the part. since: moment of the step from which the part counts; empty if it counts from the first run."""
+
+    `level`: this part plus the part that all runs have in common. The data often determine this sum better than either of the two
+    parts. `difference`: this part minus the mean of the other parts of the same source. `level` and `difference` are None if every
+    group of the source has only one run; `difference` is also None if there is only one group. `runs`: number of runs that contain
+    the part. `since`: moment of the step from which the part counts; empty if it counts from the first run.
+    """
 
     label: str
     since: str
@@ -122,11 +127,13 @@ class SourcePart:
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """The contribution of one component to an amplitude. probability: probability that the component contributes. share: fraction
-    of the mean square of the amplitude over the runs, without noise, that the component explains; the shares of all components add
-    up to 1, or all are 0. spread: posterior median of the σ of the component under the condition that it contributes;
-    spread_interval: limits of the central 95 % of this posterior. parts: the parts of the component's groups, in the order of the
-    labels."""
+    """The contribution of one component to an amplitude.
+
+    `probability`: probability that the component contributes. `share`: fraction of the mean square of the amplitude over the runs,
+    without noise, that the component explains; the shares of all components add up to 1, or all are 0. `spread`: posterior median
+    of the σ of the component under the condition that it contributes. `spread_interval`: limits of the central 95 % of this
+    posterior. `parts`: the parts of the component's groups, in the order of the labels.
+    """
 
     component: Component
     probability: float
@@ -138,7 +145,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Attribution:
-    """The attribution of an amplitude to sources. none: probability that no component contributes. probability: probability of
+    """The attribution of an amplitude to sources. `none`: probability that no component contributes. `probability`: probability of
     every subset of the components; the key of a subset consists of the names of its components, joined by '+'."""
 
     none: float
@@ -163,7 +170,7 @@ class Attribution:
 def components(
     groups: Mapping[Source, Sequence[str]], since: Mapping[Source, Sequence[str]] | None = None
 ) -> tuple[Component, ...]:
-    """Combines sources to components: the sources that group the runs in the same way form one component. groups, since: as in
+    """Combines sources to components: the sources that group the runs in the same way form one component. `groups`, `since`: as in
     `Estimates`."""
     found: dict[tuple[int, ...], tuple[list[Source], list[tuple[str, str]]]] = {}
     n = len(groups[Source.OCCASION])
@@ -322,8 +329,8 @@ class _Model:
 
     def combined(self, component: Component, combinations: Array, also: Component | None) -> tuple[Array, Array, Array]:
         """The weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of m linear combinations of the
-        parts of a component at these points. combinations: (m, groups of the component), coefficients. The single part of the
-        component `also` is added to each combination if the model contains this component."""
+        parts of a component at these points. `combinations`: array of shape (m, groups of the component), coefficients. The single
+        part of the component `also` is added to each combination if the model contains this component."""
         weights, _, _, mean, covariance = self._moments
         design = np.zeros((len(combinations), len(self._column)))
         design[:, self._column == self.chosen.index(component)] = combinations
@@ -352,8 +359,8 @@ def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tup
 def _parts(
     component: Component, having: Sequence[tuple[float, _Model]], common: Component | None
 ) -> tuple[SourcePart, ...]:
-    """The parts of a component, averaged over the models that contain it. common: the component of `Source.COMMON`, or None if this
-    is the component itself."""
+    """The parts of a component, averaged over the models that contain it. `common`: the component of `Source.COMMON`, or None if
+    this is the component itself."""
     m = len(component.labels)
     parts = _averaged([(p, *model.parts(component)) for p, model in having])
     levels: list[Uncertain | None] = [None] * m

@@ -45,11 +45,14 @@ class ChangeKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FleetChange:
-    """A change of an amplitude: a step or a drift. sources: the sources of the change, each with its label; there are several if
-    the runs cannot distinguish them. runs: indices of the runs of the first of these sources; before: for a step, the number of
-    these runs before it. earliest, latest: indices into `runs` that bound the time of a step with 95 % confidence: it occurred
-    after the run `earliest` and not after the run `latest`. size: size of a step, or of a drift per day; degrees_of_freedom: ν of
-    the standard uncertainty of `size`; p: p-value, corrected for the number of changes that were tried."""
+    """A change of an amplitude: a step or a drift.
+
+    `sources`: the sources of the change, each with its label; there are several if the runs cannot distinguish them. `runs`:
+    indices of the runs of the first of these sources. `before`: for a step, the number of these runs before it. `earliest`,
+    `latest`: indices into `runs` that bound the time of a step with 95 % confidence: it occurred after the run `earliest` and not
+    after the run `latest`. `size`: size of a step, or of a drift per day. `degrees_of_freedom`: ν of the standard uncertainty of
+    `size`. `p`: p-value, corrected for the number of changes that were tried.
+    """
 
     kind: ChangeKind
     sources: tuple[tuple[Source, str], ...]
@@ -82,9 +85,12 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A candidate change after its fit. size, u, freedom, p: estimated size, standard uncertainty, degrees of freedom and p-value;
-    chi2: χ² of the fit with this change; factor: c², by which the variances are multiplied; direction: column of the change after
-    it has been made orthogonal to the other columns, scaled to length 1."""
+    """A candidate change after its fit.
+
+    `size`, `u`, `freedom`, `p`: estimated size, standard uncertainty, degrees of freedom and p-value. `chi2`: χ² of the fit with
+    this change. `factor`: c², by which the variances are multiplied. `direction`: column of the change after it has been made
+    orthogonal to the other columns, scaled to length 1.
+    """
 
     candidate: _Candidate
     size: float
@@ -97,9 +103,11 @@ class _Tried:
 
 
 def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tuple[FleetChange, ...]:
-    """Finds the changes of an amplitude, the most significant first. given: estimates of the amplitude in order of time, with
-    groups for device and bench; days: time of every run, in days. amplitudes: number of amplitudes that are examined; p-values are
-    corrected for it."""
+    """Finds the changes of an amplitude, the most significant first.
+
+    `given`: estimates of the amplitude in order of time, with groups for device and bench. `days`: time of every run, in days.
+    `amplitudes`: number of amplitudes that are examined; p-values are corrected for it.
+    """
     time = np.asarray(days, dtype=float)
     listed = list(_candidates(given, time))
     root = 1 / given.standard_uncertainties
@@ -119,7 +127,7 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
 
 
 def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
-    """For each run, the moment of the last step of its device or bench up to this run, in the form of `Estimates.since`. moments:
+    """For each run, the moment of the last step of its device or bench up to this run, in the form of `Estimates.since`. `moments`:
     moment of every run, in order of time. A step that several sources may have made is attributed to the first of them. A step of
     all runs does not start new groups."""
     since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}

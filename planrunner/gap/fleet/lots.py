@@ -15,10 +15,12 @@ MOST_CHANCE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SharedByLot:
-    """An amplitude that distinguishes the devices of a lot from all other devices. difference: mean of the lot minus mean of the
-    others, in the unit of the key; expanded: half-width of its 95 % interval. Each device contributes one value, the mean of its
-    amplitudes. others: number of the other devices. chance: probability that a random choice of devices, as many as the lot has, is
-    exactly the lot; that is 1 divided by the number of possible choices."""
+    """An amplitude that distinguishes the devices of a lot from all other devices.
+
+    `difference`: mean of the lot minus mean of the others, in the unit of the key. `expanded`: half-width of its 95 % interval.
+    Each device contributes one value, the mean of its amplitudes. `others`: number of the other devices. `chance`: probability that
+    a random choice of devices, as many as the lot has, is exactly the lot; that is 1 divided by the number of possible choices.
+    """
 
     lot: str
     key: AmplitudeKey
@@ -33,8 +35,8 @@ def shared_by_lots(
     key: AmplitudeKey, levels: Mapping[str, Sequence[Uncertain]], lots: Mapping[str, str]
 ) -> Iterator[SharedByLot]:
     """Finds the lots whose devices all have larger amplitudes, or all have smaller ones, than all other devices, with intervals
-    that do not overlap. levels: amplitudes of each device: a single one, or one for each time between steps of the device; lots:
-    the lot of each device for which it is known."""
+    that do not overlap. `levels`: amplitudes of each device: a single one, or one for each time between steps of the device.
+    `lots`: the lot of each device for which it is known."""
     for lot in sorted(set(lots.values())):
         own = [name for name in levels if lots.get(name) == lot]
         others = [name for name in levels if lots.get(name) != lot]

@@ -31,9 +31,12 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows that have the same number of samples. starts: (W,), first sample of each window. lasting: (W,), number of samples of
-    the segment to which each window belongs. kept: (W,), fraction of the energy of a constant bias in the window that the
-    coefficients do not take up."""
+    """Windows that have the same number of samples.
+
+    `starts`: array of shape (W,), first sample of each window. `lasting`: array of shape (W,), number of samples of the segment to
+    which each window belongs. `kept`: array of shape (W,), fraction of the energy of a constant bias in the window that the
+    coefficients do not take up.
+    """
 
     starts: NDArray[np.int64]
     lasting: NDArray[np.int64]
@@ -64,7 +67,7 @@ def _summed(values: Array) -> Array:
 
 def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
     """Divides every segment at rest or turning into whole windows of `size` samples, the first of which starts at the sample
-    `begin` of the segment. within: for each basis, the cumulative sums of its vectors."""
+    `begin` of the segment. `within`: for each basis, the cumulative sums of its vectors."""
     observed, spectrum = weighing.observed, weighing.spectrum
     starts, lasting, kept = [], [], []
     known: dict[int, Array] = {}
@@ -90,9 +93,9 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """The log BF (scopes,) of bursts, from windows of one size. both: cumulative sums of the samples in units of the noise, and
-    cumulative sums of the squares of these samples. inefficiency: (K,), factor by which coloured noise makes the degrees of freedom
-    of a sum of squares smaller."""
+    """The log BF (scopes,) of bursts, from windows of one size. `both`: cumulative sums of the samples in units of the noise, and
+    cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which coloured noise makes the
+    degrees of freedom of a sum of squares smaller."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
@@ -121,13 +124,13 @@ def _overdispersion(energy: Array, degrees: float) -> Array:
 
 
 def _larger(energy: Array, degrees: float, added: Array) -> Array:
-    """The log BF (W, K, E) that the variance is 1 + a instead of 1, for each value a of `added`. energy: (W, K), energies with the
-    given degrees of freedom."""
+    """The log BF (W, K, E) that the variance is 1 + a instead of 1, for each value a of `added`. `energy`: array of shape (W, K),
+    energies with the given degrees of freedom."""
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
 def _here_and_there(windows: Array) -> float:
     """The log BF of the hypothesis that every window has the same small probability of containing a burst, against no bursts.
-    windows: (W, E), log BF of a burst in each window at each energy."""
+    `windows`: array of shape (W, E), log BF of a burst in each window at each energy."""
     each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
     return float(log_mean_exp(np.array(each).ravel(), 0))

@@ -49,10 +49,12 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 @dataclass(frozen=True)
 class Weighed:
     """A variant after whitening and evaluation; its columns no longer contain samples. gram (G, p, p) and score (G, p): values at
-    each of the G settings of the noise; trace: energy of the columns after projection, at the first setting; kept: ratio of this
-    energy to the energy before projection. by_channel: whitened, projected columns (M, p) at the first setting; raw: the same
-    columns before whitening and projection, in magnitudes. held: True if physics fixes the single amplitude to 1, so that only the
-    shape is free."""
+    each of the G settings of the noise.
+
+    `trace`: energy of the columns after projection, at the first setting. `kept`: ratio of this energy to the energy before
+    projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before whitening and
+    projection, in magnitudes. `held`: True if physics fixes the single amplitude to 1, so that only the shape is free.
+    """
 
     variant: Variant
     gram: Array = field(repr=False)
@@ -72,9 +74,9 @@ class Weighed:
         return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
 
     def if_possible(self, log_bayes: Array) -> Array:
-        """The log BF (G,) under the condition that the amplitudes are physically possible. log_bayes: (G,), log BF without this
-        condition. An effect whose best fit is physically impossible counts as no better than no effect, however well it reproduces
-        the data."""
+        """The log BF (G,) under the condition that the amplitudes are physically possible. `log_bayes`: array of shape (G,), log BF
+        without this condition. An effect whose best fit is physically impossible counts as no better than no effect, however well
+        it reproduces the data."""
         found = log_bayes + self.log_possible
         return np.minimum(found, self.log_possible) if self.excluded else found
 
@@ -114,9 +116,9 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect and its evaluated variants. log_bayes: (G,), log BF averaged over the shape of the effect. at: index of the setting
-    of the noise at which the forms are compared. This is the most probable setting without a random walk of the gyros, because a
-    random walk would explain much of what a wrong form leaves."""
+    """An effect and its evaluated variants. `log_bayes`: array of shape (G,), log BF averaged over the shape of the effect. `at`:
+    index of the setting of the noise at which the forms are compared. This is the most probable setting without a random walk of
+    the gyros, because a random walk would explain much of what a wrong form leaves."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
@@ -156,12 +158,12 @@ class Candidate:
 class Weighing:
     """A recording with its noise and its nominal model, prepared for the evaluation of effects.
 
-    removed: (N, K), SI, signal that is subtracted from the samples before they are evaluated, such as a line. held: (N, K), True
-    for samples that are replaced by the fit, such as samples that repeat an earlier one. coarse: (K,), True for channels whose
-    noise does not dither the rounding to counts; the scatter of their samples shows rounding, not noise. Each setting combines a
-    setting of the gyros and one of the accelerometers: index = gyro setting × number of accelerometer settings + accelerometer
-    setting. angles: for each channel, the columns (M, n) of `angle_columns` that act on it. outliers: (N, K), SI, errors of single
-    samples that are left out; None if there are none.
+    `removed`: array of shape (N, K) in SI units, signal that is subtracted from the samples before they are evaluated, such as a
+    line. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier one.
+    `coarse`: array of shape (K,), True for channels whose noise does not dither the rounding to counts; the scatter of their
+    samples shows rounding, not noise. Each setting combines a setting of the gyros and one of the accelerometers: index = gyro
+    setting × number of accelerometer settings + accelerometer setting. `angles`: for each channel, the columns (M, n) of
+    `angle_columns` that act on it. `outliers`: (N, K), SI, errors of single samples that are left out; None if there are none.
     """
 
     def __init__(
@@ -243,8 +245,8 @@ class Weighing:
         return np.column_stack(each)
 
     def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """The output (N, K) of the nominal model, whose parameters are fitted by least squares to all coefficients. taken: for each
-        channel, the coefficients (M,) that an effect explains; they are subtracted before the fit."""
+        """The output (N, K) of the nominal model, whose parameters are fitted by least squares to all coefficients. `taken`: for
+        each channel, the coefficients (M,) that an effect explains; they are subtracted before the fit."""
         out = self._reference.copy()
         for index, nominal in enumerate(self.whole):
             own = [column for column in self.nominal_columns if index in column.parts]
@@ -258,7 +260,7 @@ class Weighing:
 
     def seen(self, taken: Sequence[Array] | None = None) -> Observed:
         """The recording, to which the fitted output of the nominal model and the fitted response of each channel to the rate are
-        added. taken: as in `fitted`."""
+        added. `taken`: as in `fitted`."""
         observed, fitted = self.observed, self.fitted(taken)
         if observed.along is not None:
             return replace(observed, fitted=fitted)
@@ -321,7 +323,7 @@ class Weighing:
 
     def likeliest_with(self, log_bayes: Array, walking: bool) -> int:
         """Index of the most probable setting of the noise if a hypothesis is true, with or without a random walk of the gyros.
-        log_bayes: (G,), log BF of the hypothesis."""
+        `log_bayes`: array of shape (G,), log BF of the hypothesis."""
         terms = self.base + self.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
         return int(np.argmax(terms))
 
@@ -334,8 +336,8 @@ class Weighing:
         return [(weight, weight.project(raw)) for weight, raw in zip(weights, weighed.raw, strict=True)]
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
-        """Log evidence of a hypothesis, averaged over the settings of the noise. log_bayes: (G,), log BF of the hypothesis at each
-        setting."""
+        """Log evidence of a hypothesis, averaged over the settings of the noise. `log_bayes`: array of shape (G,), log BF of the
+        hypothesis at each setting."""
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
@@ -359,7 +361,7 @@ class Weighing:
         return mean, np.tensordot(share, covariances, 1) + (share[:, None] * away).T @ away
 
     def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
-        """Whitens variants and evaluates them at every setting of the noise. raw: coefficients that `projected` has already
+        """Whitens variants and evaluates them at every setting of the noise. `raw`: coefficients that `projected` has already
         computed, if any."""
         if raw is None:
             variants, raw = self.projected(variants)

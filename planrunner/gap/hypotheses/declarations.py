@@ -53,10 +53,13 @@ FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class WrongDeclaration:
-    """A wrong declaration in the bench file that explains the gap. effect: name of the effect in the catalogue. parameters:
-    parameters of the effect with which a simulation reproduces the mistake. message: what is wrong, for a finding; where: the
-    channels or axes, for the hint that tells the user what to correct. alternative: another declaration that may be wrong instead,
-    because the recording cannot distinguish the two; empty if there is none."""
+    """A wrong declaration in the bench file that explains the gap.
+
+    `effect`: name of the effect in the catalogue. `parameters`: parameters of the effect with which a simulation reproduces the
+    mistake. `message`: what is wrong, for a finding. `where`: the channels or axes, for the hint that tells the user what to
+    correct. `alternative`: another declaration that may be wrong instead, because the recording cannot distinguish the two; empty
+    if there is none.
+    """
 
     effect: str
     parameters: Mapping[str, float]
@@ -76,9 +79,12 @@ class _Reading:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Result of the free fit of the triads. readings: the reading of each channel, None if the plan does not determine it. sound:
-    True if every determined channel follows the plan after its reading (axis, sign and factor) has been taken into account. misfit:
-    sum, over the channels, of the squared residuals divided by the sum of squares of the means."""
+    """Result of the free fit of the triads.
+
+    `readings`: the reading of each channel, None if the plan does not determine it. `sound`: True if every determined channel
+    follows the plan after its reading (axis, sign and factor) has been taken into account. `misfit`: sum, over the channels, of the
+    squared residuals divided by the sum of squares of the means.
+    """
 
     readings: tuple[_Reading | None, ...]
     sound: bool

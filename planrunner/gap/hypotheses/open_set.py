@@ -39,8 +39,10 @@ _BLOCKS = 1024  # of time, over which shifted samples are summed
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A tone that keeps its phase over the whole run. frequency: in Hz; amplitude: in the unit of the channel. evidence: log Bayes
-    factor of the tone."""
+    """A tone that keeps its phase over the whole run.
+
+    `frequency`: in Hz. `amplitude`: in the unit of the channel. `evidence`: log Bayes factor of the tone.
+    """
 
     channel: str
     frequency: float
@@ -50,11 +52,14 @@ class Line:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Evidence for the patterns outside the catalogue (competitors). log_bayes: (G,), log BF of each competitor against none, for
-    each setting of the noise; −∞ for settings with a random walk of the gyros' bias; several: (G,), log BF of combinations of
-    patterns of different kinds. by_channel: (K,), log BF of each competitor in each channel alone, at the first setting of the
-    noise. outside: log BF of the patterns outside the coefficients. No effect of the catalogue acts there, so these patterns are
-    independent of every effect. lines: the strongest tone of each channel that shows a tone."""
+    """Evidence for the patterns outside the catalogue (competitors).
+
+    `log_bayes`: (G,), log BF of each competitor against none, for each setting of the noise; −∞ for settings with a random walk of
+    the gyros' bias. `several`: array of shape (G,), log BF of combinations of patterns of different kinds. `by_channel`: (K,), log
+    BF of each competitor in each channel alone, at the first setting of the noise. `outside`: log BF of the patterns outside the
+    coefficients. No effect of the catalogue acts there, so these patterns are independent of every effect. `lines`: the strongest
+    tone of each channel that shows a tone.
+    """
 
     log_bayes: dict[Pattern, Array]
     several: Array
@@ -64,7 +69,7 @@ class Kinds:
 
 
 def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
-    """Evaluates all patterns outside the catalogue. outside_: evidence for the patterns outside the basis if it has already been
+    """Evaluates all patterns outside the catalogue. `outside_`: evidence for the patterns outside the basis if it has already been
     computed."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
@@ -158,7 +163,7 @@ class _Patterns:
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
-        """The log BF of each pattern in each scope, and of a deviation in a single segment of any channel. among: the sorts to
+        """The log BF of each pattern in each scope, and of a deviation in a single segment of any channel. `among`: the sorts to
         evaluate, by default all."""
         found: dict[Pattern, list[float]] = {}
         for pattern, per_channel in self.designs:
@@ -196,8 +201,11 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
 
 @dataclass(frozen=True)
 class Outside:
-    """Evidence for the patterns outside the basis of the coefficients. log_bayes: log BF of each pattern in each scope. lines: the
-    strongest tone of each channel that shows a tone. causes: those of these tones that count as separate causes."""
+    """Evidence for the patterns outside the basis of the coefficients.
+
+    `log_bayes`: log BF of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone. `causes`:
+    those of these tones that count as separate causes.
+    """
 
     log_bayes: dict[Pattern, Array]
     lines: tuple[Line, ...]
@@ -230,11 +238,14 @@ def outside(weighing: Weighing) -> Outside:
 
 @dataclass(frozen=True)
 class _Scan:
-    """The remainder of a channel in segments at rest and turning, prepared for a periodogram. chosen: (n,), indices of the samples;
-    weight: (n,), number of raw samples in each of these samples; samples: (n,), SI, divided by the level of the noise of their
-    segments. slot: (n,), place of each sample on a grid of `length` steps of `step` seconds. level: (n,), level of the noise, as a
-    standard deviation relative to `white`; coloured: True if the spectrum of the noise is not white. The scan has no samples if the
-    run is too long or too short, or if the counts of the channel are coarse."""
+    """The remainder of a channel in segments at rest and turning, prepared for a periodogram.
+
+    `chosen`: array of shape (n,), indices of the samples. `weight`: array of shape (n,), number of raw samples in each of these
+    samples. `samples`: array of shape (n,) in SI units, divided by the level of the noise of their segments. `slot`: array of shape
+    (n,), place of each sample on a grid of `length` steps of `step` seconds. `level`: array of shape (n,), level of the noise, as a
+    standard deviation relative to `white`. `coloured`: True if the spectrum of the noise is not white. The scan has no samples if
+    the run is too long or too short, or if the counts of the channel are coarse.
+    """
 
     chosen: NDArray[np.int64]
     weight: Array
@@ -247,15 +258,18 @@ class _Scan:
     coloured: bool
 
     def energy(self, samples: Array) -> float:
-        """Energy [SI²] of samples (n,), summed over the raw samples. samples: divided by the level of the noise, like the field
+        """Energy [SI²] of samples (n,), summed over the raw samples. `samples`: divided by the level of the noise, like the field
         `samples`."""
         return float(self.weight @ samples**2)
 
 
 @dataclass(frozen=True)
 class _Periodogram:
-    """The periodogram of a scan. frequency: (F,), Hz; power: (F,), in units of the noise; amplitude: (F,), SI, amplitude of a sine
-    with this power."""
+    """The periodogram of a scan.
+
+    `frequency`: array of shape (F,) in Hz. `power`: array of shape (F,), in units of the noise. `amplitude`: array of shape (F,) in
+    SI units, amplitude of a sine with this power.
+    """
 
     frequency: Array
     power: Array
@@ -316,7 +330,7 @@ def _scan(weighing: Weighing, index: int) -> _Scan:
 
 def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
     """Fits a sine near this frequency [Hz] to the samples of a scan (Gauss–Newton in the frequency) and subtracts the part of the
-    sine that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. spacing: distance between the
+    sine that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. `spacing`: distance between the
     frequencies of the periodogram, Hz. The search starts at the highest of closely spaced values around `frequency`: gaps between
     segments make neighbouring values of the periodogram almost as high as the highest one."""
     observed, spectrum = weighing.observed, weighing.spectrum
@@ -358,8 +372,8 @@ def _local_level(power: Array) -> Array:
 
 
 def _tone(powers: list[Array]) -> float:
-    """The log BF of a tone of unknown frequency that keeps its phase and appears in several channels. powers: for each channel, the
-    powers of its periodogram."""
+    """The log BF of a tone of unknown frequency that keeps its phase and appears in several channels. `powers`: for each channel,
+    the powers of its periodogram."""
     powers = [power for power in powers if len(power)]
     if not powers:
         return -np.inf

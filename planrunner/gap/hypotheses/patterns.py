@@ -52,7 +52,7 @@ class Factor(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """One pattern outside the catalogue. factor: the factor that the gap follows if this pattern explains the gap."""
+    """One pattern outside the catalogue. `factor`: the factor that the gap follows if this pattern explains the gap."""
 
     name: str
     sort: Sort

@@ -102,8 +102,8 @@ def _evidence(parts: Sequence[Eigen]) -> Array:
 
 
 def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
-    """Coefficients (S, orders, P) of the cosine transform of exp(iωt), where t starts at zero in every segment. lasting_: (S,),
-    durations of the segments; segments of equal duration are computed once."""
+    """Coefficients (S, orders, P) of the cosine transform of exp(iωt), where t starts at zero in every segment. `lasting_`: array
+    of shape (S,), durations of the segments; segments of equal duration are computed once."""
     middles = (np.arange(NODES) + 0.5) / NODES
     cosines = (
         np.cos(np.pi * np.arange(orders)[:, None] * middles)

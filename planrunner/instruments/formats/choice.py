@@ -78,7 +78,7 @@ class FormatChoice:
 
 
 def open_file(path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], given: Format | None) -> AnyFile:
-    """Opens a file of samples in its format. given: format from the bench file; None if the extension of the file name determines
+    """Opens a file of samples in its format. `given`: format from the bench file; None if the extension of the file name determines
     it. Raises `InstrumentError` if the format is unknown or the file cannot be opened."""
     kind = ENDINGS.get(path.suffix.lower()) if given is None else given.type
     if kind is None:

@@ -28,8 +28,8 @@ BATCH = 65_536  # rows
 
 
 def open_samples(path: Path, name: str) -> BinaryIO:
-    """Opens the file of a recording, positioned at its start. name: name of the file, used in messages. Raises `InstrumentError` if
-    it is not a regular file or is too large."""
+    """Opens the file of a recording, positioned at its start. `name`: name of the file, used in messages. Raises `InstrumentError`
+    if it is not a regular file or is too large."""
     try:
         return open_regular(path, MAX_BYTES)
     except RefusedFileError as refused:
@@ -47,8 +47,9 @@ def few_columns(count: int, name: str) -> None:
 class TimeStamps:
     """Describes where the time of a row comes from.
 
-    column: the column with the time or with a counter; None if the rows are counted. scale: seconds per unit of the column. period:
-    time [s] between rows if the rows are counted. wraps: value at which the counter starts again from zero, None if it never does.
+    `column`: the column with the time or with a counter; None if the rows are counted. `scale`: seconds per unit of the column.
+    `period`: time [s] between rows if the rows are counted. `wraps`: value at which the counter starts again from zero, None if it
+    never does.
     """
 
     column: str | None
@@ -67,7 +68,7 @@ class TimeStamps:
 
 
 class SampleRows(Protocol):
-    """Consecutive rows of a file. count: number of rows."""
+    """Consecutive rows of a file. `count`: number of rows."""
 
     @property
     def count(self) -> int: ...
@@ -105,10 +106,12 @@ Keys = TypeVar("Keys", bound=Record, covariant=True)
 
 
 class FormatFile(ABC, Generic[Keys]):
-    """A file of samples in some format. name: name of the file, used in messages; stamps: source of the time of a row; channels:
-    for each channel, the name of its column; parameters: the keys of the format in the bench file.
+    """A file of samples in some format.
 
-    origin: time of the first row, s; interval: median time between the first rows, s, NaN if there is only one row; about:
+    `name`: name of the file, used in messages. `stamps`: source of the time of a row. `channels`: for each channel, the name of its
+    column. `parameters`: the keys of the format in the bench file.
+
+    `origin`: time of the first row, s. `interval`: median time between the first rows, s, NaN if there is only one row. `about`:
     approximate number of rows. `look` sets `origin`, `interval` and `about`.
     """
 
@@ -137,7 +140,7 @@ class FormatFile(ABC, Generic[Keys]):
         return (OSError, UnicodeDecodeError)
 
     def hint(self, column: str, known: list[str]) -> str:
-        """A hint about a column that the file does not have. known: names of the columns of the file."""
+        """A hint about a column that the file does not have. `known`: names of the columns of the file."""
         return closest(column, known)
 
     @property
@@ -209,7 +212,7 @@ class FormatFile(ABC, Generic[Keys]):
             raise self.unreadable(error) from None
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
-        """Raises `InstrumentError` unless every time is present and later than the time of the previous row. before: time of the
+        """Raises `InstrumentError` unless every time is present and later than the time of the previous row. `before`: time of the
         last row of the previous batch."""
         if not np.all(np.isfinite(time)):
             row = first + int(np.flatnonzero(~np.isfinite(time))[0])
@@ -235,7 +238,7 @@ AnyFile = FormatFile[Record]
 
 @dataclass(frozen=True, slots=True)
 class HeldRows:
-    """Rows in memory. count: number of rows; values: the values (count,) of each column."""
+    """Rows in memory. `count`: number of rows. `values`: the values (count,) of each column."""
 
     count: int
     values: Mapping[str, NDArray[np.generic]]

@@ -77,10 +77,10 @@ _MATRIX = re.compile(r"\[([123])\]$")
 class LikelyTime:
     """The column that probably contains the time.
 
-    column: name of the column. unit: unit of its values; s if `per_second` is given. rate: sample rate, Hz. per_second: counts per
-    second if the column is a counter, otherwise None. wraps: value at which the counter returns to zero; None if it never does.
-    sure: True if the name of the column states the unit, or if the rate in this unit is one that the file states. line: the line of
-    the file from which `per_second` was guessed, otherwise empty."""
+    `column`: name of the column. `unit`: unit of its values; s if `per_second` is given. `rate`: sample rate, Hz. `per_second`:
+    counts per second if the column is a counter, otherwise None. `wraps`: value at which the counter returns to zero; None if it
+    never does. `sure`: True if the name of the column states the unit, or if the rate in this unit is one that the file states.
+    `line`: the line of the file from which `per_second` was guessed, otherwise empty."""
 
     column: str
     unit: str
@@ -109,8 +109,10 @@ class LikelyTime:
 
 @dataclass(frozen=True, slots=True)
 class StatedRate:
-    """A rate that a file states before its header. rate: Hz; line: the line, shortened; of_samples: True if the line says that this is
-    the rate of the samples."""
+    """A rate that a file states before its header.
+
+    `rate`: Hz. `line`: the line, shortened. `of_samples`: True if the line says that this is the rate of the samples.
+    """
 
     rate: float
     line: str
@@ -119,8 +121,11 @@ class StatedRate:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A guess about a column that may be a channel. sensed: gyro, accel, temperature, or empty if unknown; axis: x, y, z, or empty;
-    unit: the unit that the name of the column contains, or empty."""
+    """A guess about a column that may be a channel.
+
+    `sensed`: gyro, accel, temperature, or empty if unknown. `axis`: x, y, z, or empty. `unit`: the unit that the name of the column
+    contains, or empty.
+    """
 
     column: str
     sensed: str
@@ -247,7 +252,7 @@ def stated_rates(path: Path, name: str, given: Format | None) -> tuple[StatedRat
 def guessed_time(first: Mapping[str, Array], stated: Sequence[StatedRate] = ()) -> LikelyTime | None:
     """Guesses the column of the time from the first rows of all columns; None if no column looks like a time.
 
-    stated: the rates that the file states."""
+    `stated`: the rates that the file states."""
     for pattern in (_TIME, re.compile("")):
         for column, values in first.items():
             if pattern.pattern and not pattern.search(column):
@@ -274,8 +279,8 @@ def guessed_time(first: Mapping[str, Array], stated: Sequence[StatedRate] = ()) 
 def wrap_of(backwards: Array, step: float, least: float, most: float) -> float | None:
     """The value at which a counter returns to zero; None if its values decrease for another reason.
 
-    backwards: the steps of the counter that are not positive; step: its median step; least, most: its smallest and its largest
-    value."""
+    `backwards`: the steps of the counter that are not positive. `step`: its median step. `least`, `most`: its smallest and its
+    largest value."""
     if not len(backwards) or step <= 0 or least < 0:
         return None
     fits = (w for w in _WRAPS if most < w and np.all((backwards + w > 0) & (backwards + w <= LONGEST_STEP * step)))
@@ -285,7 +290,8 @@ def wrap_of(backwards: Array, step: float, least: float, most: float) -> float |
 def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
     """The steps of the time between those rows that contain a sample of a gyro or an accelerometer.
 
-    In a log of several instruments, other rows contain no such sample. steps: (n - 1,), steps of the time between all rows."""
+    In a log of several instruments, other rows contain no such sample. `steps`: array of shape (n - 1,), steps of the time between
+    all rows."""
     held = [
         np.isfinite(values) for column, values in first.items() if guessed_channel(column).sensed in ("gyro", "accel")
     ]
@@ -302,9 +308,9 @@ def _time_of(
 ) -> LikelyTime | None:
     """Describes the time in a column; None if no unit of time leads to a usual sample rate.
 
-    step: median step of the column; whole: True if its values are whole numbers. A unit that leads to a stated rate is sure. Only a
-    column of whole numbers can be a counter of unknown frequency. It counts as one if the file states the rate of its samples, and
-    each unit of time leads to a very different rate."""
+    `step`: median step of the column. `whole`: True if its values are whole numbers. A unit that leads to a stated rate is sure.
+    Only a column of whole numbers can be a counter of unknown frequency. It counts as one if the file states the rate of its
+    samples, and each unit of time leads to a very different rate."""
     for pattern, per_second in _COUNTERS:
         if pattern.search(column):
             return LikelyTime(column, "s", per_second / step, per_second, wraps)
@@ -350,8 +356,8 @@ def guessed_channel(column: str) -> Guess:
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
-    """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. level: for a gyro, a large
-    absolute value of the column; for an accelerometer, the length of the mean vector at rest; accel_unit: for a gyro, the unit of
+    """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. `level`: for a gyro, a large
+    absolute value of the column; for an accelerometer, the length of the mean vector at rest. `accel_unit`: for a gyro, the unit of
     the accelerometers."""
     if sensed == "accel":
         lengths = (

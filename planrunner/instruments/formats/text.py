@@ -124,7 +124,7 @@ class TextFile(FormatFile[TextKeys]):
     def _few_wrong(self, rows: int) -> None:
         """Raises `InstrumentError` if too many lines have a wrong number of columns.
 
-        rows: number of lines that have the right number of columns."""
+        `rows`: number of lines that have the right number of columns."""
         wrong = len(self._wrong)
         if wrong > MOST_WRONG * rows:
             message = f"{wrong} of {rows + wrong} lines have another number of columns than the header, such as '{self._wrong[0][:40]}'"

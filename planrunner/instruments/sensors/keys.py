@@ -94,8 +94,11 @@ def sensor_model(
     resolutions: Mapping[str, float],
     inclinometers: Collection[str] = (),
 ) -> SensorModel:
-    """Makes the model of a sensor. channels: the unit of each channel, by name. resolutions: size of one count of each channel, in
-    the unit of the channel. inclinometers: channels in units of acceleration that are not accelerometers."""
+    """Makes the model of a sensor.
+
+    `channels`: the unit of each channel, by name. `resolutions`: size of one count of each channel, in the unit of the channel.
+    `inclinometers`: channels in units of acceleration that are not accelerometers.
+    """
     outputs = tuple(
         _output(name, text, resolutions.get(name, 0.0), parameters, name not in inclinometers)
         for name, text in channels.items()
@@ -114,7 +117,7 @@ def sensor_model(
 
 
 def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters, inertial: bool) -> OutputModel:
-    """Makes the model of an output. inertial: False for the output of an inclinometer, to which the declared properties of the
+    """Makes the model of an output. `inertial`: False for the output of an inclinometer, to which the declared properties of the
     accelerometers do not apply."""
     known: GyroKnowledge | AccelerometerKnowledge | None = None
     walk: Quantity | None = None

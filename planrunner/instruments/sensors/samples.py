@@ -20,10 +20,12 @@ Whole = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Samples of several frames, one element per frame in every array. received: time of reception, s; counter: counter of the
-    frame, as sent; latency: s, as reported by the sensor; channels: values (n,) by name; doubtful: True for frames that a status
-    bit marks as doubtful; doubts: meanings of the status bits that did so; refused: number of frames that cannot be decoded
-    although their checksum is correct."""
+    """Samples of several frames, one element per frame in every array.
+
+    `received`: time of reception, s. `counter`: counter of the frame, as sent. `latency`: s, as reported by the sensor. `channels`:
+    values (n,) by name. `doubtful`: True for frames that a status bit marks as doubtful. `doubts`: meanings of the status bits that
+    did so. `refused`: number of frames that cannot be decoded although their checksum is correct.
+    """
 
     received: Array
     counter: Whole
@@ -68,7 +70,7 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits of a frame, in the field `item`. words: for each bit that can mark a frame as doubtful, its meaning. A frame is
+    """Status bits of a frame, in the field `item`. `words`: for each bit that can mark a frame as doubtful, its meaning. A frame is
     doubtful if one of these bits is set or, with `set_is_good`, if one of them is clear."""
 
     item: Field
@@ -81,9 +83,9 @@ class Status:
 class FrameLayout:
     """Decodes frames with a fixed layout.
 
-    fields: position of each number, by channel; units: unit of each channel; counts: position of the counter, None if there is
-    none; latency: position of the latency, whose `scale` converts it to seconds; means: channels that are the mean of other
-    channels, with the names of those; zeros: offset that is added to a channel.
+    `fields`: position of each number, by channel. `units`: unit of each channel. `counts`: position of the counter, None if there
+    is none. `latency`: position of the latency, whose `scale` converts it to seconds. `means`: channels that are the mean of other
+    channels, with the names of those. `zeros`: offset that is added to a channel.
     """
 
     framing: Framing

@@ -21,7 +21,7 @@ FIRST = 0.25
 
 
 class Arriving(Protocol):
-    """A source of bytes from a sensor. ring: buffer of the bytes that have not been taken."""
+    """A source of bytes from a sensor. `ring`: buffer of the bytes that have not been taken."""
 
     @property
     def ring(self) -> Ring: ...
@@ -31,10 +31,12 @@ class Arriving(Protocol):
 
 
 class SegmentStream:
-    """The stream of one segment: `wanted` samples after the time `start` [s by the bench's clock]. byte_time: time per byte on the
-    line, s; skew: relative skew of the sensor's clock, as determined from earlier frames; haste: seconds of the bench's clock per
-    second of real time. over: True after all samples have been returned. heard: number of good frames in the last call of
-    `advance`; fresh: number of those that are later than all earlier frames."""
+    """The stream of one segment: `wanted` samples after the time `start` [s by the bench's clock].
+
+    `byte_time`: time per byte on the line, s. `skew`: relative skew of the sensor's clock, as determined from earlier frames.
+    `haste`: seconds of the bench's clock per second of real time. `over`: True after all samples have been returned. `heard`:
+    number of good frames in the last call of `advance`. `fresh`: number of those that are later than all earlier frames.
+    """
 
     def __init__(
         self,

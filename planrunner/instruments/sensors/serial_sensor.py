@@ -37,9 +37,11 @@ BACKLOG = 0.1
 
 
 class FirstFrames:
-    """The first frames after connecting, and what they show. seconds: time between the first and the last good frame, not counting
-    frames that waited in buffers. heard: time of the last good frame. haste: seconds of the bench's clock per second of real time;
-    buffers follow real time."""
+    """The first frames after connecting, and what they show.
+
+    `seconds`: time between the first and the last good frame, not counting frames that waited in buffers. `heard`: time of the last
+    good frame. `haste`: seconds of the bench's clock per second of real time; buffers follow real time.
+    """
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
         self._decoder, self._rate, self._backlog = decoder, rate, BACKLOG * haste

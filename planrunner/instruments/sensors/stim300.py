@@ -106,7 +106,7 @@ class Stim300(SerialSensor[Stim300Parameters]):
 
 
 def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: float) -> FrameLayout:
-    """The positions of the fields in a datagram. Scales are in deg/s and g per count. rate: sample rate, Hz."""
+    """The positions of the fields in a datagram. Scales are in deg/s and g per count. `rate`: sample rate, Hz."""
     contents = DATAGRAMS[datagram]
     clusters = [("gyro", gyro_scale, "deg/s")]
     clusters += [("accel", acceleration_scale, "g")] if "a" in contents else []

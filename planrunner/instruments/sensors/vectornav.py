@@ -170,7 +170,7 @@ def word(fields: tuple[str, ...]) -> int:
 
 
 def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
-    """The layout of a binary message that contains these fields of the common group. rate: sample rate, Hz."""
+    """The layout of a binary message that contains these fields of the common group. `rate`: sample rate, Hz."""
     found: dict[str, Field] = {}
     units: dict[str, str] = {}
     counts, counter = None, FrameCounter(1 / rate)
@@ -190,7 +190,7 @@ def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
 
 @dataclass(frozen=True)
 class LineDecoder:
-    """Decodes lines of text of one kind. rate: sample rate, Hz."""
+    """Decodes lines of text of one kind. `rate`: sample rate, Hz."""
 
     name: str
     rate: float

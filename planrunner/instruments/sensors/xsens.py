@@ -105,7 +105,7 @@ class XsensMti(SerialSensor[XsensParameters]):
 
 
 def message(identifier: int, data: bytes = b"") -> bytes:
-    """The bytes of a message to the sensor. data: data of the message, at most 254 bytes."""
+    """The bytes of a message to the sensor. `data`: data of the message, at most 254 bytes."""
     body = bytes([0xFF, identifier, len(data)]) + data
     return b"\xfa" + body + bytes([ZERO_SUM8.of(body)])
 

@@ -20,7 +20,7 @@ END = b"\r"
 
 
 class PromptedLines:
-    """Reads the reply to a command: a line, then a line that contains only the prompt. telling: True to skip empty replies. A
+    """Reads the reply to a command: a line, then a line that contains only the prompt. `telling`: True to skip empty replies. A
     motion that ends sends an empty reply, which may arrive between a query and the reply to the query."""
 
     def __init__(self, *, telling: bool = False):

@@ -246,7 +246,7 @@ class AxisTable(Commanded[AxisCommands]):
         return spin_up_time(self.axes[course.joint], course.rate - float(rates[course.joint]))
 
     def _turn(self, index: int, rate: float, standing: Mapping[int, float]) -> None:
-        """Starts to turn the axis `index` at a constant rate. standing: joint angles [rad] by index of the axis; the other axes
+        """Starts to turn the axis `index` at a constant rate. `standing`: joint angles [rad] by index of the axis; the other axes
         hold these angles."""
         self._aim = Aim({other: joint for other, joint in standing.items() if other != index}, {index: rate})
         axis = self.counted[index]
@@ -354,7 +354,7 @@ class AxisTable(Commanded[AxisCommands]):
 
 
 def _refuse(excess: Sequence[Excess], where: str = "") -> None:
-    """Raises `InstrumentError` if a motion exceeds a limit of the table. where: text with which the message begins."""
+    """Raises `InstrumentError` if a motion exceeds a limit of the table. `where`: text with which the message begins."""
     if excess:
         raise InstrumentError(where + "; ".join(one.message for one in excess))
 

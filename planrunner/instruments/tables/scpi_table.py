@@ -26,7 +26,7 @@ from planrunner.plan.source import Node, Scalar
 
 @dataclass(frozen=True, slots=True)
 class CommandTemplate:
-    """A command as a text with placeholders. places: the names that may appear in braces."""
+    """A command as a text with placeholders. `places`: the names that may appear in braces."""
 
     places: tuple[str, ...]
 

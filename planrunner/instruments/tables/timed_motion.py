@@ -28,8 +28,8 @@ class CalledOffError(Exception):
 
 
 class TimedMotion:
-    """Performs timed motions, one at a time. broken: the reason why a motion could not continue, in words; empty if there is none.
-    patience: the run must query the table at least once within this real time [s]."""
+    """Performs timed motions, one at a time. `broken`: the reason why a motion could not continue, in words; empty if there is
+    none. `patience`: the run must query the table at least once within this real time [s]."""
 
     def __init__(self, clock: Clock):
         self.broken = ""
@@ -40,8 +40,8 @@ class TimedMotion:
         self._called_off = threading.Event()
 
     def begin(self, what: str, commands: Callable[[], None]) -> None:
-        """Runs the function `commands` on a thread; the function waits with `until` between its commands. what: text with which the
-        message begins if `commands` fails."""
+        """Runs the function `commands` on a thread; the function waits with `until` between its commands. `what`: text with which
+        the message begins if `commands` fails."""
         self.call_off()
         self._called_off.clear()
         self.looked_at()
@@ -80,8 +80,11 @@ class TimedMotion:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One turn of a cycle. begins, brakes, ends: times since the start of the cycle, s; rate: signed rate, rad/s; target: angle at
-    the end of the turn, relative to the initial position, rad."""
+    """One turn of a cycle.
+
+    `begins`, `brakes`, `ends`: times since the start of the cycle, s. `rate`: signed rate, rad/s. `target`: angle at the end of the
+    turn, relative to the initial position, rad.
+    """
 
     begins: float
     brakes: float
@@ -91,8 +94,8 @@ class Turn:
 
 
 def turns_of(motion: Cycle, acceleration: float) -> Iterator[Turn]:
-    """Yields the turns of a cycle, repeated endlessly, each after a stop. acceleration: in rad/s^2. The angle of a turn is the area
-    under its rate, which is a trapezoid or a triangle. With equal ramps, this area is the rate multiplied by the time from the
+    """Yields the turns of a cycle, repeated endlessly, each after a stop. `acceleration`: in rad/s^2. The angle of a turn is the
+    area under its rate, which is a trapezoid or a triangle. With equal ramps, this area is the rate multiplied by the time from the
     start of the turn until the axis brakes."""
     now = target = 0.0
     for move in again(motion.moves):

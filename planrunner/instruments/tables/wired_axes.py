@@ -60,8 +60,10 @@ class WiredTableKeys(TableKeys):
 
 @dataclass(frozen=True, slots=True)
 class CountedAxis:
-    """An axis as its controller counts it. number: number of the axis; zero: reading [deg] of the controller at the joint angle
-    zero; sense: 1 or −1."""
+    """An axis as its controller counts it.
+
+    `number`: number of the axis. `zero`: reading [deg] of the controller at the joint angle zero. `sense`: 1 or −1.
+    """
 
     number: int
     zero: float

@@ -16,10 +16,13 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """The conditions at some samples. time: (n,), middle of each sampling interval, s since the start of the run; power_on: time at
-    which the sensor was switched on, s, by the same clock. angle: (n,), rad, rotation of the table since it reached the
-    orientation; rate: rate of this rotation, rad/s; kelvin: temperature of the sensor, K; overvoltage: supply voltage minus its
-    nominal value, V; overpressure: ambient pressure minus the standard atmosphere, Pa."""
+    """The conditions at some samples.
+
+    `time`: array of shape (n,), middle of each sampling interval, s since the start of the run. `power_on`: time at which the
+    sensor was switched on, s, by the same clock. `angle`: array of shape (n,) in rad, rotation of the table since it reached the
+    orientation. `rate`: rate of this rotation, rad/s. `kelvin`: temperature of the sensor, K. `overvoltage`: supply voltage minus
+    its nominal value, V. `overpressure`: ambient pressure minus the standard atmosphere, Pa.
+    """
 
     segment: Segment
     time: Array
@@ -34,8 +37,10 @@ class Moments:
 
 @dataclass(frozen=True, slots=True)
 class Gives:
-    """Unit and noise of one output of the sensor. unit: unit of the output; white: coefficient N of the white noise, unit·√s; step:
-    smallest step of a sample, unit."""
+    """Unit and noise of one output of the sensor.
+
+    `unit`: unit of the output. `white`: coefficient N of the white noise, unit·√s. `step`: smallest step of a sample, unit.
+    """
 
     unit: str
     white: float

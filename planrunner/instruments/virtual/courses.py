@@ -27,8 +27,8 @@ TURN = 2 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A time interval [s] within which a course is smooth. pace: the largest rate of change of the phases of its sines, rad/s; 0 if
-    nothing moves."""
+    """A time interval [s] within which a course is smooth. `pace`: the largest rate of change of the phases of its sines, rad/s; 0
+    if nothing moves."""
 
     begin: float
     end: float
@@ -245,7 +245,7 @@ class Cycling:
 
 
 def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[float], float]) -> list[Stretch]:
-    """The intervals of smooth motion between two times, divided at the given breaks. pace: function that returns the pace of an
+    """The intervals of smooth motion between two times, divided at the given breaks. `pace`: function that returns the pace of an
     interval from the time in its middle."""
     times = [begin, *sorted(time for time in set(breaks) if begin < time < end), end]
     return [Stretch(first, last, pace((first + last) / 2)) for first, last in pairwise(times)]

@@ -51,8 +51,8 @@ _SWITCH_ON = 1  # second part of the key of a generator: apart from those of seg
 
 @dataclass(frozen=True, slots=True)
 class _Dwell:
-    """State of the sensor while one segment is recorded. chances: (axes, 2), random numbers for the repeatability of bias and scale
-    factor, drawn at switch-on; counters: pulse counters of the outputs that count."""
+    """State of the sensor while one segment is recorded. `chances`: array of shape (axes, 2), random numbers for the repeatability
+    of bias and scale factor, drawn at switch-on. `counters`: pulse counters of the outputs that count."""
 
     segment: Segment | None
     sampling: Sampling
@@ -244,8 +244,8 @@ class VirtualImu(TakesEffects):
         kelvin: Array,
         middles: Array,
     ) -> Array:
-        """The output of one axis without white noise, computed from mean rates and forces over the sampling intervals. kelvin,
-        middles: temperature [K] and time [s] in the middle of every second."""
+        """The output of one axis without white noise, computed from mean rates and forces over the sampling intervals. `kelvin`,
+        `middles`: temperature [K] and time [s] in the middle of every second."""
         sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
         off = kelvin - self.parameters.reference_temperature.value
@@ -259,7 +259,7 @@ class VirtualImu(TakesEffects):
     def _samples(
         self, axis: InertialAxis, dwell: _Dwell, level: Array, length: int, gives: Gives | None = None
     ) -> Array:
-        """Draws the samples of one axis around its level. gives: noise of the output, by default the declared noise."""
+        """Draws the samples of one axis around its level. `gives`: noise of the output, by default the declared noise."""
         sampling = dwell.sampling
         gives = gives or self._gives(axis, sampling)
         sigma = gives.white * math.sqrt(sampling.rate)

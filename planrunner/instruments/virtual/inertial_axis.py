@@ -37,10 +37,12 @@ WARM_UP_TIME = 600.0  # s, where nothing is said of it
 
 @dataclass(frozen=True, slots=True)
 class InertialAxis:
-    """One input axis and its coefficients. name, unit: name and unit of the output; direction: (3,), unit vector in the sensor's
-    frame; nominal: declared K, in the output's unit per SI input; error: δ; step: smallest step of a sample in `unit`, or size of a
-    count in unit·s if `counted`; white: N, SI·√s; walk: coefficient K of the random walk, SI/√s; warm_up: A, SI; warm_up_time: τ,
-    s."""
+    """One input axis and its coefficients.
+
+    `name`, `unit`: name and unit of the output. `direction`: (3,), unit vector in the sensor's frame. `nominal`: declared K, in the
+    output's unit per SI input. `error`: δ. `step`: smallest step of a sample in `unit`, or size of a count in unit·s if `counted`.
+    `white`: N, SI·√s. `walk`: coefficient K of the random walk, SI/√s. `warm_up`: A, SI. `warm_up_time`: τ, s.
+    """
 
     name: str
     unit: str
@@ -86,23 +88,26 @@ class InertialAxis:
         return OutputModel(self.name, self.unit, self.full_scale * self.nominal, noise, senses=senses)
 
     def step_of_sample(self, rate: float) -> float:
-        """The smallest step of one sample, in `unit`. rate: sample rate, Hz."""
+        """The smallest step of one sample, in `unit`. `rate`: sample rate, Hz."""
         return self.step * rate if self.counted else self.step
 
     def scale(self, off: Array, drawn: float) -> Array:
-        """True scale factor in the output's unit per SI input. off: difference [K] from the reference temperature; drawn: relative
-        error that was drawn at switch-on."""
+        """True scale factor in the output's unit per SI input. `off`: difference [K] from the reference temperature. `drawn`:
+        relative error that was drawn at switch-on."""
         return self.nominal * (1 + self.error + drawn + _polynomial(self.error_temperature, off))
 
     def drift(self, off: Array, since: Array, drawn: float) -> Array:
-        """Bias in SI units. off: difference [K] from the reference temperature; since: time [s] after switch-on; drawn: bias that
-        was drawn at switch-on."""
+        """Bias in SI units.
+
+        `off`: difference [K] from the reference temperature. `since`: time [s] after switch-on. `drawn`: bias that was drawn at
+        switch-on.
+        """
         steady = self.bias + drawn + _polynomial(self.bias_temperature, off)
         return steady + self.warm_up * np.exp(-since / self.warm_up_time) if self.warm_up else steady
 
     def by_surroundings(self, volts: float, pascals: float) -> tuple[float, float]:
-        """Changes of the bias (SI) and of the scale factor (relative) due to supply voltage and pressure. volts: supply voltage
-        above its nominal value, V; pascals: pressure above the standard atmosphere, Pa."""
+        """Changes of the bias (SI) and of the scale factor (relative) due to supply voltage and pressure. `volts`: supply voltage
+        above its nominal value, V. `pascals`: pressure above the standard atmosphere, Pa."""
         return (
             self.bias_supply * volts + self.bias_pressure * pascals,
             self.error_supply * volts + self.error_pressure * pascals,
@@ -121,7 +126,7 @@ class InertialAxis:
         return felt
 
     def level(self, felt: Value, drift: Array, scale: Array, hold: int) -> Array:
-        """The output without white noise, in `unit`. drift, scale: one value for every `hold` samples. The result has as many
+        """The output without white noise, in `unit`. `drift`, `scale`: one value for every `hold` samples. The result has as many
         values as `felt`, or as `drift` if `felt` is a float."""
         if isinstance(felt, np.ndarray):
             drift, scale = (np.repeat(values, hold)[: felt.size] for values in (drift, scale))

@@ -39,7 +39,7 @@ def _growth(step: float, length: int) -> Array:
 
 
 class Flicker:
-    """Bias instability of one output. coefficient: coefficient B, in the output's unit."""
+    """Bias instability of one output. `coefficient`: coefficient B, in the output's unit."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -89,7 +89,7 @@ class Flicker:
 
 
 class RandomWalk:
-    """A bias that is a random walk: after T s, its standard deviation is coefficient·√T [unit]. coefficient: K, in unit/√s."""
+    """A bias that is a random walk: after T s, its standard deviation is coefficient·√T [unit]. `coefficient`: K, in unit/√s."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -119,7 +119,7 @@ class RandomWalk:
 
 
 class GaussMarkov:
-    """A bias with the covariance σ²·exp(−|t − t'|/τ) [unit²]. sigma: σ, in the output's unit; tau: τ, s."""
+    """A bias with the covariance σ²·exp(−|t − t'|/τ) [unit²]. `sigma`: σ, in the output's unit. `tau`: τ, s."""
 
     def __init__(self, sigma: float, tau: float):
         self.sigma, self.tau = sigma, tau
@@ -157,8 +157,8 @@ class GaussMarkov:
 
 
 class PulseCounter:
-    """An integrating output that counts pulses: the remainder of a sample is carried to the next sample. step: smallest step of one
-    sample, in the output's unit."""
+    """An integrating output that counts pulses: the remainder of a sample is carried to the next sample. `step`: smallest step of
+    one sample, in the output's unit."""
 
     def __init__(self, step: float):
         self.step = step

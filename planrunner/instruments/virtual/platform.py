@@ -37,8 +37,9 @@ from planrunner.plan.units import STANDARD_GRAVITY
 class RingEncoders:
     """The readings of the table's ring encoders during one recording.
 
-    before, after: (k,), rad, deviation of each ring's position from its reading, before and after the ring has come to rest at the
-    end of the rocking. lag: time [s] by which a reading lags behind a moving ring. wander: random walk of the servos, rad/√s.
+    `before`, `after`: arrays of shape (k,) in rad, deviation of each ring's position from its reading, before and after the ring
+    has come to rest at the end of the rocking. `lag`: time [s] by which a reading lags behind a moving ring. `wander`: random walk
+    of the servos, rad/√s.
     """
 
     before: Array
@@ -67,8 +68,8 @@ class RingEncoders:
 
 
 def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
-    """Outer, middle and inner gimbal angle [rad], each (n,). base, element: axes of the base and of the element as rows, both (n,
-    3, 3).
+    """Outer, middle and inner gimbal angle [rad], each (n,). `base`, `element`: axes of the base and of the element as rows, both
+    (n, 3, 3).
 
     The outer gimbal turns about the x axis of the base, the middle gimbal about its own y axis, and the inner gimbal, which carries
     the element, about its own z axis.
@@ -81,8 +82,8 @@ def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
 
 
 def resolver(angle: Array, error: float, speeds: int, phase: float) -> Array:
-    """The reading [rad] at `angle` [rad] of a resolver with `speeds` electrical turns per mechanical turn. error: amplitude of the
-    resolver's error [rad]."""
+    """The reading [rad] at `angle` [rad] of a resolver with `speeds` electrical turns per mechanical turn. `error`: amplitude of
+    the resolver's error [rad]."""
     return angle + error * np.sin(speeds * angle + phase)
 
 

@@ -26,9 +26,12 @@ CATCH_UP = 100.0  # Hz, with which the time between two recordings is followed
 
 @dataclass(frozen=True, slots=True)
 class DriftLaw:
-    """Coefficients of the drift of the stabilised element. constant: constant drift rate, rad/s. rectified: drift rate divided by
-    the square of the base's angular rate, s. random_walk: coefficient of the random walk, rad/√s. leaving: time constant with which
-    the element leaves the dead region of the levelling loops after its release, s."""
+    """Coefficients of the drift of the stabilised element.
+
+    `constant`: constant drift rate, rad/s. `rectified`: drift rate divided by the square of the base's angular rate, s.
+    `random_walk`: coefficient of the random walk, rad/√s. `leaving`: time constant with which the element leaves the dead region of
+    the levelling loops after its release, s.
+    """
 
     constant: Array
     rectified: Array
@@ -40,9 +43,10 @@ class DriftLaw:
 class Element:
     """State of the element since it was caged or released.
 
-    caged: rotation vector (3,) [rad] from the base to the element while caged, in axes of the base. released: time of release, s;
-    None while caged. axes: (3, 3), axes of the element at its release, as rows in East-North-Up. left: (3,), rad, total rotation by
-    which the element leaves the dead region. drifted: (3,), rad, drift angle at the time `at` [s].
+    `caged`: rotation vector (3,) [rad] from the base to the element while caged, in axes of the base. `released`: time of release,
+    s; None while caged. `axes`: array of shape (3, 3), axes of the element at its release, as rows in East-North-Up. `left`: array
+    of shape (3,) in rad, total rotation by which the element leaves the dead region. `drifted`: array of shape (3,) in rad, drift
+    angle at the time `at` [s].
     """
 
     caged: Array
@@ -53,8 +57,8 @@ class Element:
     at: float = 0.0
 
     def release(self, world: World, left: Array) -> Element:
-        """Releases the element, which is then fixed in inertial space except for its drift. left: rotation vector (3,) by which the
-        element leaves the dead region, rad."""
+        """Releases the element, which is then fixed in inertial space except for its drift. `left`: rotation vector (3,) by which
+        the element leaves the dead region, rad."""
         if self.released is not None:
             return self
         now = world.now()
@@ -83,7 +87,7 @@ class Element:
         """Returns the axes of the element at `times` as rows in East-North-Up, shape (n, 3, 3), and the state of the element after
         these times. `times` start at `at` and are `step` s apart.
 
-        base: (n, 3, 3), axes of the base at the same times.
+        `base`: array of shape (n, 3, 3), axes of the base at the same times.
         """
         if self.released is None or self.axes is None or self.left is None or self.drifted is None:
             return self._held(base), self

@@ -24,9 +24,9 @@ _SAMPLES = np.arange(BLOCK + 1, dtype=float)
 class Sampling:
     """How the dwell of one segment is sampled.
 
-    start: start time of the dwell, s; rate: sample rate, Hz; count: number of samples in all blocks; hold: number of samples in
-    about one second, within which slow quantities of the sensor are held constant; size: number of samples in a block, a multiple
-    of `hold`.
+    `start`: start time of the dwell, s. `rate`: sample rate, Hz. `count`: number of samples in all blocks. `hold`: number of
+    samples in about one second, within which slow quantities of the sensor are held constant. `size`: number of samples in a block,
+    a multiple of `hold`.
     """
 
     start: float
@@ -59,7 +59,7 @@ class Sampling:
             yield block
 
     def times(self, first: int, length: int, delay: int = 0) -> Array:
-        """The times [s] of the samples first … first + length − 1. delay: 0 for the start of the sampling intervals, 1 for their
+        """The times [s] of the samples first … first + length − 1. `delay`: 0 for the start of the sampling intervals, 1 for their
         end."""
         time: Array = _SAMPLES[delay : length + delay] / self.rate
         time += self.start + first / self.rate

@@ -18,7 +18,7 @@ from planrunner.base.dataclass import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Lags:
-    """Rates of change of the setpoint, the air and the sensor. ramp: rate of change of the setpoint, K/s; air, sensor: time
+    """Rates of change of the setpoint, the air and the sensor. `ramp`: rate of change of the setpoint, K/s. `air`, `sensor`: time
     constants, s."""
 
     ramp: float
@@ -28,7 +28,7 @@ class Lags:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """The temperatures [K] at the moment of a command. start: time of the command, s; target: final value of the setpoint."""
+    """The temperatures [K] at the moment of a command. `start`: time of the command, s. `target`: final value of the setpoint."""
 
     start: float
     setpoint: float

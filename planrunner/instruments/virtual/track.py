@@ -73,8 +73,11 @@ class CarrierPlace:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A track over the Earth. latitude, longitude, heading: values at the start, rad; height: in m; aligned: True if the bench
-    turns with the heading."""
+    """A track over the Earth.
+
+    `latitude`, `longitude`, `heading`: values at the start, rad. `height`: in m. `aligned`: True if the bench turns with the
+    heading.
+    """
 
     latitude: float
     longitude: float
@@ -194,8 +197,8 @@ class Track:
 def _rhumb_rates(
     latitude: Array, speed: Array, acceleration: Array, along: float, across: float
 ) -> tuple[Array, Array, Array, Array]:
-    """First and second time derivatives of latitude and longitude on a line of constant heading. along: cosine of the heading;
-    across: its sine."""
+    """First and second time derivatives of latitude and longitude on a line of constant heading. `along`: cosine of the heading.
+    `across`: its sine."""
     meridian = ellipsoid.meridian_radius(latitude)
     parallel = ellipsoid.normal_radius(latitude) * np.cos(latitude)
     north, east = speed * along, speed * across

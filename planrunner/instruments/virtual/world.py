@@ -30,10 +30,13 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(slots=True)
 class World:
-    """The state of the virtual bench. axes: axes of the table, the outermost first; empty if there is no table. skew: (3, 3), small
-    rotation from the platform of the table to the axes of the sensor; it is the pointing error of the table at the commanded
-    orientation. steady_at: time [s] at which the commanded motion has been reached. track: track of the carrier that moves the
-    bench over the Earth; None if the bench does not move. added: effects that are added to the declared errors of the sensor."""
+    """The state of the virtual bench.
+
+    `axes`: axes of the table, the outermost first; empty if there is no table. `skew`: array of shape (3, 3), small rotation from
+    the platform of the table to the axes of the sensor; it is the pointing error of the table at the commanded orientation.
+    `steady_at`: time [s] at which the commanded motion has been reached. `track`: track of the carrier that moves the bench over
+    the Earth; None if the bench does not move. `added`: effects that are added to the declared errors of the sensor.
+    """
 
     clock: Clock
     site: Site

@@ -24,12 +24,12 @@ MOST_TABLES = 256  # of one KiB each: more would not stay close to the processor
 class Framing:
     """The format of the frames in a stream.
 
-    sync: the first bytes of a frame. rule: FIXED means that every frame has `longest` bytes. XBUS means that the length is in the
-    byte at offset 3 or, if this byte is FF, in the next two bytes. LINE means that a frame ends with a line feed. Frames of the
-    last two rules have at most `longest` bytes. trailer: bytes that may follow a frame. The checksum covers the frame from the byte
-    `covered_from` up to the checksum, followed by `padding` zero bytes. It is in the last `check_bytes` bytes of the frame, low
-    byte first if `little` is True. In a LINE, the checksum covers the text between `$` and `*`; it follows `*` as two hexadecimal
-    digits.
+    `sync`: the first bytes of a frame. `rule`: FIXED means that every frame has `longest` bytes. XBUS means that the length is in
+    the byte at offset 3 or, if this byte is FF, in the next two bytes. LINE means that a frame ends with a line feed. Frames of the
+    last two rules have at most `longest` bytes. `trailer`: bytes that may follow a frame. The checksum covers the frame from the
+    byte `covered_from` up to the checksum, followed by `padding` zero bytes. It is in the last `check_bytes` bytes of the frame,
+    low byte first if `little` is True. In a LINE, the checksum covers the text between `$` and `*`; it follows `*` as two
+    hexadecimal digits.
     """
 
     sync: bytes
@@ -45,7 +45,7 @@ class Framing:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes that arrived together. received: time [s by the bench's clock] at which they had been read."""
+    """Bytes that arrived together. `received`: time [s by the bench's clock] at which they had been read."""
 
     received: float
     data: bytes
@@ -53,8 +53,8 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """The good frames in `data`. starts, lengths: (n,), start and length of each frame; received: (n,), s, time at which the last
-    byte of each frame had been read, minus the time that the frame takes on the line."""
+    """The good frames in `data`. `starts`, `lengths`: arrays of shape (n,), start and length of each frame. `received`: array of
+    shape (n,) in s, time at which the last byte of each frame had been read, minus the time that the frame takes on the line."""
 
     data: Bytes
     starts: NDArray[np.int64]
@@ -71,9 +71,11 @@ class Frames:
 
 @dataclass
 class Framer:
-    """Takes pieces of a stream and returns the frames that they complete. byte_time: time that a byte takes on the line, s. good,
-    corrupt: number of good and of corrupt frames; skipped: number of bytes outside frames; length: mean number of bytes per frame
-    in the last call that found frames."""
+    """Takes pieces of a stream and returns the frames that they complete.
+
+    `byte_time`: time that a byte takes on the line, s. `good`, `corrupt`: number of good and of corrupt frames. `skipped`: number
+    of bytes outside frames. `length`: mean number of bytes per frame in the last call that found frames.
+    """
 
     framing: Framing
     byte_time: float = 0.0

@@ -72,8 +72,8 @@ class Unwrapping:
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
         """The indices (counts since the first frame) of the first frames, as far as they can be decided; of all frames if `final`
-        is True. Frames whose index is not returned must be passed again, together with the frames that follow. received: (n,),
-        times of reading, s; raw: (n,), values of the counter. Raises `InstrumentError` if the counter was reset."""
+        is True. Frames whose index is not returned must be passed again, together with the frames that follow. `received`: array of
+        shape (n,), times of reading, s. `raw`: (n,), values of the counter. Raises `InstrumentError` if the counter was reset."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):
@@ -105,8 +105,8 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would be dated later than they were read. delay:
-        delays of reading, s, relative to a common constant."""
+        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would be dated later than they were read.
+        `delay`: delays of reading, s, relative to a common constant."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"
@@ -134,9 +134,9 @@ class Unwrapping:
 
 @dataclass
 class HostClock:
-    """The line that relates a counter to the computer's clock. skew: relative skew, positive if the ticks of the sensor are longer
-    than nominal; the initial value applies until there are enough readings. usual_delay, worst_delay: median and largest delay of
-    reading frames relative to the line, s."""
+    """The line that relates a counter to the computer's clock. `skew`: relative skew, positive if the ticks of the sensor are
+    longer than nominal; the initial value applies until there are enough readings. `usual_delay`, `worst_delay`: median and largest
+    delay of reading frames relative to the line, s."""
 
     counter: FrameCounter
     skew: float = 0.0
@@ -148,8 +148,8 @@ class HostClock:
     _last: tuple[int, float] | None = None
 
     def stamp(self, index: Whole, received: Array) -> Array:
-        """The times (n,) of samples, s. They increase strictly with the indices, also from one call to the next. index: (n,),
-        increasing; received: (n,), times of reading minus all known delays, s."""
+        """The times (n,) of samples, s. They increase strictly with the indices, also from one call to the next. `index`: (n,),
+        increasing. `received`: array of shape (n,), times of reading minus all known delays, s."""
         if index.size == 0:
             return np.empty(0)
         nominal = index.astype(float) * self.counter.tick

@@ -42,7 +42,7 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _word(data, place, little):  # type: ignore[no-untyped-def]
-    """Four bytes, combined to a number. place: must be unsigned, so that numba need not check for a negative index."""
+    """Four bytes, combined to a number. `place`: must be unsigned, so that numba need not check for a negative index."""
     first, second = np.uint32(data[place]), np.uint32(data[place + np.uintp(1)])
     third, fourth = np.uint32(data[place + np.uintp(2)]), np.uint32(data[place + np.uintp(3)])
     if little:
@@ -150,7 +150,7 @@ def _digit(byte):  # type: ignore[no-untyped-def]
 @compiled()
 def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
     """Length in bytes of the line that begins at `place`, as in `_length`, and the exclusive-or of all its bytes except the first.
-    usual: length of the previous line; 0 if unknown.
+    `usual`: length of the previous line; 0 if unknown.
 
     Lines usually have the same length as the previous line. A loop with a known end, which can process many bytes at once, first
     checks whether this is so. Otherwise the end of the line is searched for four bytes at a time, and then the same loop runs.
@@ -192,7 +192,7 @@ def _summary(data, start, end):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _line_holds(data, place, length, together, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """True if the checksum of a line is correct. together: exclusive-or of all bytes of the line except the first."""
+    """True if the checksum of a line is correct. `together`: exclusive-or of all bytes of the line except the first."""
     end = place + length - 1
     if data[end - 1] == CARRIAGE_RETURN:
         end -= 1
@@ -229,8 +229,8 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
     """Finds frames. Returns their starts and lengths (good frames only), the start of the bytes that remain, the place in these
     bytes at which the next frame is expected (-1: unknown), the number of corrupt frames, and the number of skipped bytes.
-    positions, base: table and constant for a CRC over frames of equal length (`Checksum.by_position`); otherwise an array of the
-    shape (0, 256), and 0."""
+    `positions`, `base`: table and constant for a CRC over frames of equal length (`Checksum.by_position`); otherwise an array of
+    the shape (0, 256), and 0."""
     rule, longest, expected = shape
     covered_from, _, size, little = check
     covered = positions.shape[0]

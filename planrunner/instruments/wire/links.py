@@ -64,10 +64,13 @@ class LineAnswers:
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """Settings of a link. address: VISA name of the resource. timeout: longest time to open the link and to wait for an answer, s.
-    sent_end: text appended to every message. pace: minimum time between two messages, s. baud: baud rate of a serial line. tries:
-    number of attempts for a request that may be repeated. idle: characters, such as a prompt, that may arrive without a request and
-    are then discarded without a remark."""
+    """Settings of a link.
+
+    `address`: VISA name of the resource. `timeout`: longest time to open the link and to wait for an answer, s. `sent_end`: text
+    appended to every message. `pace`: minimum time between two messages, s. `baud`: baud rate of a serial line. `tries`: number of
+    attempts for a request that may be repeated. `idle`: characters, such as a prompt, that may arrive without a request and are
+    then discarded without a remark.
+    """
 
     address: str
     timeout: float = 2.0
@@ -83,8 +86,8 @@ class LinkFailure(Exception):  # noqa: N818 - reported to users as an Instrument
 
 
 class Wire(Protocol):
-    """The part of a PyVISA resource that this module uses. timeout: in ms; baud_rate, bytes_in_buffer: exist only for a serial
-    line."""
+    """The part of a PyVISA resource that this module uses. `timeout`: in ms. `baud_rate`, `bytes_in_buffer`: exist only for a
+    serial line."""
 
     timeout: float
     read_termination: str | None
@@ -100,7 +103,7 @@ class Wire(Protocol):
 
 @dataclass(slots=True)
 class Incoming:
-    """The data that a resource sends until the time `deadline` [s, monotonic clock]. got: data received so far."""
+    """The data that a resource sends until the time `deadline` [s, monotonic clock]. `got`: data received so far."""
 
     resource: Wire
     deadline: float
@@ -174,10 +177,12 @@ class MessageLink:
     def query(
         self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: AnswerFraming | None = None
     ) -> str:
-        """Sends `text` and returns the answer, without its terminator and without blanks at its ends. after: commands that are sent
-        immediately before `text`. again: True if the request may be repeated on a new connection when there is no answer; must be
-        False for commands that change the instrument. framing: framing of this answer, if it differs from the framing of other
-        answers."""
+        """Sends `text` and returns the answer, without its terminator and without blanks at its ends.
+
+        `after`: commands that are sent immediately before `text`. `again`: True if the request may be repeated on a new connection
+        when there is no answer; must be False for commands that change the instrument. `framing`: framing of this answer, if it
+        differs from the framing of other answers.
+        """
         tries = self.settings.tries if again and not after else 1
         with self._held(f"'{text}'"):
             for left in reversed(range(tries)):

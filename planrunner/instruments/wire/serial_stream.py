@@ -36,7 +36,7 @@ class SerialPort(Protocol):
 
 
 class Ring:
-    """A buffer for the pieces of a stream, between the thread that reads them and the thread that takes them. dropped: number of
+    """A buffer for the pieces of a stream, between the thread that reads them and the thread that takes them. `dropped`: number of
     bytes that were dropped because the buffer was full."""
 
     def __init__(self, capacity: int = CAPACITY):
@@ -78,8 +78,8 @@ class Ring:
 
 
 class SerialStream:
-    """A serial port and the thread that reads it. name: name of the port, used in messages; now: function that returns the time [s
-    by the bench's clock]."""
+    """A serial port and the thread that reads it. `name`: name of the port, used in messages. `now`: function that returns the time
+    [s by the bench's clock]."""
 
     def __init__(
         self, port: SerialPort, name: str, now: Callable[[], float], capacity: int = CAPACITY, bulk: bool = False
@@ -93,7 +93,7 @@ class SerialStream:
 
     @classmethod
     def open(cls, name: str, baud: int, now: Callable[[], float], capacity: int = CAPACITY) -> SerialStream:
-        """Opens a port. name: name of the port, such as /dev/ttyUSB0 or COM3, or a URL that pyserial supports, such as
+        """Opens a port. `name`: name of the port, such as /dev/ttyUSB0 or COM3, or a URL that pyserial supports, such as
         socket://host:port. Raises `InstrumentError` if the port cannot be opened."""
         import serial
 

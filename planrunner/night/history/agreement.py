@@ -21,8 +21,11 @@ COVERAGE = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ParticipantAgreement:
-    """Agreement of one participant. value, standard_uncertainty: mean of the participant's values, and its standard uncertainty.
-    reference, reference_uncertainty: reference value and its standard uncertainty. runs: number of the participant's values."""
+    """Agreement of one participant.
+
+    `value`, `standard_uncertainty`: mean of the participant's values, and its standard uncertainty. `reference`,
+    `reference_uncertainty`: reference value and its standard uncertainty. `runs`: number of the participant's values.
+    """
 
     name: str
     runs: int
@@ -45,9 +48,9 @@ class ParticipantAgreement:
 def agreement(
     values: Mapping[str, Sequence[tuple[float, float]]], reference: str | None = None
 ) -> tuple[ParticipantAgreement, ...]:
-    """The E_n number of every participant, by name. values: maps each participant to its values with their standard uncertainties.
-    reference: the participant whose value serves as the reference value. The result is empty if there are fewer than two
-    participants."""
+    """The E_n number of every participant, by name. `values`: maps each participant to its values with their standard
+    uncertainties. `reference`: the participant whose value serves as the reference value. The result is empty if there are fewer
+    than two participants."""
     means = {name: _mean(found) for name, found in values.items() if found}
     compared = []
     for name, (value, u) in sorted(means.items()):

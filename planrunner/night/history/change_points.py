@@ -28,9 +28,10 @@ LEVEL = 0.01
 
 @dataclass(frozen=True, slots=True)
 class CauseCandidate:
-    """A circumstance that changed when the level changed. before, after: the circumstance in the last run before the change and in
-    the first run after it. shared: fraction of the runs before the change with the circumstance `before`, and of the runs after it
-    with the circumstance `after`, taken together; 1 means that the circumstance distinguishes the two stretches completely."""
+    """A circumstance that changed when the level changed. `before`, `after`: the circumstance in the last run before the change and
+    in the first run after it. `shared`: fraction of the runs before the change with the circumstance `before`, and of the runs
+    after it with the circumstance `after`, taken together; 1 means that the circumstance distinguishes the two stretches
+    completely."""
 
     kind: CircumstanceKind
     name: str
@@ -45,9 +46,12 @@ class CauseCandidate:
 
 @dataclass(frozen=True, slots=True)
 class ChangePoint:
-    """A change in the level of a coefficient. index: index of the first value after the change. step, standard_uncertainty: size of
-    the change and its standard uncertainty, in the unit of the values. p: p-value of the change. begin, end: the change divides the
-    stretches [begin, index) and [index, end)."""
+    """A change in the level of a coefficient.
+
+    `index`: index of the first value after the change. `step`, `standard_uncertainty`: size of the change and its standard
+    uncertainty, in the unit of the values. `p`: p-value of the change. `begin`, `end`: the change divides the stretches [begin,
+    index) and [index, end).
+    """
 
     index: int
     step: float
@@ -59,7 +63,8 @@ class ChangePoint:
 
 
 def change_points(values: Array, sigma: Array, level: float = LEVEL) -> tuple[ChangePoint, ...]:
-    """All changes of the level in the order of time. values: (n,). sigma: (n,), positive standard deviations of the values."""
+    """All changes of the level in the order of time. `values`: array of shape (n,). `sigma`: array of shape (n,), positive standard
+    deviations of the values."""
     found = sorted(_search(values, sigma, 0, len(values), level))
     edges = [0, *found, len(values)]
     points = []
@@ -120,7 +125,7 @@ def _misfit(values: Array, weight: Array, design: Array) -> float:
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
     """Circumstances that changed when the level changed. Circumstances that best distinguish the runs before the change from those
-    after it come first. circumstances: the circumstances of every run, in the order of the values."""
+    after it come first. `circumstances`: the circumstances of every run, in the order of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin
     before, after = known[split - 1], known[split]

@@ -77,10 +77,12 @@ class ControlLimits:
 
 @dataclass(frozen=True)
 class CoefficientControl:
-    """The state of a coefficient of the check standard. trend: history of the coefficient, the newest value last. limits: limits of
-    the newest value in each comparison that has limits. charts: control charts of this history; None if there are too few values.
-    failed: comparisons in which the newest value is outside the limits. missing: number of earlier values that are still needed for
-    limits."""
+    """The state of a coefficient of the check standard.
+
+    `trend`: history of the coefficient, the newest value last. `limits`: limits of the newest value in each comparison that has
+    limits. `charts`: control charts of this history; None if there are too few values. `failed`: comparisons in which the newest
+    value is outside the limits. `missing`: number of earlier values that are still needed for limits.
+    """
 
     quantity: str
     trend: Trend
@@ -119,10 +121,12 @@ class CoefficientControl:
 
 @dataclass(frozen=True)
 class ControlState:
-    """The state of a bench's check standard at one moment. run: newest run of the check standard; None if there is none. reasons:
-    reasons why the check standard is not in control, in words. damaged: unreadable runs of the archive that measured the check
-    standard or may have measured it. left_out: folders whose bench cannot be determined, and which the bench's rule therefore does
-    not use."""
+    """The state of a bench's check standard at one moment.
+
+    `run`: newest run of the check standard; None if there is none. `reasons`: reasons why the check standard is not in control, in
+    words. `damaged`: unreadable runs of the archive that measured the check standard or may have measured it. `left_out`: folders
+    whose bench cannot be determined, and which the bench's rule therefore does not use.
+    """
 
     bench: str
     device: str
@@ -178,9 +182,12 @@ def judge(
     now: datetime,
     damaged: Sequence[FaultRow] = (),
 ) -> ControlState:
-    """Determines the state of the check standard at one moment. runs: runs of the check standard on this bench, the newest first.
-    points: maps each coefficient to its values in these runs, the oldest first. damaged: runs of the archive that cannot be read. A
-    damaged run that was recorded on another bench, or with another plan or device, is not considered."""
+    """Determines the state of the check standard at one moment.
+
+    `runs`: runs of the check standard on this bench, the newest first. `points`: maps each coefficient to its values in these runs,
+    the oldest first. `damaged`: runs of the archive that cannot be read. A damaged run that was recorded on another bench, or with
+    another plan or device, is not considered.
+    """
     unreadable = tuple(fault for fault in damaged if fault.recorded is None)
     own = RecordedAs(bench, rule.plan_name, rule.device)
     damaged = tuple(fault for fault in damaged if fault.recorded == own)

@@ -20,8 +20,8 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class ComparedCoefficient:
-    """One coefficient in several compared runs. values: for each run, (value, standard uncertainty); None if the run lacks the
-    coefficient or has it in another unit. agreement: E_n of each other run that has the coefficient, relative to the first run."""
+    """One coefficient in several compared runs. `values`: for each run, (value, standard uncertainty); None if the run lacks the
+    coefficient or has it in another unit. `agreement`: E_n of each other run that has the coefficient, relative to the first run."""
 
     quantity: str
     unit: str
@@ -36,7 +36,7 @@ class ComparedCoefficient:
 
 @dataclass(frozen=True, slots=True)
 class RunComparison:
-    """The comparison of several runs. runs: the compared runs, the first of which is the reference. names: the runs as the user
+    """The comparison of several runs. `runs`: the compared runs, the first of which is the reference. `names`: the runs as the user
     named them; for the copy of a remote run, its URL."""
 
     names: tuple[str, ...]

@@ -37,9 +37,12 @@ BASELINE = 20
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """The centre line of the charts. mean: mean of the values, weighted with 1/σ_i². standard_uncertainty: standard uncertainty of
-    the mean. between: τ, the scatter from run to run. values: number of values from which the centre line was computed. The mean,
-    its uncertainty and τ are in the unit of the values."""
+    """The centre line of the charts.
+
+    `mean`: mean of the values, weighted with 1/σ_i². `standard_uncertainty`: standard uncertainty of the mean. `between`: τ, the
+    scatter from run to run. `values`: number of values from which the centre line was computed. The mean, its uncertainty and τ are
+    in the unit of the values.
+    """
 
     mean: float
     standard_uncertainty: float
@@ -49,8 +52,11 @@ class Centre:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """A control chart of n values. statistic: (n,), the values, their moving averages or their cumulative sums. lower, upper: (n,),
-    limits of the statistic. alarms: (n,), True where the statistic is outside its limits."""
+    """A control chart of n values.
+
+    `statistic`: array of shape (n,), the values, their moving averages or their cumulative sums. `lower`, `upper`: arrays of shape
+    (n,), limits of the statistic. `alarms`: array of shape (n,), True where the statistic is outside its limits.
+    """
 
     statistic: Array
     lower: Array
@@ -60,8 +66,8 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class ControlCharts:
-    """The control charts of a coefficient. sigma: (n,), standard deviation of each value about the mean. The two sums of the CUSUM
-    chart are in units of σ; the lower one counts downwards."""
+    """The control charts of a coefficient. `sigma`: array of shape (n,), standard deviation of each value about the mean. The two
+    sums of the CUSUM chart are in units of σ; the lower one counts downwards."""
 
     centre: Centre
     sigma: Array
@@ -95,7 +101,7 @@ def centre_of(values: Array, u: Array, baseline: int = BASELINE) -> Centre:
 
 
 def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) -> Chart:
-    """The Shewhart chart with limits at mean ± width·σ_i. values, sigma: (n,)."""
+    """The Shewhart chart with limits at mean ± width·σ_i. `values`, `sigma`: arrays of shape (n,)."""
     half = width * sigma
     return _chart(values, np.broadcast_to(mean - half, values.shape), np.broadcast_to(mean + half, values.shape))
 
@@ -103,10 +109,10 @@ def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) 
 def ewma(
     values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
 ) -> Chart:
-    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. values: (n, …). sigma: (n,), or the
-    same shape as values.
+    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. `values`: array of shape (n, …).
+    `sigma`: array of shape (n,), or the same shape as values.
 
-    The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default V_0 = 0, so that the first limits are narrower. steady: if
+    The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default V_0 = 0, so that the first limits are narrower. `steady`: if
     True, the recursion starts instead from the limit value for the first σ, V_0 = λ/(2 − λ) σ², as in the handbook.
     """
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
@@ -124,7 +130,7 @@ def cusum(
     values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
 ) -> tuple[Chart, Chart]:
     """The tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i,
-    with the limits ±h. values: (n, …). sigma: (n,), or the same shape as values; positive."""
+    with the limits ±h. `values`: array of shape (n, …). `sigma`: array of shape (n,), or the same shape as values; positive."""
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     up, down = np.empty_like(values), np.empty_like(values)
     high, low = np.zeros(values.shape[1:]), np.zeros(values.shape[1:])

@@ -57,7 +57,7 @@ class Database(Protocol):
 
 
 def open_database(index: str | None, archive: Path) -> Database:
-    """Opens the database of an archive's index. index: a file, or the URL of a PostgreSQL database. If `index` is None, an
+    """Opens the database of an archive's index. `index`: a file, or the URL of a PostgreSQL database. If `index` is None, an
     environment variable may name the index; otherwise it is a file in this user's state folder. Raises `InputError`."""
     named = index or os.environ.get(INDEX) or ""
     if re.match(r"postgres(ql)?://", named):
@@ -92,8 +92,9 @@ _APPLICATION = int.from_bytes(b"plnr", "big")
 class Sqlite:
     """An SQLite file in write-ahead mode: readers never wait, and writers wait for each other.
 
-    own: True if planrunner chose the name of the file. Such a file is renamed to `….unreadable` if it is not a database, because an
-    index can always be made again. A file that the user named is never replaced, and the database of another program is never used.
+    `own`: True if planrunner chose the name of the file. Such a file is renamed to `….unreadable` if it is not a database, because
+    an index can always be made again. A file that the user named is never replaced, and the database of another program is never
+    used.
     """
 
     identity = "INTEGER PRIMARY KEY"

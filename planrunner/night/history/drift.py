@@ -38,9 +38,12 @@ the next calibration is a date."""
 
 @dataclass(frozen=True, slots=True)
 class DriftLine:
-    """A straight line fitted to the values of a coefficient over time. slope, slope_uncertainty: slope and its standard
-    uncertainty, in units of the values per day. level: value of the line at the mean time `middle`. between: τ, the scatter from
-    run to run. stated: ū, the root mean square of the stated uncertainties. All times are in days."""
+    """A straight line fitted to the values of a coefficient over time.
+
+    `slope`, `slope_uncertainty`: slope and its standard uncertainty, in units of the values per day. `level`: value of the line at
+    the mean time `middle`. `between`: τ, the scatter from run to run. `stated`: ū, the root mean square of the stated
+    uncertainties. All times are in days.
+    """
 
     slope: float
     slope_uncertainty: float
@@ -63,9 +66,9 @@ class DriftLine:
 
 
 def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLine | None:
-    """Fits the weighted straight line to the values over time. days, values, u: (n,), times, values and their standard
-    uncertainties. between: τ, the scatter from run to run. Returns None if there are too few values or if they cover too short a
-    time."""
+    """Fits the weighted straight line to the values over time. `days`, `values`, `u`: arrays of shape (n,), times, values and their
+    standard uncertainties. `between`: τ, the scatter from run to run. Returns None if there are too few values or if they cover too
+    short a time."""
     if len(values) < LEAST or float(np.ptp(days)) < LEAST_SPAN:
         return None
     variance = u**2 + between**2
@@ -84,7 +87,7 @@ def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLin
 
 def days_left(line: DriftLine, permissible: float | None = None) -> float:
     """Days from the last value to the next calibration; 0 if the calibration is due at once, `HORIZON` if it is due after more days
-    than that. permissible: largest permissible deviation."""
+    than that. `permissible`: largest permissible deviation."""
 
     def due(later: float) -> bool:
         change = abs(line.slope) * later

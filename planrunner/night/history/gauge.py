@@ -35,8 +35,8 @@ class UnbalancedError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class MeanSquare:
-    """One mean square of the analysis of variance. factors: the factors whose effect or interaction it measures; empty for the
-    repetitions. df: degrees of freedom."""
+    """One mean square of the analysis of variance. `factors`: the factors whose effect or interaction it measures; empty for the
+    repetitions. `df`: degrees of freedom."""
 
     factors: tuple[str, ...]
     sum_of_squares: float
@@ -49,8 +49,8 @@ class MeanSquare:
 
 @dataclass(frozen=True, slots=True)
 class VarianceComponent:
-    """One component of variance. variance: in the squared unit of the values, not below zero. lower, upper: limits of the 95 %
-    confidence interval of the variance."""
+    """One component of variance. `variance`: in the squared unit of the values, not below zero. `lower`, `upper`: limits of the 95
+    % confidence interval of the variance."""
 
     name: str
     variance: float
@@ -67,9 +67,12 @@ GAUGE_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class GaugeStudy:
-    """Result of a gauge study. components: repeatability, every factor and interaction, reproducibility, gauge (repeatability and
-    reproducibility together), and total. levels: maps each factor to its number of levels. repetitions: number of values used in
-    each cell. unused: number of further values that are not used."""
+    """Result of a gauge study.
+
+    `components`: repeatability, every factor and interaction, reproducibility, gauge (repeatability and reproducibility together),
+    and total. `levels`: maps each factor to its number of levels. `repetitions`: number of values used in each cell. `unused`:
+    number of further values that are not used.
+    """
 
     anova: tuple[MeanSquare, ...]
     components: tuple[VarianceComponent, ...]
@@ -100,10 +103,13 @@ class GaugeStudy:
 def gauge_study(
     factors: Mapping[str, Sequence[str]], values: Sequence[float], item: str = "device", *, pooled: bool = False
 ) -> GaugeStudy:
-    """Makes the gauge study of n values. factors: maps each factor to the labels of the values (n); a factor with only one level is
-    left out. item: the factor that distinguishes the measured items. If a cell has more values than others, only its first values
-    are used. pooled: True if interactions count as repeatability, which is usual if they are not significant. Raises
-    `UnbalancedError` if a cell has no value."""
+    """Makes the gauge study of n values.
+
+    `factors`: maps each factor to the labels of the values (n); a factor with only one level is left out. `item`: the factor that
+    distinguishes the measured items. If a cell has more values than others, only its first values are used. `pooled`: True if
+    interactions count as repeatability, which is usual if they are not significant. Raises `UnbalancedError` if a cell has no
+    value.
+    """
     used = {name: list(labels) for name, labels in factors.items() if len(set(labels)) > 1}
     levels = {name: sorted(set(labels)) for name, labels in used.items()}
     cells: dict[tuple[int, ...], list[float]] = {}
@@ -206,8 +212,8 @@ def _estimated(
 
 
 def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tuple[float, float]:
-    """Two-sided limits of Σ c·E(MS) by the modified large-sample method. terms: tuples of c, the mean square MS and its degrees of
-    freedom."""
+    """Two-sided limits of Σ c·E(MS) by the modified large-sample method. `terms`: tuples of c, the mean square MS and its degrees
+    of freedom."""
     a = (1 - CONFIDENCE) / 2
     plus, minus = [t for t in terms if t[0] > 0], [t for t in terms if t[0] < 0]
     below = sum((_g(a, n) * c * ms) ** 2 for c, ms, n in plus) + sum((_h(a, n) * c * ms) ** 2 for c, ms, n in minus)

@@ -76,8 +76,11 @@ _SCHEMA = (
 
 @dataclass(frozen=True, slots=True)
 class Refreshed:
-    """Result of refreshing an index. read: number of runs that were read again. removed: number of runs that no longer exist.
-    faults: folders that could not be read and are therefore not in the index."""
+    """Result of refreshing an index.
+
+    `read`: number of runs that were read again. `removed`: number of runs that no longer exist. `faults`: folders that could not be
+    read and are therefore not in the index.
+    """
 
     read: int
     removed: int
@@ -86,7 +89,7 @@ class Refreshed:
 
 @dataclass(frozen=True, slots=True)
 class DeviceSummary:
-    """Summary of a device. runs: number of the device's runs. last: time of the newest of these runs."""
+    """Summary of a device. `runs`: number of the device's runs. `last`: time of the newest of these runs."""
 
     device: str
     runs: int
@@ -108,8 +111,8 @@ class Index:
 
     @classmethod
     def open(cls, archive: Path, index: str | None = None) -> Index:
-        """Opens the index of an archive. index: a file or a URL; by default, a file of this user. Raises `InputError` if the index
-        cannot be opened."""
+        """Opens the index of an archive. `index`: a file or a URL; by default, a file of this user. Raises `InputError` if the
+        index cannot be opened."""
         if not archive.is_dir():
             hint = "give the folder that contains the runs, such as runs/"
             raise InputError.at(Mark(str(archive)), "index-no-archive", "there is no such folder", hint)
@@ -151,9 +154,11 @@ class Index:
     def refresh(
         self, *, rebuild: bool = False, notice: Announce | None = None, workers: Workers | None = None
     ) -> Refreshed:
-        """Reads the runs that are new or changed, and removes those that no longer exist. rebuild: True to read all runs again.
-        notice: receives the progress. workers: the processes that read; by default, as many processes on this machine as the work
-        justifies."""
+        """Reads the runs that are new or changed, and removes those that no longer exist.
+
+        `rebuild`: True to read all runs again. `notice`: receives the progress. `workers`: the processes that read; by default, as
+        many processes on this machine as the work justifies.
+        """
         query = self._database.query
         rows = query("SELECT folder, fingerprint FROM runs WHERE archive = ?", (self._name,))
         known = {str(place): mark for place, mark in rows}
@@ -259,7 +264,7 @@ class Index:
         return cast(int, self._database.query(f"SELECT count(*) FROM runs WHERE {where}", values)[0][0])
 
     def run(self, folder: str) -> RunRow | None:
-        """The run in a folder; None if it is not in the index. folder: path relative to the archive, with slashes."""
+        """The run in a folder; None if it is not in the index. `folder`: path relative to the archive, with slashes."""
         found = self._database.query(f"SELECT {_RUN} FROM runs WHERE archive = ? AND folder = ?", (self._name, folder))
         return _run_row(found[0]) if found else None
 
@@ -338,8 +343,8 @@ class Index:
         return points
 
     def history(self, device: str, quantity: str, since: str = "") -> list[HistoryPoint]:
-        """The values of a coefficient of a device over time, the oldest first. since: first day or moment to include; empty for the
-        whole history."""
+        """The values of a coefficient of a device over time, the oldest first. `since`: first day or moment to include; empty for
+        the whole history."""
         return self.points(quantity, RunFilter(device=literal(device), since=since))
 
     def faults(self) -> list[FaultRow]:

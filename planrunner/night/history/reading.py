@@ -44,7 +44,7 @@ _MOST_TEXT = 2000
 
 
 def fingerprint(entries: Mapping[str, Entry]) -> str:
-    """A value that changes whenever planrunner writes to a run folder. entries: entries of the run folder, by name. If the last
+    """A value that changes whenever planrunner writes to a run folder. `entries`: entries of the run folder, by name. If the last
     change is so recent that a further change might give the same value, the value is empty."""
     known = [(name, entries[name]) for name in _READ if name in entries]
     if known and abs(time.time() - max(entry.modified for _, entry in known) / 1e9) < _SETTLED:
@@ -54,7 +54,7 @@ def fingerprint(entries: Mapping[str, Entry]) -> str:
 
 
 def read_run(archive: Path, place: str) -> IndexedRun:
-    """Reads a run folder of an archive. place: path relative to the archive, with slashes. Faults in the folder never raise an
+    """Reads a run folder of an archive. `place`: path relative to the archive, with slashes. Faults in the folder never raise an
     exception; they are part of the result."""
     mark = ""
     found: Examined | None = None

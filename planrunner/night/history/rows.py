@@ -32,7 +32,7 @@ class CircumstanceKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Circumstance:
-    """One circumstance of a run. name: name that distinguishes circumstances of this kind, such as `table.serial`; empty if there
+    """One circumstance of a run. `name`: name that distinguishes circumstances of this kind, such as `table.serial`; empty if there
     is only one."""
 
     kind: CircumstanceKind
@@ -46,9 +46,12 @@ class Circumstance:
 
 @dataclass(frozen=True, slots=True)
 class RunRow:
-    """A run in the index. folder: path relative to the archive, with slashes. device: serial number of the device; empty if it is
-    not stated. analysis: number of the newest analysis, from which the verdict and the coefficients come; 0 if there is none.
-    warnings: number of warnings of the run and of its estimates."""
+    """A run in the index.
+
+    `folder`: path relative to the archive, with slashes. `device`: serial number of the device; empty if it is not stated.
+    `analysis`: number of the newest analysis, from which the verdict and the coefficients come; 0 if there is none. `warnings`:
+    number of warnings of the run and of its estimates.
+    """
 
     folder: str
     run: str
@@ -89,8 +92,8 @@ class RunRow:
 
 @dataclass(frozen=True, slots=True)
 class CoefficientRow:
-    """A coefficient of the newest analysis of a run. quantity: `estimate.coefficient`. value, standard_uncertainty, period: in
-    `unit`; `period` is the period of a circular quantity, otherwise inf. Numbers that could not be computed are nan."""
+    """A coefficient of the newest analysis of a run. `quantity`: `estimate.coefficient`. `value`, `standard_uncertainty`, `period`:
+    in `unit`; `period` is the period of a circular quantity, otherwise inf. Numbers that could not be computed are nan."""
 
     quantity: str
     value: float
@@ -103,7 +106,7 @@ class CoefficientRow:
 
 @dataclass(frozen=True, slots=True)
 class LimitRow:
-    """A limit of the plan with its verdict. lower, upper: in `unit`."""
+    """A limit of the plan with its verdict. `lower`, `upper`: in `unit`."""
 
     quantity: str
     requirement: str
@@ -125,7 +128,7 @@ class RecordedAs:
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """A folder of the archive that is not in the index, and the reason. recorded: the identity of the run, if it can still be
+    """A folder of the archive that is not in the index, and the reason. `recorded`: the identity of the run, if it can still be
     trusted."""
 
     folder: str
@@ -135,9 +138,11 @@ class FaultRow:
 
 @dataclass(frozen=True, slots=True)
 class IndexedRun:
-    """The result of reading a run folder: the run with its coefficients and limits, or the fault. fingerprint: value that changes
-    whenever planrunner writes to the folder; empty if the folder must be read again next time. recorded: identity of a run with a
-    fault. parameters: values that were given for parameters of the run's plan."""
+    """The result of reading a run folder: the run with its coefficients and limits, or the fault.
+
+    `fingerprint`: value that changes whenever planrunner writes to the folder; empty if the folder must be read again next time.
+    `recorded`: identity of a run with a fault. `parameters`: values that were given for parameters of the run's plan.
+    """
 
     folder: str
     fingerprint: str
@@ -152,7 +157,7 @@ class IndexedRun:
 @dataclass(frozen=True, slots=True)
 class RunFilter:
     """A filter for runs; a criterion that is empty matches all runs. A text matches values equal to it; with `*` and `?`, it is a
-    pattern. since, until: first and last moment, ISO 8601 in UTC; if `until` is a day, the whole day is included."""
+    pattern. `since`, `until`: first and last moment, ISO 8601 in UTC; if `until` is a day, the whole day is included."""
 
     device: str = ""
     plan: str = ""

@@ -24,10 +24,13 @@ DAY = 86400.0
 
 @dataclass(frozen=True)
 class Trend:
-    """The history of a coefficient. points: the runs whose value can be used, the oldest first. values, standard_uncertainties:
-    (n,), in `unit`, which is the unit of the newest run. left_out: folders of runs whose value cannot be used, because it has
-    another dimension, is missing, or has no finite uncertainty. charts, drift: None if there are too few values. tolerance:
-    permissible deviation from which the next calibration is computed; None if it is not stated."""
+    """The history of a coefficient.
+
+    `points`: the runs whose value can be used, the oldest first. `values`, `standard_uncertainties`: (n,), in `unit`, which is the
+    unit of the newest run. `left_out`: folders of runs whose value cannot be used, because it has another dimension, is missing, or
+    has no finite uncertainty. `charts`, `drift`: None if there are too few values. `tolerance`: permissible deviation from which
+    the next calibration is computed; None if it is not stated.
+    """
 
     device: str
     quantity: str
@@ -131,7 +134,7 @@ class Trend:
 
 
 def trend(device: str, quantity: str, found: Sequence[HistoryPoint], tolerance: float | None = None) -> Trend:
-    """Makes the history of a coefficient from the values of a device, the oldest first. tolerance: permissible deviation in the
+    """Makes the history of a coefficient from the values of a device, the oldest first. `tolerance`: permissible deviation in the
     unit of the newest run."""
     unit = found[-1].coefficient.unit if found else ""
     points: list[HistoryPoint] = []
