@@ -432,8 +432,8 @@ class Observed:
 
     @cached_property
     def gyro_range(self) -> Array:
-        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2). A smallest value above 0 and a largest
-        value below 0 are replaced by 0."""
+        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2). The range always contains 0: a smallest
+        value that is positive, and a largest value that is negative, are replaced by 0."""
         parts = [self.gyro_output[part] for part in self.segments()]
         return np.array([(part.min(initial=0.0), part.max(initial=0.0)) for part in parts]).reshape(-1, 2)
 

@@ -157,8 +157,8 @@ class ErrorsAtSamples:
 
 
 def of_stimulus(effect: Effect) -> bool:
-    """Whether amplitudes of an effect change the stimulus of the sensor. A delay of the output is a delay of the stimulus, on which
-    scale factor and misalignments act."""
+    """Returns True if amplitudes of an effect change the stimulus of the sensor. An effect that delays the output also counts: it
+    delays the stimulus, and scale factor and misalignments then act on the delayed stimulus."""
     delays = effect.stage == "acquisition" and isinstance(effect, Curved)
     return (effect.stage == "stimulus" or delays) and not _fixed(effect)
 

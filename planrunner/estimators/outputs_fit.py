@@ -427,7 +427,7 @@ def _cofactors(
 
 
 def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
-    """Whether the residuals are larger than the noise within the segments explains (F-test)."""
+    """Returns True if the noise within the segments is too small to explain the residuals (F-test)."""
     if not (found.degrees_of_freedom and noise.known and found.variance_factor > 1):
         return False
     from scipy.special import fdtrc

@@ -45,8 +45,8 @@ class SegmentTable:
 def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], scale: float, trim: float) -> SegmentTable:
     """Reads the table of segments at `path`.
 
-    `columns`: names of the columns of the label, start and end. `scale`: seconds per unit of start and end. `trim`: time [s]
-    omitted at both ends of each segment.
+    `columns`: names of three columns: that of the labels, that of the start times, and that of the end times. `scale`: factor that
+    converts start and end times to seconds. `trim`: time [s] omitted at both ends of each segment.
 
     Raises `InstrumentError` with the line of the fault.
     """

@@ -25,10 +25,10 @@ _RESOLVED = (
 class CorrelatedError:
     """An error that changes several observations together.
 
-    `changes`: by the index of each affected output, the changes (n, r) of the observations per unit of each input. `parts`: names
-    of the r inputs, as for `Influence`. `within`: by the index of an output, the contribution (n,) of the error to the variance
-    within the segments, per unit² of the input. `channel`: for an error that is noise of a channel, the name of this channel;
-    otherwise empty.
+    `changes`: maps the index of each affected output to an array of shape (n, r), the changes of the n observations per unit of
+    each of the r inputs. `parts`: names of the r inputs, as for `Influence`. `within`: maps the index of an output to an array of
+    shape (n,), the contribution of the error to the variance within the segments, per unit² of the input. `channel`: name of the
+    channel if the error is noise of a channel; otherwise empty.
     """
 
     quantity: InputQuantity

@@ -88,10 +88,11 @@ class Cycle:
 class RecordedMotion:
     """A motion that channels of the recording show, and that no table was commanded to make.
 
-    `angle`: channel of the encoder of an axis along the site direction `about`; the angle is zero in the segment's orientation.
-    `attitude`: the four channels of a unit quaternion from the sensor's axes to East-North-Up, real part first. `rates`, `forces`:
-    three channels of angular rate and three channels of specific force along the sensor's x, y, z. At least one of these four is
-    stated. `averaging`: time over which outputs and motion are averaged, s; 0 if the samples are used as they are.
+    At least one of `angle`, `attitude`, `rates` and `forces` is stated. `angle`: channel of the encoder of an axis along the site
+    direction `about`; the angle is zero in the segment's orientation. `attitude`: four channels that form a unit quaternion from
+    the sensor's axes to East-North-Up, with the real part first. `rates`: three channels of angular rate along the sensor's x, y
+    and z. `forces`: three channels of specific force along the sensor's x, y and z. `averaging`: time over which outputs and motion
+    are averaged, s; 0 if the samples are used as they are.
     """
 
     angle: str = ""

@@ -163,7 +163,7 @@ class Path:
 
 @dataclass(slots=True)
 class JointPaths:
-    """A course of the virtual world in which every joint follows its own path."""
+    """The motion of a simulated table in which every joint follows its own path."""
 
     kind: ClassVar[str] = "joint paths"
     paths: list[Path] = field(default_factory=list)

@@ -130,9 +130,10 @@ def conformance_probability(
 ) -> float:
     """The probability that the true value lies in [lower, upper].
 
-    For a location, the distribution is Student's t about the value, scaled by the uncertainty. For a scale s with ν degrees of
-    freedom, ν·s²/σ² follows χ² (JCGM 106, 7.2, with the prior 1/σ). A maximum is the absolute value of a signed quantity, for which
-    the distribution is Student's t; both signs count.
+    If `role` is `LOCATION`, the distribution of the true value is Student's t, centred on `value` and scaled by the uncertainty. If
+    `role` is `SCALE`, the value is a measure of scatter s with ν degrees of freedom, and ν·s²/σ² follows χ² (JCGM 106, 7.2, with
+    the prior 1/σ). If `role` is `MAXIMUM`, the value is the absolute value of a signed quantity with Student's t distribution; the
+    probability counts positive and negative values of this quantity.
     """
     from scipy.special import chdtr, ndtr, stdtr
 

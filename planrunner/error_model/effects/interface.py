@@ -180,9 +180,9 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
-    """An effect for which a diagnosis does not fit columns to the usual coefficients of the data: noise, a line interference, or
-    samples that repeat their values. An effect with the stage covariance has no columns. A line interference has columns, which
-    only a simulation uses."""
+    """An effect that a diagnosis does not look for in the coefficients to which it reduces a recording: an effect on the noise, a
+    line interference, or samples that repeat their values. An effect with the stage covariance has no columns. A line interference
+    has columns, which only a simulation uses."""
 
     outside: OutsideKind
 
@@ -273,7 +273,7 @@ class Shaped:
     shape_unit: str
 
     def grid(self, observed: Observed) -> Array:
-        """Values of the shape that the diagnosis tries first; empty if the effect cannot act."""
+        """Returns the values of the shape that the diagnosis tries first. The result is empty if the effect cannot act."""
         raise NotImplementedError
 
     def at(self, observed: Observed, value: float) -> Variant:

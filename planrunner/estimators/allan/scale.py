@@ -59,8 +59,8 @@ class SensedBy:
 def sensed_by(
     stated: Quantity | str, name: str, output: str, uses: Mapping[str, Estimate] | Mapping[str, Design]
 ) -> SensedBy:
-    """Interprets the scale factor `stated` for the output `name`, which is recorded in the unit `output`. Raises `EstimationError`
-    if `stated` is not a usable scale factor for this output."""
+    """Interprets the scale factor `stated` for the channel `name`, which is recorded in the unit `output`. Raises `EstimationError`
+    if `stated` is not a usable scale factor for this channel."""
     if isinstance(stated, Quantity):
         own = stated.unit
         value, u = stated.value / own.factor, stated.standard_uncertainty / own.factor
@@ -153,7 +153,7 @@ def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
 
 
 def squares_to_coefficients(interval: float) -> dict[str, float]:
-    """For each of Q, N, B and K, the factor that converts the square root of Q²/τ0², N²/τ0, B² or K²·τ0 to the coefficient.
-    `interval`: τ0, the time between phase points, s."""
+    """Returns, for each of the coefficients Q, N, B and K, the factor by which the square root of its variance at τ0 is multiplied
+    to obtain the coefficient. These variances are Q²/τ0², N²/τ0, B² and K²·τ0. `interval`: τ0, the time between phase points, s."""
     root = math.sqrt(interval)
     return {"Q": interval, "N": root, "B": 1.0, "K": 1 / root}

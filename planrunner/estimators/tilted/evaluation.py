@@ -50,13 +50,14 @@ class TiltedConditions:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The data of q repeats of n rates at one temperature.
+    """The data of n rates at one temperature, each repeated q times.
 
-    `kelvin`: measured or planned temperature, K; NaN if neither is known. `spins`: array of shape (q, n), indices of the segments.
-    `rest`: array of shape (q, N), weights of the segments in the rest value of a repeat, which consists in equal parts of the zeros
-    before the rates and of the zeros after them. `between`: array of shape (q, N), weights of the segments in the difference
-    between end zero and start zero. `outputs`: array of shape (q, n, m), the output at each rate minus the output at rest, F_j −
-    F_r. `drift`: array of shape (q, m), end zero minus start zero.
+    `kelvin`: measured or planned temperature, K; NaN if neither is known. `spins`: array of shape (q, n), index of the segment of
+    each repeat and rate. `rest`: array of shape (q, N). Weighted with a row of this array, the segment means add up to the output
+    at rest of this repeat: half of it is the average zero before the rates, the other half the average zero after the rates.
+    `between`: array of shape (q, N). Weighted with a row of this array, the segment means add up to the zero after the rates minus
+    the zero before the rates. `outputs`: array of shape (q, n, m), the output at each rate minus the output at rest, F_j − F_r.
+    `drift`: array of shape (q, m), the zero after the rates minus the zero before the rates.
     """
 
     label: str
@@ -231,7 +232,8 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
     q, n, m = x.shape
 
     def means(changes: Array) -> Array:
-        """The quantities (m·5, k), averaged over the repeats, after changes (n, k) of the outputs at each rate."""
+        """Adds `changes` (n, k) to the outputs at each rate, and returns the resulting quantities (m·5, k), averaged over the
+        repeats."""
         outputs = group.outputs + changes.T[:, None, :, None]
         lines = fit_lines(np.broadcast_to(x, outputs.shape).reshape(-1, n, m), outputs.reshape(-1, n, m))
         found = quantities(lines, full_scale, rate, sign)

@@ -51,8 +51,8 @@ class RepeatedStretch:
 class Repeated:
     """The stuck stretches of a recording.
 
-    `log_bayes`: log BF of stuck stretches against none. `stretches`: the likely stretches, the longest first. `held`: array of
-    shape (N, K), True for the samples of the stretches.
+    `log_bayes`: log Bayes factor of stuck stretches against none. `stretches`: the likely stretches, the longest first. `held`:
+    array of shape (N, K), True for the samples of the stretches.
     """
 
     log_bayes: float
@@ -94,10 +94,10 @@ _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with 
 class Apart:
     """Effects that were found outside the coefficients of the recording.
 
-    `log_bayes`: log BF of these effects. `parameters`: estimated parameters of these effects. `lines`: those of these effects that
-    are tones. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if nothing was found.
-    `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if it must be computed again because
-    `removed` changes it.
+    `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: the tones among
+    these effects. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if nothing was
+    found. `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if it must be computed again
+    because `removed` changes it.
     """
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)

@@ -2,8 +2,8 @@
 
 Segments are held out in groups. Each group contains segments of every kind of motion, and for each group the effect is chosen again
 from the other segments. The difference d between the predictions with and without the effect is then known exactly. The unknown is
-the gap g itself: its size is |g| before and |g − d| after. The result is an average over two cases, weighted by their probability
-in the diagnosis.
+the gap g itself: its size is |g| before and |g − d| after. The result is an average over the following two cases, weighted by their
+probabilities in the diagnosis.
 
 - An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments. The errors of
   the amplitudes have the covariance that follows from the noise.
@@ -286,9 +286,9 @@ def measured_noise(
 ) -> MeasuredNoise:
     """Measures the noise that remains after the fit of an effect.
 
-    `log_bayes`: array of shape (G,), log BF of the effect at each setting of the noise. `walking`: True if a random walk of the
-    gyros acts in addition; the random walk belongs to the gap, not to the noise. `explained`: True if the effect leaves only noise.
-    If False, the residuals contain a part of the gap, so the measured noise is limited to the noise of the model.
+    `log_bayes`: array of shape (G,), log Bayes factor of the effect at each setting of the noise. `walking`: True if a random walk
+    of the gyros acts in addition; the random walk belongs to the gap, not to the noise. `explained`: True if the effect leaves only
+    noise. If False, the residuals contain a part of the gap, so the measured noise is limited to the noise of the model.
     """
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
@@ -469,7 +469,7 @@ def predictions(
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row.
     `change`: array of shape (M, K), coefficients of the known change in the outputs. The function serves tests in which the true
-    gap is known. `worth`: the log BF that a choice must reach to be selected in a fold."""
+    gap is known. `worth`: the log Bayes factor that a choice must reach to be selected in a fold."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]

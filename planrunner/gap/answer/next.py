@@ -42,10 +42,10 @@ class SegmentProposal:
     """Segments that a diagnosis proposes to measure next.
 
     `segments`: the proposed segments in order; empty if nothing on the bench helps. `rivals`: names and present probabilities of
-    the remaining explanations (rivals). `now`: expected probability of the true rival at present. `probability`: expected
-    probability of the true rival after `seconds` of test time. `repeating`: time [s] of repeating the recorded segments, and the
-    expected probability of the true rival after it. `sensor`: description of an instrument that could distinguish the rivals if the
-    segments of the bench cannot.
+    the explanations that remain possible. `now`: expected probability of the true rival at present. `probability`: expected
+    probability of the true rival after `seconds` of test time. `repeating`: the time [s] for which the recorded segments would have
+    to be repeated, and the expected probability of the true rival after this time. `sensor`: description of an instrument that
+    could distinguish the rivals if the segments of the bench cannot.
     """
 
     segments: tuple[Segment, ...]
@@ -69,7 +69,8 @@ def propose(
     """Proposes the segments to measure next; None if one explanation is clear.
 
     `options`: segments that the bench can execute. `seconds`: function that computes the test time of a segment, including moves,
-    settling and dwell, from the previous segment (None for the first) and the segment. `lasted`: test time of the recording, s.
+    settling and dwell. Its arguments are the previous segment (None for the first segment) and the segment itself. `lasted`: test
+    time of the recording, s.
     """
     listed = explanations(found, candidates)
     if not options or not _open(listed):

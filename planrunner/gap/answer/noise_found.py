@@ -17,11 +17,12 @@ from planrunner.gap.hypotheses.open_set import Line
 class NoiseFound:
     """Noise of a channel, in the channel's unit.
 
-    `white`, `declared`: standard deviation of a sample, as found in the recording and as declared; `declared` includes the rounding
-    to `declared_count`, and is 0 if no noise is declared. `count`, `declared_count`: size of one count, as found in the recording
-    and as declared; 0 if there are no counts. `slow`: amplitude density at the lowest measured frequency, relative to that of the
-    white noise; 1 for white noise alone. `quietest`, `loudest`: standard deviation in the quietest and in the loudest segment,
-    relative to the white level. `line`: the strongest tone, None if there is none.
+    `white`, `declared`: standard deviation of a single sample, as found in the recording and as declared. `declared` includes the
+    rounding to `declared_count`; it is 0 if no noise is declared. `count`, `declared_count`: size of one count, as found in the
+    recording and as declared; 0 if the values are not rounded to counts. `slow`: amplitude density at the lowest measured
+    frequency, divided by the amplitude density of the white noise; 1 if there is only white noise. `quietest`, `loudest`: standard
+    deviation of the noise in the quietest and in the loudest segment, divided by the standard deviation of the white noise. `line`:
+    the strongest tone, None if there is none.
     """
 
     channel: str

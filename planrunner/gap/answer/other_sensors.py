@@ -38,7 +38,8 @@ class _Instrument:
 
 
 def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]) -> str:
-    """Description of the first instrument that would identify the true explanation; empty if no instrument would do so."""
+    """Describes the first instrument that would identify the true explanation; the description is empty if no instrument would do
+    so."""
     few = [options[i] for i in np.unique(np.linspace(0, len(options) - 1, _LOOKED_AT).astype(int))]
     for instrument in _instruments(weighing):
         extended, information = _with(instrument, weighing, rivals, layout, few)
@@ -81,8 +82,8 @@ def _with(
 
 
 def _further(observed: Observed, own: int, layout: Layout) -> list[Column]:
-    """The columns of the additional channels' nominal parameters. Additional channels have the indices `own` and above; the sensor
-    under test does not have them."""
+    """The columns of the nominal parameters of the additional channels. Additional channels have the indices `own` and above; the
+    sensor under test does not have them."""
     return [column for column in nominal_columns(observed, layout.nominal) if min(column.parts) >= own]
 
 

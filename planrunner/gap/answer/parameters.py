@@ -38,9 +38,10 @@ def amplitudes(
 ) -> list[ParameterEstimate]:
     """Means and standard deviations of the amplitudes of an effect, at the most probable prior size of the amplitudes.
 
-    `columns`: in a set of effects, the columns that belong to this effect. `walking`: True if a random walk of the gyros acts in
-    addition. `ratios`: array of shape (K,), for each channel, variance of the residuals divided by the variance of the noise at its
-    most probable setting; None if the residuals are only noise. An amplitude that is fixed at 1 is not a parameter.
+    `columns`: the columns that belong to this effect, if it is one of a set of effects. `walking`: True if a random walk of the
+    gyros acts in addition. `ratios`: array of shape (K,), for each channel the variance of the residuals divided by the variance of
+    the noise at its most probable setting; None if the residuals are only noise. An amplitude that is fixed at 1 is not a
+    parameter.
     """
     if weighed.held:
         return []
@@ -65,8 +66,9 @@ def amplitudes(
 
 
 def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array | None) -> list[ParameterEstimate]:
-    """Increases the uncertainties of shape estimates, because the residuals are more than noise. `ratios`: as in `amplitudes`; the
-    variance is multiplied by their mean, weighted by the energy of the effect in each channel."""
+    """Increases the uncertainties of shape estimates, because the residuals are more than noise. `ratios`: as in `amplitudes`. The
+    variances of the shape are multiplied by the average of `ratios`, in which each channel has the weight of the effect's energy in
+    it."""
     if ratios is None:
         return list(listed)
     energy = np.array([float((own**2).sum()) for own in weighed.by_channel])

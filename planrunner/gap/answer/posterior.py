@@ -46,11 +46,11 @@ class Posterior:
     `probability`: probability of every cause. A set of effects has a name such as 'a+b', in alphabetical order, or 'a+b+unknown' if
     something else acts in addition. An effect on the level of the noise is a cause only if nothing else acts. `noise`: probability
     of each effect on the level of the noise, summed over all causes. `log_evidence`: log evidence of each hypothesis relative to
-    "none"; for effects, it is computed from the coefficients alone. `pairs`: evaluated columns of each set of two or more
-    deterministic effects. `sets`: the sets in `pairs`, each with its effects. `kinds`: log evidence, relative to "none", of each
-    pattern that "unknown" can mean. `by_channel`: log BF (K,) of each pattern, computed in each channel alone. `levels`: effects
-    that only change the noise level. `lines`: tones in the recording. `beside`: probability that a tone or bursts are present in
-    addition to an effect.
+    "none"; for effects, this log evidence is computed from the coefficients alone. `pairs`: evaluated columns of each set of two or
+    more deterministic effects. `sets`: the sets in `pairs`, each with its effects. `kinds`: log evidence, relative to "none", of
+    each pattern that "unknown" can stand for. `by_channel`: array (K,) for each pattern, its log Bayes factor in each channel
+    alone. `levels`: names of the effects that only change the noise level. `lines`: tones in the recording. `beside`: probability
+    that a tone or bursts are present in addition to an effect.
     """
 
     probability: dict[str, float]
@@ -84,9 +84,9 @@ class _NoiseOnly:
     """Effects on the noise.
 
     `walk`: name of the random walk of the gyros, or ''. `others`: maps each state of the noise of a triad (gyro or accel) to the
-    effect that causes it. `levels`: log density of the measured white noise for each combination of states. `apart`: log BF of the
-    effects that the recording shows outside the coefficients, such as a line; each of these effects is present or absent
-    independently of the others.
+    effect that causes it. `levels`: log density of the measured white noise for each combination of states. `apart`: log Bayes
+    factor of the effects that the recording shows outside the coefficients, such as a line; each of these effects is present or
+    absent independently of the others.
     """
 
     walk: str
@@ -102,7 +102,7 @@ class _NoiseOnly:
     @property
     def states(self) -> dict[tuple[str, ...], float]:
         """Maps each possible combination of effects on the noise to the log density of the measured white noise. A combination has
-        at most one effect on the white noise of each triad, and any of the effects in `apart`, whose log BF is added."""
+        at most one effect on the white noise of each triad, and any of the effects in `apart`, whose log Bayes factor is added."""
         found: dict[tuple[str, ...], float] = {}
         for (gyro, accel), value in self.levels.items():
             acting = [(kind, level) for kind, level in (("gyro", gyro), ("accel", accel)) if level != "declared"]
@@ -210,7 +210,8 @@ def _of_noise(
 
 
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
-    """Amount that is added to the log weight of a cause of `size` effects, because its noise may differ from the declared noise."""
+    """The amount that is added to the log weight of a cause of `size` effects to allow for noise that differs from the declared
+    noise."""
     return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
 
 
@@ -263,8 +264,8 @@ def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
 
 
 def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candidate]) -> list[tuple[str, Weighed]]:
-    """The effects of a hypothesis that have signatures, as a chain of growing sets: from the first chosen effect alone to all
-    effects."""
+    """Orders the effects of a hypothesis that have signatures, and returns the growing sets: the first effect alone, the first two
+    effects, and so on up to all effects."""
     by_id = {c.id: c for c in candidates}
     known = [part for part in name.split("+") if part in by_id]
     if len(known) == 1:
@@ -336,8 +337,8 @@ def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
 
 
 def _beside(kinds: Kinds) -> float:
-    """Log BF that is added to every hypothesis with an effect, because a tone or bursts with an independent cause may be present in
-    addition."""
+    """Log Bayes factor that is added to every hypothesis with an effect, because a tone or bursts with an independent cause may be
+    present in addition."""
     return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
 
 

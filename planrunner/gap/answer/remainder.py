@@ -33,9 +33,9 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
     """The dispersion of one channel. Two sums of squares are tested against χ²: the sum over all coefficients, and the sum over the
     means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
 
-    `rest`: array of shape (M,), whitened residuals. `degrees`: degrees of freedom of `rest`. `means`: array of shape (S,), indices
-    of the coefficients of order 0, in which errors of the form of an effect accumulate. `tests`: number of tests in all channels,
-    for Bonferroni's correction.
+    `rest`: array of shape (M,), the whitened residuals. `degrees`: degrees of freedom of `rest`. `means`: array of shape (S,),
+    indices of the coefficients of order 0, in which errors of the form of an effect accumulate. `tests`: number of tests in all
+    channels, for Bonferroni's correction.
     """
     from scipy.special import chdtrc
 
@@ -69,12 +69,12 @@ VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of th
 class Remainder:
     """The part of a gap that the named effects do not explain.
 
-    `share`: size of the unexplained part relative to the gap, both as root mean squares without noise; 0 if noise alone explains
-    the residuals. `times_noise`: for each channel, root mean square of the coefficients' residuals in standard deviations of the
-    noise; 1 for noise alone. `sigma`: for each channel, the size of all residuals in standard deviations, √(χ² − ν); 0 if they are
-    not larger than the noise. `p`: p-value of the goodness-of-fit test over all channels. `passes`: True if noise alone explains
-    the residuals in every channel, and no pattern outside the catalogue explains them better. A misfit of less than `VISIBLE` times
-    the noise passes, too.
+    `share`: size of the unexplained part divided by the size of the gap; both sizes are root mean squares without noise. It is 0 if
+    noise alone explains the residuals. `times_noise`: for each channel, root mean square of the coefficients' residuals in standard
+    deviations of the noise; 1 for noise alone. `sigma`: for each channel, the size of all residuals in standard deviations, √(χ² −
+    ν); 0 if they are not larger than the noise. `p`: p-value of the goodness-of-fit test over all channels. `passes`: True if noise
+    alone explains the residuals in every channel, and no pattern outside the catalogue explains them better. A misfit smaller than
+    `VISIBLE` standard deviations of the noise is ignored.
     """
 
     share: float

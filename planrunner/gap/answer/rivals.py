@@ -98,7 +98,8 @@ def _size(weighed: Weighed, columns: slice) -> float:
 
 @dataclass(frozen=True)
 class Layout:
-    """All columns of several explanations: nominal parameters first, then effects; each effect is identified by its name and shape."""
+    """All columns of several explanations: first those of the nominal parameters, then those of the effects. Each effect is
+    identified by its name and shape."""
 
     nominal: tuple[str, ...]
     parts: tuple[ExplanationPart, ...]

@@ -43,7 +43,7 @@ class Member:
     """An effect of a set, in one of its forms.
 
     `candidate`: the effect with all its forms, evaluated alone or in addition to the other effects of the set. `form`: the chosen
-    form. `cost`: logarithm of the factor by which averaging over the shape of the effect reduces the evidence; never positive.
+    form. `cost`: the log evidence that is lost by averaging over the shape of the effect, as a number that is never positive.
     """
 
     candidate: Candidate
@@ -64,8 +64,8 @@ class EffectSet:
     """A set of effects that act together.
 
     `members`: the effects, in the order of their columns. `weighed`: the evaluation of all columns together. `log_bayes`: array of
-    shape (G,), log BF at each setting of the noise. `evidence`: log evidence without a random walk of the gyros. `walking`: log
-    evidence with a random walk, −∞ if it was not evaluated.
+    shape (G,), log Bayes factor at each setting of the noise. `evidence`: log evidence without a random walk of the gyros.
+    `walking`: log evidence with a random walk, −∞ if it was not evaluated.
     """
 
     members: tuple[Member, ...]
@@ -184,7 +184,7 @@ def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], log_prior: Array) -> Array:
-    """Log BF (G,) of the set at each setting of the noise that matters under the given prior; −∞ at the other settings."""
+    """Log Bayes factor (G,) of the set at each setting of the noise that matters under the given prior; −∞ at the other settings."""
     widths = weighed.variant.widths
     traces = [member.form.trace for member in members]
     scales = best_scales(weighed.gram[0], weighed.score[0], widths)
@@ -224,7 +224,7 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
     """For each of the other effects, yields the form that fits best if the effect `a` also acts at its most probable size, and the
-    log BF that this form adds."""
+    log Bayes factor that this form adds."""
     if not others:
         return
     mean, covariance = a.amplitudes

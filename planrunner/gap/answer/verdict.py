@@ -1,11 +1,11 @@
 """Derives a verdict from a posterior: none, one effect, a pair, several effects, unknown, or a class that this plan cannot
 distinguish.
 
-An effect that explains nearly all of a gap is named, whatever else acts in addition. The other part of the gap is reported as a
-remainder. This remainder may consist of terms of the full nominal model that a reduced model lacks. For example, the simulation of
-a sensor may have no bias: then a small additional deviation that no hypothesis explains must not prevent the naming of the bias.
-Effects can also be so strong that the deviation from their idealised form is visible. If a flexible "something else" explains the
-energy of this deviation, it is called form residue.
+An effect that explains nearly all of a gap is named, even if something else acts in addition. The other part of the gap is reported
+as a remainder. This remainder may consist of terms of the full nominal model that a reduced model lacks. For example, the
+simulation of a sensor may have no bias: then a small additional deviation that no hypothesis explains must not prevent the naming
+of the bias. Effects can also be so strong that the deviation from their idealised form is visible. If a flexible "something else"
+explains the energy of this deviation, it is called form residue.
 """
 
 from __future__ import annotations
@@ -71,9 +71,10 @@ class Verdict:
 
     `kind`: none, effect, pair, several, unknown or indistinguishable. `effects`: the effects of the most probable hypothesis.
     `members`: the hypotheses that this plan cannot distinguish, including `effects`; a set of effects is written 'a+b'. `residue`:
-    an effect, or "unknown", that may be only form residue: energy that is left because the strongest named effect deviates from its
-    idealised form. It can be one of the named effects. `something_else`: True if something that the catalogue does not contain acts
-    in addition to the named effects. `noise`: effects on the level of the noise that probably act in addition.
+    an effect, or "unknown", that may be only form residue. Form residue is energy that is left because the strongest named effect
+    deviates from its idealised form. `residue` can be one of the named effects. `something_else`: True if something that the
+    catalogue does not contain acts in addition to the named effects. `noise`: effects on the level of the noise that probably act
+    in addition.
     """
 
     kind: str

@@ -37,12 +37,12 @@ _NEAR = math.sqrt(2 - 2 * 0.999)
 
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
-    """A part of the recording where the gap appears.
+    """A part of the recording in which the gap appears.
 
     `share`: fraction of the energy above the noise. Every factor divides the same energy: the shares of one factor, over all
-    channels, add up to at most 1; shares of different factors overlap. `of`: the quantity of which `share` is a fraction: `gap`, or
-    `noise` for energy outside the basis, which is compared with the noise of the channel. `p`: p-value, adjusted for the number of
-    places.
+    channels, add up to at most 1; shares of different factors overlap. `of`: the quantity of which `share` is a fraction. It is
+    `gap`, or `noise` for energy outside the basis, which is compared with the noise of the channel. `p`: p-value, adjusted for the
+    number of places that are examined.
     """
 
     channel: str
@@ -54,8 +54,8 @@ class MisfitPlace:
 
 
 def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPlace]:
-    """Lists all places, the most conspicuous first. `kinds`: for each pattern outside the catalogue, the log BF (K,) of the pattern
-    in each channel alone.
+    """Lists all places, the most conspicuous first. `kinds`: for each pattern outside the catalogue, the log Bayes factor (K,) of
+    the pattern in each channel alone.
 
     The best level of each channel and factor is ranked by the evidence that the residual of the channel follows the factor. This
     evidence is the mean over the patterns of the factor, which penalises factors with many levels. The other levels of a factor
@@ -78,7 +78,7 @@ def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPla
 
 
 def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, Array]:
-    """Log BF (K,) of each factor. `noisier`: log BF (K,) that the white noise is larger than declared."""
+    """Log Bayes factor (K,) of each factor. `noisier`: log Bayes factor (K,) that the white noise is larger than declared."""
     sorted_: dict[Factor, list[Array]] = {Factor.BAND: [noisier]}
     for pattern, values in kinds.items():
         sorted_.setdefault(pattern.factor, []).append(values)
@@ -86,8 +86,8 @@ def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, A
 
 
 def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
-    """Log BF (3, K) of three hypotheses: slow changes within segments, more white noise than declared, and a tone outside the
-    basis."""
+    """Log Bayes factor (3, K) of three hypotheses: slow changes within segments, more white noise than declared, and a tone outside
+    the basis."""
     none = np.full(len(weighing.observed.channels), -np.inf)
     more = excess_by_channel(weighing.declared, weighing.white, weighing.white_degrees)
     return np.array([kinds.get(WHOLE[Sort.TRANSIENT], none), more, kinds.get(TONE, none)])

@@ -4,11 +4,11 @@ The strength of an effect is its energy λ: the energy of its signature in units
 parameters absorb has been removed. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to
 `STRONGEST`. Weaker effects cannot be distinguished from no effect; they count as absent. Amplitudes θ ~ N(0, s²·D) with a
 log-uniform s² have the same directions, but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three
-steps. For given s², the Bayes factor of the Gaussian model is log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c, where G
-is the Gram matrix of the signatures and c their product with the data. This Bayes factor is multiplied by the posterior probability
-that λ = θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is a sum of scaled non-central χ²
-variables; its distribution is approximated by a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above
-`STRONGEST`, the prior density continues, because a stronger effect is still the same effect.
+steps. For given s², the Bayes factor of the Gaussian model is log Bayes factor = −½·log det(I + s²DG) + ½·s²·cᵀD½(I +
+s²D½GD½)⁻¹D½c, where G is the Gram matrix of the signatures and c their product with the data. This Bayes factor is multiplied by
+the posterior probability that λ = θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is a sum of
+scaled non-central χ² variables; its distribution is approximated by a scaled χ² with the same mean and variance (Patnaik,
+Biometrika 36, 1949). Above `STRONGEST`, the prior density continues, because a stronger effect is still the same effect.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ misalignment of the sensor, which are seldom larger."""
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """The log BF averaged over λ, for stacked arrays gram (…, p, p) and score (…, p), in units of the prior magnitudes (D = I).
+    """The log Bayes factor averaged over λ, for stacked arrays gram (…, p, p) and score (…, p), in units of the prior magnitudes (D
+    = I).
 
     `trace`: energy of an effect with the amplitude 1, which scales the grid of s²; by default it is tr(gram) of the first element.
     """
@@ -38,22 +39,22 @@ def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> 
 
 
 def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
-    """Averages Bayes factors over the prior of λ. `terms`: array of shape (…, E), log BF at each point of the grid of s². Returns
-    the logarithm of the mean, (…)."""
+    """Averages Bayes factors over the prior of λ, and returns the logarithm of the average, an array of shape (…). `terms`: array
+    of shape (…, E), log Bayes factor at each point of the grid of s²."""
     step = float(np.log(energies[1] / energies[0]))
     return np.asarray(log_mean_exp(terms, -1) + np.log(len(energies) * step / RANGE))
 
 
 def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """The log BF (…, E) at each point of the grid of s²."""
+    """The log Bayes factor (…, E) at each point of the grid of s²."""
     values, vectors = np.linalg.eigh(gram)
     along = np.einsum("...ji,...j->...i", vectors, score) ** 2
     return from_eigen(np.maximum(values, 0.0), along, trace)
 
 
 def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array:
-    """The log BF (…, E) at each point of the grid of s², from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along
-    its eigenvectors."""
+    """The log Bayes factor (…, E) at each point of the grid of s², from eigenvalues (…, p) of the Gram matrix and squared scores
+    (…, p) along its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
     s2 = ENERGIES[:, None] / max(trace, 1e-300)
@@ -67,8 +68,10 @@ def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array
 
 
 def gaussian(grown: Array, gain: Array) -> Array:
-    """The log BF (…) of amplitudes θ ~ N(0, s²·D), whatever their energy. `grown`: array of shape (…, p), 1 + s²·eigenvalue.
-    `gain`: array of shape (…, p), s²·squared score ÷ grown."""
+    """The log Bayes factor (…) of amplitudes θ with the prior N(0, s²·D); amplitudes of any energy count.
+
+    `grown`: array of shape (…, p): 1 + s²·λ for each eigenvalue λ of the Gram matrix. `gain`: array of shape (…, p): s² multiplied
+    by the squared score and divided by `grown`."""
     return np.asarray(0.5 * (gain - np.log(grown)).sum(-1))
 
 
@@ -83,7 +86,7 @@ def strong_enough(mean: Array, variance: Array) -> Array:
 
 
 def held_log_bayes_factor(gram: Array, score: Array) -> Array:
-    """The log BF (…) of an amplitude with the prior N(1, `GAIN`²), from its information `gram` (…) and its score (…)."""
+    """The log Bayes factor (…) of an amplitude with the prior N(1, `GAIN`²), from its information `gram` (…) and its score (…)."""
     precision = 1 / GAIN**2
     grown = gram + precision
     return np.asarray(0.5 * ((score + precision) ** 2 / grown - precision - np.log(grown / precision)))
@@ -96,8 +99,8 @@ def held_amplitude(gram: float, score: float) -> tuple[float, float]:
 
 
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
-    """The change of the log BF if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of N(0, s²).
-    `scales`: array of shape (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density at
+    """The change of the log Bayes factor if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of N(0,
+    s²). `scales`: array of shape (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density at
     amplitude 1 (Dickey, Ann. Math. Stat. 42, 1971)."""
     at = np.asarray(held)
     covariance = np.linalg.inv(gram + np.diag(1 / scales))
@@ -109,7 +112,7 @@ def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) ->
 
 
 def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:
-    """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes.
+    """Posterior mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes.
 
     `widths`: number of columns of each effect if the columns belong to several effects, each with a separate s².
     """
@@ -137,8 +140,8 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
-    """The log BF that two effects act together. The first effect has the columns 0 … first − 1, the second the remaining columns.
-    Each effect has a separate s², averaged over the grid `energies`, and at least the strength `WEAKEST`."""
+    """The log Bayes factor that two effects act together. The first effect has the columns 0 … first − 1, the second the remaining
+    columns. Each effect has a separate s², averaged over the grid `energies`, and at least the strength `WEAKEST`."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
@@ -148,8 +151,9 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
 def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
-    """The log BF that any number of effects act together. Each effect has a separate s², averaged over the grid `energies`, and at
-    least the strength `WEAKEST`. `near`: array of shape (p,), s² with which the search for the most probable s² starts.
+    """The log Bayes factor that any number of effects act together. Each effect has a separate s², averaged over the grid
+    `energies`, and at least the strength `WEAKEST`. `near`: array of shape (p,), s² with which the search for the most probable s²
+    starts.
 
     A grid over all s² together would have one dimension for each effect. Instead, the most probable s² are found for one effect at
     a time, and the average over the s² of each effect is computed with the other s² fixed at their most probable values. This is
@@ -173,7 +177,7 @@ def set_log_bayes_factor(
 
 
 def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
-    """The log BF (G,) of Gaussian amplitudes with fixed s² (p,), for stacked arrays gram (G, p, p) and score (G, p)."""
+    """The log Bayes factor (G,) of Gaussian amplitudes with fixed s² (p,), for stacked arrays gram (G, p, p) and score (G, p)."""
     root = np.sqrt(scales)
     inner = np.eye(len(root)) + root[:, None] * gram * root
     along = root * score
@@ -182,8 +186,8 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
-    """The log BF (E,) of several effects at E combinations of their s² (E, effects), plus the log probability that each effect has
-    at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
+    """The log Bayes factor (E,) of several effects at E combinations of their s² (E, effects), plus the log probability that each
+    effect has at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]

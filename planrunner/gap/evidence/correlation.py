@@ -62,8 +62,8 @@ class Blocks:
 
 
 class Correlation:
-    """Correlations of the coefficients (M,) of a channel, from their covariances. It changes standardised coefficients, each with the
-    variance 1, into independent ones (`apart`) and back (`joined`)."""
+    """Correlations of the coefficients (M,) of a channel, from their covariances. `apart` changes standardised coefficients, each
+    of which has the variance 1, into independent ones; `joined` changes independent coefficients into standardised ones."""
 
     def __init__(self, covariance: Blocks):
         root = np.sqrt(np.diagonal(covariance.matrix, axis1=1, axis2=2))

@@ -118,8 +118,8 @@ def _excess(
 
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
-    """The log BF (K,) that the white noise of a channel is larger than declared. The alternative is that the declaration is right
-    or has a usual error."""
+    """The log Bayes factor (K,) that the white noise of a channel is larger than declared. The alternative is that the declaration
+    is right or has a usual error."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:

@@ -44,11 +44,11 @@ class NoiseWithin:
 
     `frequency`: array of shape (B,) in Hz, centres of the bands. `weight`: array of shape (B,), number of coefficients in each
     band. `spectrum`: array of shape (2, B, K), spectra of the segments at rest and of those in motion, as the cosine transform of a
-    segment shows them. `density`: array of shape (2, B, K), the same spectra without the leakage of the transform. `level`: array
-    of shape (S, K), level of each segment. `own`: array of shape (S, B, K), variance in each band of a segment, divided by the
-    product of spectrum and level. `moving`: array of shape (S,), index of the spectrum that applies to each segment: 0 at rest, 1
-    in motion. `coloured`: array of shape (2, K), True if a spectrum is not white. `differing`: array of shape (K,), True if the
-    level differs between segments.
+    segment shows them. `density`: array of shape (2, B, K), the spectra at rest and in motion without the leakage of the transform.
+    `level`: array of shape (S, K), level of each segment. `own`: array of shape (S, B, K), variance in each band of a segment,
+    divided by the product of `spectrum` and `level`. `moving`: array of shape (S,), index of the spectrum that applies to each
+    segment: 0 at rest, 1 in motion. `coloured`: array of shape (2, K), True if a spectrum is not white. `differing`: array of shape
+    (K,), True if the level differs between segments.
     """
 
     frequency: Array

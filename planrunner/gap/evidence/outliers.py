@@ -81,10 +81,10 @@ def outliers(
 def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.int64]) -> Pulses:
     """The outliers among the samples (n,) of a segment.
 
-    `basis`: array of shape (n, m), cosine transform of the vectors that the samples contain with unknown amplitudes. `variance`:
-    array of shape (n,), variance of the noise in each coefficient of the cosine transform. `known`: rows of samples that are
-    already known to be wrong. If too many outliers are found, only the known rows are returned; if there are too many known rows,
-    none are returned.
+    `basis`: array of shape (n, m), cosine transforms of m vectors that may be part of the samples with unknown amplitudes.
+    `variance`: array of shape (n,), variance of the noise in each coefficient of the cosine transform. `known`: rows of samples
+    that are already known to be wrong. If too many outliers are found, only the known rows are returned; if there are too many
+    known rows, none are returned.
     """
     from scipy.fft import dct, idct
 
@@ -117,8 +117,9 @@ def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.i
 
 
 def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
-    """Returns an orthonormal basis Q of the whitened columns, and the matrix T for which Q = (whitened columns)·Tᵀ. The columns are
-    the vectors `basis` (n, m) and a unit pulse at each of the rows. `root`: array of shape (n,), inverse standard deviations."""
+    """Whitens columns, and returns an orthonormal basis Q of the whitened columns and the matrix T that fulfils Q = (whitened
+    columns)·Tᵀ. The columns are the vectors `basis` (n, m) and a unit pulse at each of the rows. `root`: array of shape (n,),
+    inverse standard deviations."""
     columns = np.column_stack([basis, _unit(len(root), rows)]) * root[:, None]
     size = np.linalg.norm(columns, axis=0)
     turned = np.linalg.inv(np.linalg.cholesky((columns.T @ columns) / np.outer(size, size))) / size

@@ -35,9 +35,10 @@ _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the low
 class SpectralBasis:
     """The basis of one segment.
 
-    `vectors`: array of shape (n, m), orthonormal columns, the first of which is constant. `frequency`: array of shape (m,) in Hz, 0
-    for the mean. `harmonic`: array of shape (m,), order of the motion's harmonic; 0 for a vector of the cosine transform;
-    `RESPONSE` for the response to a recorded motion.
+    `vectors`: array of shape (n, m), whose columns are orthonormal; the first column is constant. `frequency`: array of shape (m,),
+    the frequency of each vector in Hz; it is 0 for the constant vector. `harmonic`: array of shape (m,) that states what each
+    vector is. The value is 0 for a vector of the cosine transform, and `RESPONSE` for the response to a recorded motion. For a
+    harmonic of the motion, the value is its order.
     """
 
     vectors: Array
@@ -268,8 +269,8 @@ def _robust(
 
 
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
-    """Standard deviation (K,) of the white noise of a sample, and the degrees of freedom (K,) of this estimate, from the upper
-    bands of segments at rest.
+    """Standard deviation (K,) of the white noise of a sample, and the degrees of freedom (K,) of this estimate. Both are determined
+    from the upper bands of segments at rest.
 
     If no segment is at rest, all segments are used. The upper bands begin at one eighth of the sampling rate, above all slow
     processes.

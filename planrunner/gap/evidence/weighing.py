@@ -46,10 +46,10 @@ DEPENDENT = 1e-8
 class Setting:
     """One setting of the noise of a triad.
 
-    `flicker`: factor by which the declared flicker level is multiplied. `walk`: SI/√s; if `alike` is True, the density of the
-    random walk in all axes; otherwise the scale of the prior for separate densities of the axes. `prior`: for a setting with a
-    random walk, its prior probability among all settings with one; for a setting without, its prior probability among all settings
-    without.
+    `flicker`: factor by which the declared flicker level is multiplied. `walk`: level of the random walk in SI/√s. If `alike` is
+    True, it is the density of the random walk in every axis; otherwise it is the scale of the prior from which the density of each
+    axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings with a random walk add up to
+    1, and so do those of all settings without one.
     """
 
     flicker: float
@@ -134,10 +134,11 @@ class ChannelWeights:
     """The weights of one channel for one level of flicker (relative to the declared level) and one level of the random walk.
     `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
 
-    `relative`: (M,), variance of the noise of each coefficient, divided by white². `undithered`: variance of the rounding error of
-    a segment mean. `log_likelihood`: REML of the data without any effect. `log_det`: −2·log_likelihood, without the sum of the
-    squared residuals. `basis`: array of shape (M, q), orthonormal basis of the whitened nominal columns. `scale`: (M,), factors
-    that whiten coefficients one by one: all coefficients if there is no slow noise, otherwise those above order 0.
+    `relative`: array of shape (M,), variance of the noise of each coefficient, divided by the variance of the white noise.
+    `undithered`: variance of the rounding error of a segment mean. `log_likelihood`: REML of the data without any effect.
+    `log_det`: −2·log_likelihood, without the sum of the squared residuals. `basis`: array of shape (M, q), orthonormal basis of the
+    whitened nominal columns. `scale`: array of shape (M,), factors that whiten coefficients one by one. They apply to all
+    coefficients if there is no slow noise, otherwise to those above order 0.
     """
 
     def __init__(
@@ -357,8 +358,10 @@ def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Co
 
 @dataclass
 class _Shared:
-    """A table of samples (N, P) whose columns belong to several effect columns. `places`: for each effect column, its index, its
-    channel, and the index of the table's column. `acting`: True for segments in which any of these effect columns acts."""
+    """A table of samples (N, P), each column of which may belong to several effect columns.
+
+    `places`: for each effect column, its index, its channel, and the index of the table's column to which it belongs. `acting`:
+    True for segments in which any of these effect columns acts."""
 
     table: Array
     places: list[tuple[int, int, int]] = field(default_factory=list)
@@ -392,10 +395,11 @@ _NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
 
 
 class Left:
-    """A channel at one setting of the noise, from which some rows of coefficients may have been removed.
+    """A channel at one setting of the noise, after some rows of coefficients may have been removed.
 
-    `rows`: (M,), True for the remaining rows. `basis`: array of shape (M, q), orthonormal basis of the whitened nominal columns on
-    these rows. `residual`: array of shape (M,), whitened residual. basis and residual are zero in the removed rows.
+    `rows`: array of shape (M,), True for the remaining rows. `basis`: array of shape (M, q), orthonormal basis of the whitened
+    nominal columns on these rows. `residual`: array of shape (M,), whitened residual. `basis` and `residual` are zero in the
+    removed rows.
     """
 
     def __init__(self, weight: ChannelWeights, rows: Rows, basis: Array, residual: Array):
@@ -415,9 +419,9 @@ class Left:
         return Left(self.weight, rows, basis, residual - basis @ (basis.T @ residual))
 
     def whitened(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """Whitens columns as `ChannelWeights.whitened_rows` does, but leaves out the removed rows. The columns are zero except in a
-        few rows. `columns`: array of shape (n, P), their values in the rows `rows` (n,). Returns the remaining rows in which the
-        whitened columns are not zero, and the whitened values in these rows."""
+        """Whitens columns as `ChannelWeights.whitened_rows` does, but leaves out the removed rows. `columns`: array of shape (n,
+        P), values of the columns in the rows `rows` (n,); the columns are zero in all other rows. Returns the remaining rows in
+        which the whitened columns are not zero, and the whitened values in these rows."""
         at, whitened = self.weight.whitened_rows(columns, rows)
         here = self.rows[at]
         return (at, whitened) if here.all() else (at[here], whitened[here])

@@ -86,8 +86,9 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One or more sources that group the runs in the same way. `labels`: (m,), for each group its label and the moment of the step
-    with which it begins (empty if there is none). `members`: array of shape (n,), index of the group of each run."""
+    """One or more sources that group the runs in the same way. `labels`: for each of the m groups, its label and the moment of the
+    step with which the group begins; the moment is empty if there is no step. `members`: array of shape (n,), index of the group of
+    each run."""
 
     sources: tuple[Source, ...]
     labels: tuple[tuple[str, str], ...]
@@ -101,7 +102,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Uncertain:
-    """A value, and the half-width of the interval about it that has the probability `COVERAGE`."""
+    """A value with its uncertainty. The interval of this half-width about the value has the probability `COVERAGE`."""
 
     value: float
     expanded: float
@@ -109,12 +110,14 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """The part of an amplitude that belongs to one device, bench or occasion, under the condition that this source contributes.
+    """The part of an amplitude that belongs to one device, one bench or one occasion, under the condition that parts of this kind
+    contribute at all.
 
-    `level`: this part plus the part that all runs have in common. The data often determine this sum better than either of the two
-    parts. `difference`: this part minus the mean of the other parts of the same source. `level` and `difference` are None if every
-    group of the source has only one run; `difference` is also None if there is only one group. `runs`: number of runs that contain
-    the part. `since`: moment of the step from which the part counts; empty if it counts from the first run.
+    `level`: the sum of this part and of the part that all runs have in common; the data often determine the sum better than either
+    part. `difference`: this part minus the average of the parts of the other devices (or benches, or occasions). `level` and
+    `difference` are None if every device (or bench, or occasion) has only one run; `difference` is also None if there is only one
+    device (or bench, or occasion). `runs`: number of runs that contain the part. `since`: moment of the step from which the part
+    counts; empty if the part counts from the first run.
     """
 
     label: str

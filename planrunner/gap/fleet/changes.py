@@ -47,11 +47,11 @@ class ChangeKind(Enum):
 class FleetChange:
     """A change of an amplitude: a step or a drift.
 
-    `sources`: the sources of the change, each with its label; there are several if the runs cannot distinguish them. `runs`:
-    indices of the runs of the first of these sources. `before`: for a step, the number of these runs before it. `earliest`,
-    `latest`: indices into `runs` that bound the time of a step with 95 % confidence: it occurred after the run `earliest` and not
-    after the run `latest`. `size`: size of a step, or of a drift per day. `degrees_of_freedom`: ν of the standard uncertainty of
-    `size`. `p`: p-value, corrected for the number of changes that were tried.
+    `sources`: the sources to which the change belongs, each with its label. There are several sources if the runs cannot
+    distinguish them. `runs`: indices of the runs of the first of these sources. `before`: for a step, the number of runs in `runs`
+    before the step. `earliest`, `latest`: for a step, indices into `runs` between which the step occurred with 95 % confidence:
+    after the run `earliest`, and not after the run `latest`. `size`: size of a step, or of a drift per day. `degrees_of_freedom`: ν
+    of the standard uncertainty of `size`. `p`: p-value, corrected for the number of changes that were tried.
     """
 
     kind: ChangeKind
@@ -88,8 +88,8 @@ class _Tried:
     """A candidate change after its fit.
 
     `size`, `u`, `freedom`, `p`: estimated size, standard uncertainty, degrees of freedom and p-value. `chi2`: χ² of the fit with
-    this change. `factor`: c², by which the variances are multiplied. `direction`: column of the change after it has been made
-    orthogonal to the other columns, scaled to length 1.
+    this change. `factor`: c², by which the variances are multiplied. `direction`: the column of the change, made orthogonal to the
+    other columns and scaled to length 1.
     """
 
     candidate: _Candidate

@@ -48,8 +48,8 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A variant after whitening and evaluation; its columns no longer contain samples. gram (G, p, p) and score (G, p): values at
-    each of the G settings of the noise.
+    """A variant after whitening and evaluation; its columns no longer contain samples. `gram` (G, p, p) and `score` (G, p) are
+    computed at each of the G settings of the noise.
 
     `trace`: energy of the columns after projection, at the first setting. `kept`: ratio of this energy to the energy before
     projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before whitening and
@@ -67,16 +67,16 @@ class Weighed:
 
     @cached_property
     def log_bayes(self) -> Array:
-        """The log BF (G,) at each setting of the noise, averaged over the energy λ of the effect; for a held amplitude, near the
-        amplitude 1."""
+        """The log Bayes factor (G,) at each setting of the noise, averaged over the energy λ of the effect; for a held amplitude,
+        near the amplitude 1."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
         return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
 
     def if_possible(self, log_bayes: Array) -> Array:
-        """The log BF (G,) under the condition that the amplitudes are physically possible. `log_bayes`: array of shape (G,), log BF
-        without this condition. An effect whose best fit is physically impossible counts as no better than no effect, however well
-        it reproduces the data."""
+        """The log Bayes factor (G,) under the condition that the amplitudes are physically possible. `log_bayes`: array of shape
+        (G,), log Bayes factor without this condition. An effect whose best fit is physically impossible counts as no better than no
+        effect, however well it reproduces the data."""
         found = log_bayes + self.log_possible
         return np.minimum(found, self.log_possible) if self.excluded else found
 
@@ -87,8 +87,8 @@ class Weighed:
 
     @cached_property
     def log_possible(self) -> float:
-        """The logarithm of the probability that every amplitude is physically possible. It is added to the log BF of a prior
-        without limits, which is too large by this amount."""
+        """The logarithm of the probability that every amplitude is physically possible. It is added to the log Bayes factor of a
+        prior without limits, which is too large by this amount."""
         columns = self.variant.columns
         limited = [k for k, column in enumerate(columns) if np.isfinite([column.smallest, column.largest]).any()]
         if not limited:
@@ -116,9 +116,9 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect and its evaluated variants. `log_bayes`: array of shape (G,), log BF averaged over the shape of the effect. `at`:
-    index of the setting of the noise at which the forms are compared. This is the most probable setting without a random walk of
-    the gyros, because a random walk would explain much of what a wrong form leaves."""
+    """An effect and its evaluated variants. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape of the
+    effect. `at`: index of the setting of the noise at which the forms are compared. This is the most probable setting without a
+    random walk of the gyros, because a random walk would explain much of what a wrong form leaves."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
@@ -156,14 +156,15 @@ class Candidate:
 
 
 class Weighing:
-    """A recording with its noise and its nominal model, prepared for the evaluation of effects.
+    """A recording with its noise and its nominal model, prepared for the evaluation of effects. A setting of the noise combines a
+    setting of the gyros with a setting of the accelerometers. Its index is (gyro setting) × (number of accelerometer settings) +
+    (accelerometer setting).
 
-    `removed`: array of shape (N, K) in SI units, signal that is subtracted from the samples before they are evaluated, such as a
+    `removed`: array of shape (N, K) in SI units, a signal that is subtracted from the samples before they are evaluated, such as a
     line. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier one.
-    `coarse`: array of shape (K,), True for channels whose noise does not dither the rounding to counts; the scatter of their
-    samples shows rounding, not noise. Each setting combines a setting of the gyros and one of the accelerometers: index = gyro
-    setting × number of accelerometer settings + accelerometer setting. `angles`: for each channel, the columns (M, n) of
-    `angle_columns` that act on it. `outliers`: (N, K), SI, errors of single samples that are left out; None if there are none.
+    `coarse`: array of shape (K,), True for channels whose noise does not dither the rounding to counts; the scatter of the samples
+    of such a channel shows rounding, not noise. `angles`: for each channel, the columns (M, n) of `angle_columns` that act on it.
+    `outliers`: array of shape (N, K) in SI units, errors of single samples that are left out; None if there are none.
     """
 
     def __init__(
@@ -322,8 +323,9 @@ class Weighing:
         return tuple(int(np.argmax(self.base + prior)) for prior in self.log_prior if np.isfinite(prior).any())
 
     def likeliest_with(self, log_bayes: Array, walking: bool) -> int:
-        """Index of the most probable setting of the noise if a hypothesis is true, with or without a random walk of the gyros.
-        `log_bayes`: array of shape (G,), log BF of the hypothesis."""
+        """Index of the most probable setting of the noise if a hypothesis is true. Settings with a random walk of the gyros are
+        compared if `walking` is True, and settings without one if it is False. `log_bayes`: array of shape (G,), log Bayes factor
+        of the hypothesis."""
         terms = self.base + self.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
         return int(np.argmax(terms))
 
@@ -336,8 +338,8 @@ class Weighing:
         return [(weight, weight.project(raw)) for weight, raw in zip(weights, weighed.raw, strict=True)]
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
-        """Log evidence of a hypothesis, averaged over the settings of the noise. `log_bayes`: array of shape (G,), log BF of the
-        hypothesis at each setting."""
+        """Log evidence of a hypothesis, averaged over the settings of the noise. `log_bayes`: array of shape (G,), log Bayes factor
+        of the hypothesis at each setting."""
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
@@ -348,8 +350,8 @@ class Weighing:
         return [_without_samples(variant) for variant in variants], raw
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, averaged over the settings of the noise with or without
-        a random walk of the gyros."""
+        """Posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes, averaged over the settings of the noise with a
+        random walk of the gyros or over the settings without one."""
         terms = self.base + weighed.log_bayes + self.log_prior[int(walking)]
         share = np.exp(terms - terms.max())
         share /= share.sum()

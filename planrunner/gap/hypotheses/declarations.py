@@ -82,7 +82,7 @@ class _Fit:
     """Result of the free fit of the triads.
 
     `readings`: the reading of each channel, None if the plan does not determine it. `sound`: True if every determined channel
-    follows the plan after its reading (axis, sign and factor) has been taken into account. `misfit`: sum, over the channels, of the
+    follows the plan once its reading (axis, sign and factor) has been taken into account. `misfit`: sum, over the channels, of the
     squared residuals divided by the sum of squares of the means.
     """
 

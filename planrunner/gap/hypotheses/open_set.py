@@ -54,11 +54,12 @@ class Line:
 class Kinds:
     """Evidence for the patterns outside the catalogue (competitors).
 
-    `log_bayes`: (G,), log BF of each competitor against none, for each setting of the noise; −∞ for settings with a random walk of
-    the gyros' bias. `several`: array of shape (G,), log BF of combinations of patterns of different kinds. `by_channel`: (K,), log
-    BF of each competitor in each channel alone, at the first setting of the noise. `outside`: log BF of the patterns outside the
-    coefficients. No effect of the catalogue acts there, so these patterns are independent of every effect. `lines`: the strongest
-    tone of each channel that shows a tone.
+    `log_bayes`: for each competitor, an array of shape (G,): its log Bayes factor against none at each setting of the noise. It is
+    −∞ for settings with a random walk of the gyros' bias. `several`: array of shape (G,), log Bayes factor of combinations of
+    patterns of different kinds. `by_channel`: for each competitor, an array of shape (K,): its log Bayes factor in each channel
+    alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns outside the coefficients. No effect of the
+    catalogue acts outside the coefficients, so these patterns are independent of every effect. `lines`: the strongest tone of each
+    channel that shows a tone.
     """
 
     log_bayes: dict[Pattern, Array]
@@ -69,8 +70,8 @@ class Kinds:
 
 
 def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
-    """Evaluates all patterns outside the catalogue. `outside_`: evidence for the patterns outside the basis if it has already been
-    computed."""
+    """Evaluates all patterns outside the catalogue. `outside_`: evidence for the patterns outside the basis, if this evidence has
+    already been computed."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
     patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
@@ -95,9 +96,9 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
 
 
 def something_else(weighing: Weighing) -> float:
-    """The log BF of the patterns of the coefficients, single and in combination, against none, at the most probable setting of the
-    noise. If the weighing includes effects (`Weighing.beside`), this is the evidence for something else in addition to these
-    effects."""
+    """The log Bayes factor of the patterns of the coefficients, single and in combination, against none, at the most probable
+    setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the evidence for something else in addition
+    to these effects."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
@@ -106,7 +107,7 @@ def something_else(weighing: Weighing) -> float:
 
 
 def unknown(kinds: Kinds) -> Array:
-    """The log BF (G,) of "something else": the mean over single patterns and over combinations of patterns."""
+    """The log Bayes factor (G,) of "something else": the mean over single patterns and over combinations of patterns."""
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
 
 
@@ -117,8 +118,8 @@ def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
 
 
 def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Array]) -> float:
-    """The log BF of combinations of patterns of several sorts, where each sort is present with probability ½. A cause outside the
-    catalogue often appears in more than one sort.
+    """The log Bayes factor of combinations of patterns of several sorts, where each sort is present with probability ½. A cause
+    outside the catalogue often appears in more than one sort.
 
     Coefficients of different sorts are connected only by the nominal parameters, through which a strong sort influences all others.
     Therefore the strongest sort is evaluated first, and the other sorts without its coefficients; this is repeated until the
@@ -135,7 +136,7 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Arr
 
 
 def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
-    """The log BF of each sort. Patterns that span several sorts are left out, because they would count twice."""
+    """The log Bayes factor of each sort. Patterns that span several sorts are left out, because they would count twice."""
     sorts: dict[Sort, list[float]] = {}
     for pattern, value in found.items():
         if pattern.sort is not Sort.SEVERAL:
@@ -144,7 +145,7 @@ def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
 
 
 def _maybe(log_bayes: float) -> float:
-    """The log BF of a pattern that is present with probability ½."""
+    """The log Bayes factor of a pattern that is present with probability ½."""
     return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
 
 
@@ -163,8 +164,8 @@ class _Patterns:
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
-        """The log BF of each pattern in each scope, and of a deviation in a single segment of any channel. `among`: the sorts to
-        evaluate, by default all."""
+        """The log Bayes factor of each pattern in each scope, and of a deviation in a single segment of any channel. `among`: the
+        sorts to evaluate, by default all."""
         found: dict[Pattern, list[float]] = {}
         for pattern, per_channel in self.designs:
             if among is None or pattern.sort in among:
@@ -184,7 +185,7 @@ class _Patterns:
 
 
 def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
-    """The log BF of a design in the channels of each scope; −∞ for scopes in which the design has no effect."""
+    """The log Bayes factor of a design in the channels of each scope; −∞ for scopes in which the design has no effect."""
     size = np.zeros((len(scopes), max(sum(len(spectra[index][0]) for index in scope) for scope in scopes)))
     along = np.zeros_like(size)
     for row, scope in enumerate(scopes):
@@ -203,8 +204,8 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
 class Outside:
     """Evidence for the patterns outside the basis of the coefficients.
 
-    `log_bayes`: log BF of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone. `causes`:
-    those of these tones that count as separate causes.
+    `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
+    `causes`: those of these tones that count as separate causes.
     """
 
     log_bayes: dict[Pattern, Array]
@@ -240,11 +241,11 @@ def outside(weighing: Weighing) -> Outside:
 class _Scan:
     """The remainder of a channel in segments at rest and turning, prepared for a periodogram.
 
-    `chosen`: array of shape (n,), indices of the samples. `weight`: array of shape (n,), number of raw samples in each of these
-    samples. `samples`: array of shape (n,) in SI units, divided by the level of the noise of their segments. `slot`: array of shape
-    (n,), place of each sample on a grid of `length` steps of `step` seconds. `level`: array of shape (n,), level of the noise, as a
-    standard deviation relative to `white`. `coloured`: True if the spectrum of the noise is not white. The scan has no samples if
-    the run is too long or too short, or if the counts of the channel are coarse.
+    `chosen`: array of shape (n,), indices of the samples that are used. `weight`: array of shape (n,), number of raw samples in
+    each of these samples. `samples`: array of shape (n,), the samples in SI units, each divided by the level of the noise of its
+    segment. `slot`: array of shape (n,), position of each sample on a time grid of `length` steps of `step` seconds. `level`: array
+    of shape (n,), level of the noise, as a standard deviation relative to `white`. `coloured`: True if the spectrum of the noise is
+    not white. The scan has no samples if the run is too long or too short, or if the counts of the channel are coarse.
     """
 
     chosen: NDArray[np.int64]
@@ -258,8 +259,8 @@ class _Scan:
     coloured: bool
 
     def energy(self, samples: Array) -> float:
-        """Energy [SI²] of samples (n,), summed over the raw samples. `samples`: divided by the level of the noise, like the field
-        `samples`."""
+        """Energy [SI²] of samples (n,), summed over the raw samples. `samples`: samples divided by the level of the noise, as in
+        the attribute `samples`."""
         return float(self.weight @ samples**2)
 
 
@@ -267,8 +268,8 @@ class _Scan:
 class _Periodogram:
     """The periodogram of a scan.
 
-    `frequency`: array of shape (F,) in Hz. `power`: array of shape (F,), in units of the noise. `amplitude`: array of shape (F,) in
-    SI units, amplitude of a sine with this power.
+    `frequency`: array of shape (F,) in Hz. `power`: array of shape (F,), power at each frequency in units of the noise power.
+    `amplitude`: array of shape (F,) in SI units, amplitude of a sine with this power.
     """
 
     frequency: Array
@@ -294,7 +295,8 @@ class _Periodogram:
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
-    """The log BF that the mean of one channel deviates in one segment; it is unknown in which channel and in which segment."""
+    """The log Bayes factor that the mean of one channel deviates in one segment; it is unknown in which channel and in which
+    segment."""
     each = []
     for left in channels:
         at, whitened = left.whitened(np.eye(len(means)), means)
@@ -372,8 +374,8 @@ def _local_level(power: Array) -> Array:
 
 
 def _tone(powers: list[Array]) -> float:
-    """The log BF of a tone of unknown frequency that keeps its phase and appears in several channels. `powers`: for each channel,
-    the powers of its periodogram."""
+    """The log Bayes factor of a tone of unknown frequency that keeps its phase and appears in several channels. `powers`: for each
+    channel, the powers of its periodogram."""
     powers = [power for power in powers if len(power)]
     if not powers:
         return -np.inf

@@ -23,7 +23,7 @@ Rows = NDArray[np.bool_]
 
 
 class Sort(Enum):
-    """The kind of coefficients that a pattern consists of; for a pattern outside the basis, the kind of pattern. `SEVERAL`: the
+    """The kind of coefficients that a pattern consists of; or, for a pattern outside the basis, a name for its kind. `SEVERAL`: the
     pattern consists of coefficients of more than one kind."""
 
     MEANS = "means"

@@ -45,7 +45,7 @@ class Repeating:
         self._coarse = self.waves(self.frequencies, WAVEFORM)
 
     def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> list[float]:
-        """The log BF of a bias with an unknown period in the channels of each scope."""
+        """The log Bayes factor of a bias with an unknown period in the channels of each scope."""
         parts = [self._eigen(left, self._coarse, (2, 2 * WAVEFORM)) for left in channels]
         found = []
         for scope in scopes:
@@ -58,8 +58,8 @@ class Repeating:
         return found
 
     def _edged(self, peaks: NDArray[np.int64], channels: Sequence[Left]) -> float:
-        """The log BF of a waveform with edges. The mean over periods near the `peaks` counts as the only contribution to the mean
-        over the whole finer grid."""
+        """The log Bayes factor of a waveform with edges. The mean over periods near the `peaks` counts as the only contribution to
+        the mean over the whole finer grid."""
         steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
         near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
         waves = self.waves(near, EDGED)
@@ -95,7 +95,7 @@ class Repeating:
 
 
 def _evidence(parts: Sequence[Eigen]) -> Array:
-    """The log BF (F,) of each frequency in several channels together, with one prior for the total energy."""
+    """The log Bayes factor (F,) of each frequency in several channels together, with one prior for the total energy."""
     size, along = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
     unit = np.maximum(size.sum(1, keepdims=True), 1e-300)
     return averaged(from_eigen(size / unit, along / unit, 1.0))

@@ -48,7 +48,8 @@ class Flicker:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Advances the processes to the time [s] of a segment's first node, by the exact transition from their last node."""
+        """Advances the processes to the time at which a segment starts, `time` [s], by the exact transition from the time that they
+        have reached."""
         fresh = draw.standard_normal(OCTAVES) * self.deviation
         if self.state is None:
             self.state = fresh

@@ -13,7 +13,8 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 def numbers(link: MessageLink, request: str, count: int, framing: AnswerFraming | None = None) -> list[float]:
     """The numbers in the answer to a request; they are separated by commas or semicolons. Raises `InstrumentError` if there are too
-    few numbers or if one is not finite. Data that arrive later are then not taken for the next answer."""
+    few numbers or if one is not finite. After this error, data that still arrive are discarded, so that they are not taken for the
+    answer to the next request."""
     reply = link.query(request, framing=framing)
     try:
         return parsed(reply, request, count, link.settings.address)
