@@ -407,7 +407,7 @@ ANYTHING = {
     "base/plugins.py": (1, "what an entry point holds: the caller states the type that its group promises"),
     "error_model/added.py": (1, "the same arrays of a record, put in by name"),
     "estimators/rocking/parameters.py": (2, "a declared key: the annotation of its field is its type"),
-    "gap/answer/foreseen.py": (1, "the same arrays of a record, put in by name"),
+    "gap/answer/next.py": (1, "the same arrays of a record, put in by name"),
     "instruments/virtual/ellipsoid.py": (9, "a number or an array, as numpy's own functions take and give"),
     "instruments/virtual/inertial_axis.py": (2, "a key of an axis or of its group, by name"),
     "instruments/wire/links.py": (1, "PyVISA's manager, which gives resources of the kind that an address names"),

@@ -15,8 +15,6 @@ PACKAGE = ROOT / "planrunner"
 ELSEWHERE = {
     "archive/played_back.py": "a recording in a file",
     "instruments/recording.py": "a recording in a file",
-    "gap/answer/foreseen.py": "a diagnosis with several explanations",
-    "gap/answer/unknown_form.py": "a diagnosis of something unknown",
 }
 """Files of the path of a diagnosis that this recording does not need, and what needs them."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planrunner.error_model.effects.interface import Variant
-from planrunner.gap.answer.confusability import energy, fitted, reproduced, shared
+from planrunner.gap.answer.verdict import energy, fitted, reproduced, shared
 from planrunner.gap.hypotheses.candidates import Weighed
 
 

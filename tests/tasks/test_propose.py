@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from planrunner.gap.answer.segment_menu import MenuEntry
 from planrunner.plan.model import parse_plan
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_file
-from planrunner.tasks.propose import Frame, plan_text
+from planrunner.tasks.propose import Frame, MenuEntry, plan_text
 from tests.tasks.test_diagnose import laboratory, listed
 
 UP = MenuEntry("{x: up, y: north, z: west}", "10 s")

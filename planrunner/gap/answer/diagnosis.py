@@ -3,7 +3,7 @@ shrinks.
 
 The steps are: compute spectra and noise, and project the nominal parameters out (`weighing`); evaluate the evidence for every
 installed effect (`candidates`), for pairs, and for patterns outside the catalogue (`posterior`, `open_set`); derive a verdict,
-which names a class as a whole if the plan cannot separate its members (`verdict`, `confusability`); locate the gap (`where`); and
+which names a class as a whole if the plan cannot separate its members (`verdict`); locate the gap (`where`); and
 compute its closure on held-out segments (`closure`).
 """
 
@@ -39,15 +39,13 @@ from planrunner.gap.answer.closure import (
     measured_noise,
     not_measured,
 )
-from planrunner.gap.answer.noise_found import NoiseFound, noise_found
+from planrunner.gap.answer.description import NoiseFound, gap_by_channel, noise_found, pictures
 from planrunner.gap.answer.parameters import ParameterEstimate
-from planrunner.gap.answer.pictures import gap_by_channel, pictures
 from planrunner.gap.answer.posterior import PRIORS, UNKNOWN, Posterior, posterior
 from planrunner.gap.answer.remainder import Remainder, dispersions, remainder
 from planrunner.gap.answer.sets import EffectSet, Member, key_of, together
-from planrunner.gap.answer.unknown_form import UnknownForm, unknown_form
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
-from planrunner.gap.answer.where import MisfitPlace, places
+from planrunner.gap.answer.where import MisfitPlace, UnknownForm, places, unknown_form
 from planrunner.gap.hypotheses.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of, shape_alone, whole_forms
 from planrunner.observation.refusals import ObservationError

@@ -1,25 +1,203 @@
-"""What to measure next: segments that the bench can execute and that distinguish the remaining explanations in the shortest time.
+"""What to measure next: segments that the bench can execute and that distinguish the remaining explanations in the shortest time, or an
+instrument that the bench lacks.
+
+The information that a segment would give is computed before the segment is measured. Only a few seconds of each segment, with whole
+turns or periods, are sampled in the same way as the recording. The rest of the segment counts as a repetition of these seconds.
 
 The choice is greedy: each step takes the segment with the most expected evidence per second of test time, which includes moves and
 temperature changes. The search ends when the expected probability of the true explanation is high enough, or when no segment helps.
 A repetition of the recorded segments is evaluated in the same way, for comparison.
+
+If the segments of the bench cannot distinguish the explanations, additional instruments are evaluated in the same way as segments.
+Effects of the table and of the site act on every instrument on the table. Effects of the sensor under test and of its data do not
+act on other instruments.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.gap.answer.discrimination import Rival, expected_loss, expected_probability
-from planrunner.gap.answer.foreseen import Foreseen, following, foresee
-from planrunner.gap.answer.other_sensors import ENOUGH, helpful
+from planrunner.error_model.effects.interface import Column
+from planrunner.error_model.observed import Channel, Observed
 from planrunner.gap.answer.posterior import Posterior
-from planrunner.gap.answer.rivals import SILENT, Explanation, Layout, explanations
-from planrunner.gap.hypotheses.candidates import Candidate, Weighing
-from planrunner.plan.schedule import Segment
+from planrunner.gap.answer.rivals import (
+    SILENT,
+    Explanation,
+    Layout,
+    Rival,
+    expected_loss,
+    expected_probability,
+    explanations,
+)
+from planrunner.gap.evidence import slow_noise
+from planrunner.gap.hypotheses.candidates import Candidate, Weighing, nominal_columns
+from planrunner.physics.sampled_motion import motion_at
+from planrunner.plan.schedule import Rest, Rock, Segment, Spin
+from planrunner.plan.units import STANDARD_GRAVITY, ZERO_CELSIUS
+
+Columns = Callable[[Observed], Sequence[Sequence[Column]]]
+LATER = 600.0  # s after the recording's end, when a segment is taken to begin
+_SAMPLED = 2.0  # s of a segment at rest; for turns and periods, the whole number that lasts at least this long
+_STUB = 8  # samples that represent each segment while a few are examined closely
+_CHUNK = 25  # segments examined closely at a time; limits memory
+_CHANGED = 1.0  # K
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """Information that a segment gives about P columns from K channels, in units of the noise.
+
+    `within`: array of shape (P, P), information per second from changes within the segment. `means`: array of shape (K, P), mean of
+    each column over the segment. `noise`: array of shape (K,), white noise density of each channel. `flicker`: array of shape (K,),
+    declared bias instability of each channel.
+    """
+
+    segment: Segment
+    within: Array
+    means: Array
+    noise: Array
+    flicker: Array
+
+    @cached_property
+    def whole(self) -> Array:
+        """The information (P, P) for the planned dwell of the segment."""
+        return self.information(self.segment.dwell or 0.0)
+
+    def information(self, seconds: float) -> Array:
+        """The information (P, P) for a dwell of the given length [s]. Slow noise limits the information of the mean."""
+        slow = slow_noise.flicker(np.zeros(1), np.full(1, seconds))[0, 0]
+        variance = self.noise**2 / seconds + self.flicker**2 * slow
+        products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
+        return products
+
+
+def foresee(
+    observed: Observed, white: Array, segments: Sequence[Segment], columns: Columns, widths: Sequence[int]
+) -> Iterator[Foreseen]:
+    """Yields the information that each segment would give if it were measured after the recording. `white`: array of shape (K,),
+    standard deviation of the white noise of a sample.
+
+    `columns`: function that computes groups of columns for a recording. `widths`: number of columns in each group. A column is
+    identified by its place among the columns of all groups. A column is zero in a channel that it does not affect.
+    """
+    noise = white / math.sqrt(observed.sample_rate)
+    flicker = np.array([channel.flicker for channel in observed.channels])
+    for first in range(0, len(segments), _CHUNK):
+        near = range(first, min(first + _CHUNK, len(segments)))
+        planned, places = following(observed, segments, near)
+        table = [np.zeros((len(planned.time), sum(widths))) for _ in planned.channels]
+        at = 0
+        for group, width in zip(columns(planned), widths, strict=True):
+            for offset, column in enumerate(group):
+                here = 1.0 if column.segments is None else column.segments[planned.owner]
+                for channel, part in column.parts.items():
+                    table[channel][:, at + offset] = part * (column.magnitude * here)
+            at += width
+        for index in near:
+            rows = [part[places[index]] for part in table]
+            means = np.array([part.mean(0) for part in rows])
+            within = sum(
+                (part - mean).T @ (part - mean) / (len(part) * sigma**2)
+                for part, mean, sigma in zip(rows, means, noise, strict=True)
+            )
+            within -= _hidden(planned, len(observed) + index, rows, noise, segments[index].dwell or 0.0)
+            yield Foreseen(segments[index], np.asarray(within), means, noise, flicker)
+
+
+def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array, seconds: float) -> Array:
+    """Information (P, P) per second that a segment loses because the angle of the turning table is unknown.
+
+    `rows`: for each channel, the columns (n, P). `noise`: array of shape (K,), white noise density. `seconds`: dwell.
+
+    A component c·√2·cos θ, which is in phase with the turning, competes with the input of amplitude A and unknown phase
+    (`Observed.unknown_phase`). Let the samples have the covariance σ²·I + A²·w·wᵀ, where w = cos θ and |w|² = T/2 for a dwell T and
+    unit density of the noise. Then the fraction A²T/2 ÷ (σ² + A²T/2) of the information about this component is lost (Sherman and
+    Morrison). The same holds for sin θ."""
+    amplitude = np.abs(planned.unknown_phase[number])
+    size = rows[0].shape[1]
+    lost = np.zeros((size, size))
+    angle = planned.angle[planned.segments()[number]]
+    waves = np.sqrt(2) * np.column_stack([np.cos(angle), np.sin(angle)])
+    for channel in np.flatnonzero(amplitude).tolist():
+        power, variance = amplitude[channel] ** 2 * seconds / 2, noise[channel] ** 2
+        seen = waves.T @ rows[channel] / len(angle)
+        lost += power / (variance + power) * (seen.T @ seen) / variance
+    return lost
+
+
+def following(
+    observed: Observed, segments: Sequence[Segment], near: Sequence[int] | range
+) -> tuple[Observed, list[slice]]:
+    """Returns the recording followed by additional segments, which have a motion but no outputs, and for each additional segment
+    the slice of its samples.
+
+    Segments whose index is not in `near` are represented by a few samples. Thus properties of the whole set of segments, such as
+    its orientations, do not depend on how many segments are sampled in full.
+    """
+    stubs = np.concatenate([np.arange(p.start, min(p.start + _STUB, p.stop)) for p in observed.segments()])
+    counts = [min(_STUB, p.stop - p.start) for p in observed.segments()]
+    warm = float(observed.temperature[-1])
+    arrays: dict[str, list[Array]] = {name: [own[stubs]] for name, own in observed.sampled.items()}
+    places, changes, begin = [], [], len(stubs)
+    for index, segment in enumerate(segments):
+        since = _times(segment, observed.sample_rate) if index in near else np.arange(_STUB) / observed.sample_rate
+        part = motion_at(segment.motion, since, None)
+        start, end = _temperatures(segment, warm)
+        slope = (end - start) / segment.dwell if segment.dwell else 0.0
+        part |= {"time": observed.time[-1] + LATER + since, "temperature": start + slope * since}
+        part["temperature_rate"] = np.full(len(since), slope)
+        for name, parts in arrays.items():  # supply and pressure stay as they are
+            parts.append(part[name] if name in part else np.full(len(since), getattr(observed, name)[-1]))
+        changes.append(np.sign(end - warm) if abs(end - warm) > _CHANGED else observed.last_change[-1])
+        places.append(slice(begin, begin + len(since)))
+        begin += len(since)
+        counts.append(len(since))
+    joined: dict[str, Any] = {name: np.concatenate(parts) for name, parts in arrays.items()}
+    made = replace(
+        observed,
+        labels=(*observed.labels, *(segment.label for segment in segments)),
+        motions=(*observed.motions, *(segment.motion for segment in segments)),
+        attitude=np.concatenate([observed.attitude, [segment.attitude for segment in segments]]),
+        bounds=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
+        last_change=np.concatenate([observed.last_change, changes]),
+        values=np.zeros((begin, len(observed.channels))),
+        fitted=None,
+        bins=None if observed.bins is None else observed.bins.followed(len(segments)),
+        **joined,
+    )
+    return made, places
+
+
+def _times(segment: Segment, rate: float) -> Array:
+    """Sample times from the start of the segment: all times for a ramp; for other motions, a few seconds with whole turns or
+    periods."""
+    assert segment.dwell is not None
+    span, begin = _SAMPLED, 0.0
+    if segment.ramp_to is not None:
+        return np.linspace(0.0, segment.dwell, max(_STUB, min(2000, round(segment.dwell * rate))))
+    if isinstance(segment.motion, Spin):
+        turn = 2 * math.pi / abs(segment.motion.rate)
+        span = turn * math.ceil(_SAMPLED / turn)
+    elif isinstance(segment.motion, Rock):
+        span = math.ceil(_SAMPLED * segment.motion.frequency) / segment.motion.frequency
+        begin = segment.motion.steady
+    else:
+        assert isinstance(segment.motion, Rest)
+    return begin + np.arange(max(_STUB, round(span * rate))) / rate
+
+
+def _temperatures(segment: Segment, now: float) -> tuple[float, float]:
+    """Temperature [degC] at a segment's start and end."""
+    start = now if segment.temperature is None else segment.temperature - ZERO_CELSIUS
+    return start, start if segment.ramp_to is None else segment.ramp_to - ZERO_CELSIUS
+
 
 Seconds = Callable[[Segment | None, Segment], float]
 SETTLED = 0.95
@@ -229,3 +407,97 @@ def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: fl
         if reached >= aim:
             break
     return times * lasting, reached
+
+
+ENOUGH = 0.9  # expected probability of the true explanation with the instrument
+ACCELEROMETER = 50e-6 * STANDARD_GRAVITY  # SI·√s, white noise of an additional instrument
+ARCSECOND = np.pi / 180 / 3600  # standard uncertainty of an autocollimator with a level
+_LOOKED_AT = 40  # segments
+
+
+@dataclass(frozen=True)
+class _Instrument:
+    words: str
+    channels: tuple[Channel, ...] = ()
+    pointing: bool = False
+
+
+def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]) -> str:
+    """Describes the first instrument that would identify the true explanation; the description is empty if no instrument would do
+    so."""
+    few = [options[i] for i in np.unique(np.linspace(0, len(options) - 1, _LOOKED_AT).astype(int))]
+    for instrument in _instruments(weighing):
+        extended, information = _with(instrument, weighing, rivals, layout, few)
+        if expected_probability(extended, information) >= ENOUGH:
+            return instrument.words
+    return ""
+
+
+def _instruments(weighing: Weighing) -> list[_Instrument]:
+    gyros = [weighing.observed.channels[c] for c in weighing.observed.of_kind("gyro")]
+    accels = weighing.observed.of_kind("accel")
+    found = [_Instrument("an autocollimator and a level on the table, accurate to one arc second", pointing=True)]
+    if not accels:
+        triad = [
+            Channel(f"second_accel_{axis}", "accel", i, "m/s^2", 1.0, ACCELEROMETER) for i, axis in enumerate("xyz")
+        ]
+        found.append(_Instrument("three accelerometers of 50 µg/√Hz in addition to the gyros", tuple(triad)))
+    if gyros:
+        second = tuple(replace(channel, name=f"second_{channel.name}") for channel in gyros)
+        found.append(_Instrument("a second triad of gyros like these on the same table", second))
+    return found
+
+
+def _with(
+    instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
+) -> tuple[list[Rival], Array]:
+    """The rivals, extended by the instrument's own nominal parameters, and the total information from all options when they are
+    measured with this instrument in addition."""
+    observed = weighing.observed
+    both = replace(observed, channels=(*observed.channels, *instrument.channels))
+    own = len(observed.channels)
+    white = np.concatenate([weighing.white, [c.white * math.sqrt(observed.sample_rate) for c in instrument.channels]])
+    more = len(_further(both, own, layout))
+    information = np.zeros((sum(layout.widths) + more,) * 2)
+    for item in foresee(both, white, options, _columns(layout, observed.channels), [*layout.widths, more]):
+        information += item.whole
+    if instrument.pointing:
+        information += np.diag(np.concatenate([_seen(layout), np.zeros(more)]))
+    return [_widened(rival, sum(layout.widths), more) for rival in rivals], information
+
+
+def _further(observed: Observed, own: int, layout: Layout) -> list[Column]:
+    """The columns of the nominal parameters of the additional channels. Additional channels have the indices `own` and above; the
+    sensor under test does not have them."""
+    return [column for column in nominal_columns(observed, layout.nominal) if min(column.parts) >= own]
+
+
+def _columns(layout: Layout, channels: tuple[Channel, ...]) -> Callable[[Observed], Sequence[Sequence[Column]]]:
+    def columns(planned: Observed) -> Sequence[Sequence[Column]]:
+        sensor = replace(planned, channels=channels, values=planned.values[:, : len(channels)])
+        nominal, *groups = layout.columns(sensor)
+        felt = [
+            part.on(planned) if part.effect.stage == "stimulus" else group
+            for part, group in zip(layout.parts, groups, strict=True)
+        ]
+        return [nominal, *felt, _further(planned, len(channels), layout)]
+
+    return columns
+
+
+def _seen(layout: Layout) -> Array:
+    """Information (P,) that a direct measurement of pointing gives about the amplitudes of table effects that are angles."""
+    found = [np.zeros(layout.widths[0])]
+    for part, width in zip(layout.parts, layout.widths[1:], strict=True):
+        columns = part.weighed.variant.columns
+        angle = part.effect.stage == "stimulus" and columns[0].unit == "arcsec"
+        found.append(np.full(width, (columns[0].magnitude / ARCSECOND) ** 2 if angle else 0.0))
+    return np.concatenate(found)
+
+
+def _widened(rival: Rival, size: int, more: int) -> Rival:
+    precision = np.zeros((len(rival.mean) + more,) * 2)
+    precision[: len(rival.mean), : len(rival.mean)] = rival.precision
+    precision[len(rival.mean) :, len(rival.mean) :] = 1e-6 * np.eye(more)
+    columns = np.concatenate([rival.columns, np.arange(size, size + more)])
+    return replace(rival, columns=columns, mean=np.concatenate([rival.mean, np.zeros(more)]), precision=precision)
