@@ -123,8 +123,8 @@ class FoundPositions:
 class RateSet:
     """A set of rates with their dwells.
 
-    `rates`: (n,), rad/s, magnitudes of the rates, largest first. `dwells`: (n,), s, dwell at each rate. `loss`: −ln|M| or tr M⁻¹,
-    for terms divided by their magnitudes.
+    `rates`: array of shape (n,) in rad/s, magnitudes of the rates, largest first. `dwells`: array of shape (n,) in s, dwell at each
+    rate. `loss`: −ln|M| or tr M⁻¹, for terms divided by their magnitudes.
 
     `efficiency`: efficiency relative to the best rates found for the same number of observations. `per_hour`: efficiency relative
     to the best use of the same time. `variance`: variance of a predicted output at each rate of `FoundRates.course`, in units of

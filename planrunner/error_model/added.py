@@ -68,9 +68,9 @@ _SIGMA = 1e-3  # deg/s or m/s², by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect. `natural`: default value, in `unit`. `least`: which values are permitted: 'above zero' for a shape
-    such as a time constant or a frequency; 'zero', which means zero or above, for a duration or a standard deviation; 'any' for an
-    amplitude, which may have either sign."""
+    """A parameter of an effect. `natural`: default value, in `unit`. `least`: which values are permitted. 'above zero' is used for
+    a shape such as a time constant or a frequency. 'zero' permits zero and larger values, and is used for a duration or a standard
+    deviation. 'any' is used for an amplitude, which may have either sign."""
 
     name: str
     unit: str
@@ -235,11 +235,11 @@ def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], 
 def added(
     observed: Observed, levels: Array, additions: Sequence[Addition], seed: int, orientation: int | None = None
 ) -> Array:
-    """The outputs (N, K), SI, without noise, with all effects added, one stage after the other.
+    """The outputs (N, K), in SI units, without noise, after all effects have been added, one stage after the other.
 
-    For data of one segment: seed: the seed from which the amplitudes of each orientation are drawn. `orientation`: the number of
-    the segment's orientation, counted from 1 in the order of first use. If the data contain several segments, no amplitudes are
-    drawn: each orientation has only the amplitudes that are stated for it.
+    `seed` and `orientation` are used for data of one segment. `seed`: the seed from which the amplitudes of each orientation are
+    drawn. `orientation`: the number of the segment's orientation, counted from 1 in the order of first use. If the data contain
+    several segments, no amplitudes are drawn: each orientation has only the amplitudes that are stated for it.
     """
     out = levels.copy()
     for stage in STAGES[:-1]:
@@ -254,7 +254,7 @@ def added(
 
 
 def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int | None) -> list[tuple[Column, float]]:
-    """Pairs of a column and its amplitude in SI, for one added effect."""
+    """For one added effect, pairs of a column and its amplitude in SI units."""
     effect, values = item.effect, item.values
     if isinstance(effect, PerOrientation) and len(observed) == 1:
         return _each_orientation(item, observed, seed, orientation)
@@ -285,9 +285,9 @@ def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int 
 def _each_orientation(
     item: Addition, observed: Observed, seed: int, orientation: int | None
 ) -> list[tuple[Column, float]]:
-    """Pairs of a column and its amplitude in SI, for an effect with amplitudes for each orientation and data of one segment. Each
-    amplitude is the sum of a random value and of the value that is stated for this orientation. The seed and the orientation
-    determine the random value, so an orientation always has the same amplitudes."""
+    """For an effect with amplitudes for each orientation and for data of one segment, pairs of a column and its amplitude in SI
+    units. Each amplitude is the sum of a random value and of the value that is stated for this orientation. The seed and the
+    orientation determine the random value, so an orientation always has the same amplitudes."""
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:

@@ -30,7 +30,7 @@ KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
 class Channel:
     """A measured channel of the sensor.
 
-    `kind`: 'gyro' or 'accel'. `axis`: index 0, 1 or 2 of the sensor axis along which the channel measures. `factor`: SI value of
+    `kind`: 'gyro' or 'accel'. `axis`: index (0, 1 or 2) of the sensor axis along which the channel measures. `factor`: SI value of
     the channel's `unit`. `white`: declared one-sided noise density, SI·√s, so that a sample at the sampling rate f has the standard
     deviation white·√f. `flicker`: declared bias instability, SI. `resolution`: SI value of one count.
     """
@@ -77,11 +77,12 @@ class TemperatureCourse:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSegment:
-    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: one value for the whole segment.
+    """One segment of an `Observed`, with n samples.
 
-    `time`, `angle`, `rate`, `acceleration`, `temperature`, `temperature_rate`: arrays of shape (n,). `values`: array of shape (n,
-    K). `course`: the motion of the sensor, if it does not follow from attitude and table angle. `overvoltage`, `overpressure`:
-    arrays of shape (n,); None means zero.
+    `motion`, `attitude`, `last_change`: one value for the whole segment; the attitude has the shape (3, 3). `time`, `angle`,
+    `rate`, `acceleration`, `temperature`, `temperature_rate`: arrays of shape (n,). `values`: array of shape (n, K), the recorded
+    outputs. `course`: the motion of the sensor, if it does not follow from attitude and table angle. `overvoltage`, `overpressure`:
+    arrays of shape (n,); None means that all values are zero.
     """
 
     label: str
@@ -155,30 +156,32 @@ def _excess(parts: Sequence[Array | None], segments: Sequence[ObservedSegment]) 
 class Observed:
     """A recording together with its plan: S segments, N samples and K channels.
 
-    labels, motions: one per segment.
-    attitude: (S, 3, 3); the rows are the sensor's axes in East-North-Up at table angle 0.
-    bounds: (S + 1,), index of the first sample of each segment, then N.
-    time: (N,), s since power-on.
-    angle: (N,), table angle, rad.
-    rate, acceleration: (N,), angular rate and angular acceleration of the table, rad/s and rad/s².
-    temperature, temperature_rate: (N,), smoothed temperature and its slope, degC and K/s.
-    last_change: (S,), sign of the last change of temperature, 0 before the first change.
-    values: (N, K), the recorded outputs, SI.
-    magnetic: Earth's magnetic field in East-North-Up, in any unit; None if it is not declared.
-    rejected: number of rows that were omitted because of a NaN.
-    along: for a sensor in unknown orientations, (S, 3), the direction of gravity in the sensor's axes, estimated from the readings.
-        The accelerometers of such a sensor are observed only along gravity, as one channel: perpendicular to gravity, errors cannot be
-        distinguished from the unknown orientation.
-    bins: the bins of a long recording, whose "samples" are means over consecutive samples; None for single samples.
-    felt: angular rate (N, 3) and specific force (N, 3), if they do not follow from site, attitude and table.
-    fitted: (N, K), output of the fitted nominal model.
-    response: (K, 3), change of each output per rate about each sensor axis in the fitted nominal model; None for an ideal sensor.
-    courses: for each segment, the motion if only the recording shows it, or None if attitude and angle determine the motion. The
+    `labels`, `motions`: label and planned motion of each segment.
+    `attitude`: array of shape (S, 3, 3); its rows are the sensor's axes in East-North-Up at table angle 0.
+    `bounds`: array of shape (S + 1,), index of the first sample of each segment, followed by N.
+    `time`: array of shape (N,), time of each sample, s since power-on.
+    `angle`: array of shape (N,), table angle, rad.
+    `rate`, `acceleration`: arrays of shape (N,), angular rate [rad/s] and angular acceleration [rad/s²] of the table.
+    `temperature`, `temperature_rate`: arrays of shape (N,), smoothed temperature [degC] and its rate of change [K/s].
+    `last_change`: array of shape (S,), sign of the last change of temperature, 0 before the first change.
+    `values`: array of shape (N, K), the recorded outputs in SI units.
+    `magnetic`: Earth's magnetic field in East-North-Up, in any unit; None if the field is not declared.
+    `rejected`: number of rows that were omitted because of a NaN.
+    `along`: for a sensor in unknown orientations, an array of shape (S, 3), the direction of gravity in the sensor's axes, estimated from
+        the readings. The accelerometers of such a sensor are observed only along gravity, as one channel: perpendicular to gravity, errors
+        cannot be distinguished from the unknown orientation.
+    `bins`: the bins of a long recording, whose "samples" are means over consecutive samples; None for single samples.
+    `felt`: angular rate (N, 3) and specific force (N, 3), if they do not follow from site, attitude and table.
+    `fitted`: array of shape (N, K), output of the fitted nominal model.
+    `response`: array of shape (K, 3), change of each output per rate about each sensor axis in the fitted nominal model; None for an ideal
+        sensor.
+    `courses`: for each segment, the motion if only the recording shows it, or None if attitude and angle determine the motion. The
         tuple is empty if all entries would be None.
-    excess_voltage, excess_pressure: (N,), as `overvoltage` and `overpressure`; None means zero everywhere.
-    past: if the samples are one block of a simulation, the temperatures before the first sample, for each value of an effect's shape.
-    reach: largest distance of a sensor from the axis of a table, m.
-    encoder: True if the angle of a turning table is known, from an encoder or from a simulation.
+    `excess_voltage`, `excess_pressure`: arrays of shape (N,), the values that `overvoltage` and `overpressure` return; None means zero
+        everywhere.
+    `past`: if the samples are one block of a simulation, the temperatures before the first sample, for each value of an effect's shape.
+    `reach`: largest distance of a sensor from the axis of a table, m.
+    `encoder`: True if the angle of a turning table is known, from an encoder or from a simulation.
     """
 
     site: Site
@@ -235,7 +238,7 @@ class Observed:
 
     @cached_property
     def angle_from(self) -> tuple[AngleFrom, ...]:
-        """For each of the S segments, what shows the angle of the table: the plan, gravity or nothing."""
+        """For each of the S segments, how the angle of the table is known: from the plan, from gravity or not at all."""
         if self.encoder:
             return (AngleFrom.PLAN,) * len(self)
         axes = [self.channels[index].axis for index in self.of_kind("accel")]
@@ -443,7 +446,7 @@ class Observed:
         return np.asarray(np.abs(self.gyro_range).max(axis=1))
 
     def seen(self, index: int, vector: Array) -> Array:
-        """The component (N,) of a vector (N, 3), given in sensor axes, along a channel's input axis."""
+        """The component of a vector along a channel's input axis, shape (N,). The vector, shape (N, 3), is given in sensor axes."""
         if self.along is None:
             return np.asarray(vector[:, self.channels[index].axis])
         component = np.einsum("ni,ni->n", self.along[self.owner], vector)
@@ -474,7 +477,7 @@ class Observed:
 
     @property
     def sampled(self) -> dict[str, Array]:
-        """All fields with one value (N,) per sample, except `values`, by the name of the field."""
+        """All attributes with one value (N,) per sample, except `values`, by the name of the attribute."""
         names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
         found = {name: getattr(self, name) for name in (*names, "excess_voltage", "excess_pressure")}
         return {name: own for name, own in found.items() if own is not None}

@@ -44,8 +44,8 @@ class SampleColumns:
     """The columns of the model of one output at N samples.
 
     `own`: array of shape (N,) in SI units, the input along the axis of the output, after the effects on the rate. `rows`: array of
-    shape (p, N), SI output for an amplitude of 1 in SI, zero for an amplitude of the stimulus. `available`: maps each effect to the
-    names of all amplitudes that it has for this output.
+    shape (p, N), SI output for an amplitude of 1 in SI units, zero for an amplitude of the stimulus. `available`: maps each effect
+    to the names of all amplitudes that it has for this output.
     """
 
     own: Array

@@ -117,9 +117,9 @@ class EffectPart:
     """One effect in the model of one output.
 
     `only`: names of the effect's columns in the model, without the letter of the axis; empty if the model contains all columns of
-    the effect. `shape`: value of the effect's shape; None for an effect without shape. `sizes`: used if the derivative with respect
-    to the shape is a further column of the model; the amplitudes for which this derivative is computed: maps the name of a column,
-    without the letter of the axis, to the amplitude in SI. Empty if there is no such column.
+    the effect. `shape`: value of the effect's shape; None for an effect without shape. `sizes`: maps the name of a column, without
+    the letter of the axis, to an amplitude in SI units. The derivative of the output with respect to the shape, which is a further
+    column of the model, is computed for these amplitudes. Empty if the model has no such column.
     """
 
     effect: Effect
@@ -149,9 +149,10 @@ class Amplitude:
 
     `name`: name of the column without the letter of the axis. `several`: True if the effect has other amplitudes for this output.
     `alone`: True if the column acts on this output only. `unit`: unit for display. `factor`: SI value of this unit. `along`: if the
-    column is the input along a sensor axis, this axis (as `Column.along`). `size`: largest absolute value of the effect's columns
-    with the same unit, over all nodes and axes; 0 if nothing excites these columns. `origin`: for a change of the shape, the value
-    of the shape in `unit` for which the amplitude is zero. `shape`: True if the amplitude is a change of the effect's shape.
+    column is the input along a sensor axis, the index of this axis (as `Column.along`). `size`: largest absolute value of the
+    effect's columns with the same unit, over all nodes and axes; 0 if nothing excites these columns. `origin`: for a change of the
+    shape, the value of the shape in `unit` for which the amplitude is zero. `shape`: True if the amplitude is a change of the
+    effect's shape.
     """
 
     effect: Effect
@@ -171,8 +172,8 @@ class OutputColumns:
     """The columns of the model of one output at n segments.
 
     `own`: array of shape (n,) in SI units, the output of an ideal sensor. `matrix`: array of shape (n, p), SI output for an
-    amplitude of 1 in SI, one column for each amplitude. `available`: maps each effect to the names of all amplitudes that it has
-    for this output.
+    amplitude of 1 in SI units, one column for each amplitude. `available`: maps each effect to the names of all amplitudes that it
+    has for this output.
     """
 
     own: Array
@@ -283,8 +284,8 @@ class ErrorsAtSegments:
 
     @cached_property
     def _nodes(self) -> list[tuple[Array, Array, Array]]:
-        """For each segment, three arrays (k,): the angle of the table at each node, the position of the node along the segment from
-        −0.5 to 0.5, and the weight of the node."""
+        """For each segment, three arrays of shape (k,): the angle of the table at each node, the position of the node along the
+        segment from −0.5 to 0.5, and the weight of the node."""
         shaped = any(one.shape is not None for output in self.outputs for one in output.chosen)
         places, weights = np.polynomial.legendre.leggauss(_ALONG_SHAPED if shaped else _ALONG)
         found = []
@@ -362,8 +363,8 @@ def estimable(effect: Effect) -> str:
 
 
 def _beside(part: EffectPart) -> tuple[float, ...]:
-    """Two values of the shape, slightly above and below the chosen value, for the numerical derivative; empty if no derivative is
-    needed."""
+    """Two values of the shape, one slightly above and one slightly below the chosen value, for the numerical derivative; empty if
+    no derivative is needed."""
     return (part.shape * (1 + _STEP), part.shape * (1 - _STEP)) if part.shape is not None and part.sizes else ()
 
 

@@ -145,8 +145,8 @@ class ErrorModel:
         return design_matrix(self.terms, stimulus)
 
     def predict(self, coefficients: Mapping[str, float] | Array, stimulus: Stimulus) -> Array:
-        """The output, shape (n,), for given coefficients: by name, where coefficients that are not named are zero, or as an array
-        of shape (p,)."""
+        """The output, shape (n,), for given coefficients. The coefficients are an array of shape (p,), or a mapping from names to
+        values, in which coefficients that are not named are zero."""
         if isinstance(coefficients, Mapping):
             unknown = set(coefficients) - set(self.names)
             if unknown:

@@ -237,8 +237,8 @@ NAMED = 3
 
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
-    """Two sentences, as far as they apply: one about samples that the segments lack, and one about gaps within the segments.
-    `sample_rate`: sample rate [Hz] for segments that state none."""
+    """Up to two sentences: one about samples that the segments lack, and one about gaps within the segments; a sentence is omitted
+    if it does not apply. `sample_rate`: sample rate [Hz] for segments that state none."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics

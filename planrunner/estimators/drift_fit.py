@@ -59,9 +59,9 @@ class SuspectedDrift:
 
     `output`, `term`: indices of the output and of the term of this coefficient. `growth`: factor by which the standard uncertainty
     of the coefficient grows if the drift function is fitted; infinite if the segments cannot separate the drift function from the
-    coefficient. `change`: change of the coefficient if the drift function is fitted, in the unit of the fit; 0 if the drift
-    function cannot be separated. `probability`: probability that chance alone gives an amplitude at least as large as the fitted
-    one; 1 if it was not tested.
+    coefficient. `change`: change of the coefficient if the drift function is fitted, in the unit of the fit; 0 if the segments
+    cannot separate the drift function from the coefficient. `probability`: probability that chance alone gives an amplitude at
+    least as large as the fitted one; 1 if the drift function was not tested.
     """
 
     course: DriftCourse
@@ -90,10 +90,10 @@ class FittedDrift:
 
     `courses`: the fitted drift functions. `by_evidence`: True if they were chosen because the data show them, False if the plan
     asks for them. `judged`: True if a drift could have been found in the data. `without`: array of shape (m, p), the coefficients
-    of a fit without drift. `explained`: array of shape (m,), the fraction of the sum of squared residuals that the drift explains;
-    both are None if no drift function was adopted. `suspected`: the suspected drift functions, if none was adopted. `rivals`: drift
-    functions that the data show but that are not adopted, because a nonlinearity explains the residuals as well. `nonlinear`: array
-    of shape (m,), the fraction of the sum of squared residuals that the nonlinearity explains.
+    of a fit without drift. `explained`: array of shape (m,), the fraction of the sum of squared residuals that the drift explains.
+    `without` and `explained` are None if no drift function was adopted. `suspected`: the suspected drift functions, if none was
+    adopted. `rivals`: drift functions that the data show but that are not adopted, because a nonlinearity explains the residuals as
+    well. `nonlinear`: array of shape (m,), the fraction of the sum of squared residuals that the nonlinearity explains.
     """
 
     courses: tuple[DriftCourse, ...] = ()
@@ -145,7 +145,7 @@ def fitted_drift(
 ) -> FittedDrift:
     """Chooses the drift functions to fit, and returns them with the results of their tests.
 
-    `names`: (p,), names of the terms. `correlation`: array of shape (m, m), correlation between the noise of the outputs. `fits`: a
+    `names`: names of the p terms. `correlation`: array of shape (m, m), correlation between the noise of the outputs. `fits`: a
     function that fits all outputs with the columns of a given matrix (as `joined` returns it), with weights from the noise and the
     declared effects. `basis`: kind of uncertainty, residual or within_segment.
     """

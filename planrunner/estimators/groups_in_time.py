@@ -21,8 +21,8 @@ _LEAST = 4  # repeats in each third
 
 @dataclass(frozen=True, slots=True)
 class Grouping:
-    """A division of n repeats into groups. `group`: (n,), index of the group of each repeat. `names`: names of the groups, for
-    messages."""
+    """A division of n repeats into groups. `group`: array of shape (n,), index of the group of each repeat. `names`: names of the
+    groups, for messages."""
 
     group: Integers
     names: tuple[str, ...]

@@ -119,7 +119,8 @@ class _Weighed:
     """The weighted observations of one output.
 
     `covariance`: array of shape (n, n), covariance of the observations. `weights`: array of shape (n, n), the inverse of
-    `covariance`. `columns`: array of shape (n, P), scaled columns of the fit. `residuals`: array of shape (n,).
+    `covariance`. `columns`: array of shape (n, P), scaled columns of the fit. `residuals`: array of shape (n,), residuals of the
+    fit.
     """
 
     covariance: Array

@@ -40,22 +40,27 @@ _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the m
 class OutputsFit:
     """The fit of m outputs with p terms each, from n segments. The fit may also contain a drift with q columns.
 
-    units: units of the outputs; labels: labels of the segments; matrix: (n, p), columns of the terms; names: (p,), names of the terms.
-    fits: for each output, the fit with all P = p + q columns.
-    noises: for each output, the noise within the segments.
-    spreads: (m, n), standard uncertainties for the weights, without the effects. They contain the noise within the segments and, where
-        it is needed, an added standard deviation between segments (`between_segments`).
-    between: (m,), the added standard deviation between segments; 0 if it is not needed.
-    ratios: (m,), residual variance divided by the variance expected from noise and effects.
-    effects: the effects that the weights include. unweighted: effects that the weights do not include, because the noise of an output
-        is not known.
-    pooled: True if one variance factor applies to all outputs, which requires that the proportions of the outputs' noise are known
-        beforehand; pooled_freedom: degrees of freedom of this factor.
-    drift: the drift functions (powers of the time or recorded temperatures) that are fitted together with the terms.
-    all_gains: (m, P, n), derivatives of the coefficients of all P columns with respect to the observations.
-    all_cofactors: for each basis, (m, P, m, P), covariance of these coefficients without the variance factors.
-    within: number of observations at the end that are not means of segments (`Observations`).
-    unstated: effects of unknown size, each given for the size of one unit; these effects are not in the fit.
+    `units`: units of the outputs.
+    `labels`: labels of the segments.
+    `matrix`: array of shape (n, p), the columns of the terms.
+    `names`: names of the p terms.
+    `fits`: for each output, the fit with all P = p + q columns.
+    `noises`: for each output, the noise within the segments.
+    `spreads`: array of shape (m, n), standard uncertainties for the weights, without the effects. They contain the noise within the
+        segments and, where it is needed, an added standard deviation between segments (`between_segments`).
+    `between`: array of shape (m,), the added standard deviation between segments; 0 if it is not needed.
+    `ratios`: array of shape (m,), residual variance divided by the variance expected from noise and effects.
+    `effects`: the effects that the weights include.
+    `unweighted`: effects that the weights do not include, because the noise of an output is not known.
+    `pooled`: True if one variance factor applies to all outputs, which requires that the proportions of the outputs' noise are known
+        beforehand.
+    `pooled_freedom`: degrees of freedom of this variance factor.
+    `drift`: the drift functions (powers of the time or recorded temperatures) that are fitted together with the terms.
+    `all_gains`: array of shape (m, P, n), derivatives of the coefficients of all P columns with respect to the observations.
+    `all_cofactors`: for each basis, an array of shape (m, P, m, P), the covariance of the coefficients of all P columns without the
+        variance factors.
+    `within`: number of observations at the end that are not means of segments (`Observations`).
+    `unstated`: effects of unknown size, each given for the size of one unit; these effects are not in the fit.
     """
 
     outputs: tuple[str, ...]

@@ -109,9 +109,9 @@ class Variance:
 
     `mean`: mean of the group means. `within`: variance within groups. `between`: component of variance between groups, which can be
     negative. `total`: sum of `within` and `between`. Fields such as `mean_uncertainty` or `within_freedom` are the standard
-    uncertainty and the degrees of freedom of these values. `terms`: (2,), the contributions to `total` of the mean square between
-    groups and of the mean square within groups. `ratio`: the statistic F, which is the mean square between groups divided by the
-    mean square within groups.
+    uncertainty and the degrees of freedom of these values. `terms`: array of shape (2,), the contributions to `total` of the mean
+    square between groups and of the mean square within groups. `ratio`: the statistic F, which is the mean square between groups
+    divided by the mean square within groups.
     """
 
     mean: float

@@ -53,7 +53,7 @@ TERMS = ("offset", "rate")
 
 
 class ScaleFactorParameters(Record):
-    """The keys of the estimator `scale_factor`."""
+    """The plan keys of the estimator `scale_factor`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),

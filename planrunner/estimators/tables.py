@@ -55,7 +55,8 @@ Cell = str | float | None
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table for readers. `rows`: the rows, each with one cell per column. `terminal`: True if the terminal also shows the table."""
+    """A table for readers. `rows`: the rows, each with one cell per column. `terminal`: True if the table is also shown in the
+    terminal."""
 
     title: str
     columns: tuple[TableColumn, ...]

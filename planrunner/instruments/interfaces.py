@@ -67,7 +67,7 @@ class RunClock(Clock, Protocol):
         """Sets the time from which the clock continues when a run is resumed."""
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
-        """Sets a function that is called during sleeps; if it returns True, the sleep ends. None removes it."""
+        """Sets a function that is called during sleeps; if it returns True, the sleep ends. Passing None removes the function."""
 
 
 @runtime_checkable
@@ -90,7 +90,7 @@ class Surroundings:
     the other instruments by role.
 
     `world`: state that the drivers of a virtual bench share; real drivers ignore it. `real_time`: True if the clock shows real
-    time; simulated and played-back samples then come in blocks of about a second. `notice`: function that is told the progress of
+    time; simulated and played-back samples then come in blocks of about a second. `notice`: function that receives the progress of
     long work before the run begins, such as the examination of a recording.
     """
 
@@ -127,11 +127,11 @@ class OnlyRead:
 
 
 class PlaysBack(OnlyRead):
-    """Base of the drivers that play back a recording; the samples, orientations, rates and temperatures all come from it."""
+    """Base of the drivers that play back a recording; samples, orientations, rates and temperatures all come from the recording."""
 
 
 class TakesEffects(OnlyRead):
-    """Base of the virtual sensors that accept effects of the catalogue; the effects change their outputs."""
+    """Base of the virtual sensors whose outputs can be changed by effects of the catalogue."""
 
 
 @runtime_checkable
@@ -206,13 +206,13 @@ class HasModes(Protocol):
 @runtime_checkable
 class Readable(Protocol):
     def read(self) -> Mapping[str, float]:
-        """A few current readings for the journal; each key is a name followed by its unit (name_unit)."""
+        """A few current readings for the journal. Each key is the name of a reading, followed by its unit, such as `name_unit`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Consecutive samples: `time` (n,), in s since power-on, strictly increasing; and the values (n,) of each channel in the
-    channel's unit."""
+    """Consecutive samples. `time`: array of shape (n,), s since power-on, strictly increasing. The values (n,) of each channel are
+    in the channel's unit."""
 
     time: Array
     channels: Mapping[str, Array]
@@ -288,10 +288,10 @@ class Alive(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
-    """Limits that an instrument must enforce by itself, independently of the computer. None means that the driver takes the limit
-    from its own keys; limits of travel always come from these keys.
+    """Limits that an instrument must enforce by itself, independently of the computer.
 
-    rate [rad/s], acceleration [rad/s²] and position_error [rad] are limits of every axis. coldest and hottest are limits of
+    None means that the driver takes the limit from its own keys; limits of travel always come from these keys. `rate` [rad/s],
+    `acceleration` [rad/s²] and `position_error` [rad] are limits of every axis. `coldest` and `hottest` are limits of the
     temperature [K]. `silence`: time [s] without communication from the computer after which the instrument makes itself safe.
     """
 
@@ -331,13 +331,14 @@ class FrameCounts:
 @runtime_checkable
 class Counting(Protocol):
     def counts(self) -> FrameCounts:
-        """Counts of the frames in the segment that is being streamed, or was streamed last."""
+        """Counts of the frames in the segment that is being streamed; between segments, the counts of the last one."""
 
 
 @runtime_checkable
 class Remarking(Protocol):
     def remarks(self) -> Sequence[str]:
-        """Unusual events since the last call, such as a repeated exchange or a reopened link; one line for each, for the journal."""
+        """Unusual events since the last call, such as a repeated exchange or a reopened link. Each event is one line of text for
+        the journal."""
 
 
 @runtime_checkable

@@ -56,7 +56,7 @@ class ChamberModel:
     safe state, K.
 
     `lag`: time constant [s] with which the air follows the setpoint. `tolerance`: a temperature counts as reached if the air
-    differs from the setpoint by at most this [K]. `temperature_uncertainty`: standard uncertainty [K] of the chamber's own
+    differs from the setpoint by at most `tolerance` [K]. `temperature_uncertainty`: standard uncertainty [K] of the chamber's own
     thermometer.
     """
 
@@ -108,10 +108,10 @@ class ChamberModel:
 class NoiseModel:
     """Noise of one output, in the unit of the output.
 
-    `white`: random-walk coefficient N [unit·√s]; a mean over T seconds has the variance N²/T. `bias_instability`: flicker floor
-    [unit]. `resolution`: size of one count [unit]. `counted`: True if the remainder of a count is carried to the next sample, so
-    that only the two ends of a mean are rounded. `states_flicker`: True if the bench file declares a bias instability, which may be
-    zero.
+    `white`: random-walk coefficient N [unit·√s]; the mean over T seconds has the variance N²/T. `bias_instability`: floor of the
+    flicker noise [unit]. `resolution`: size of one count [unit]. `counted`: True if the part of a sample that does not fill a count
+    is carried to the next sample, so that only the two ends of a mean are rounded. `states_flicker`: True if the bench file
+    declares a bias instability, which may be zero.
     """
 
     white: float = 0.0
@@ -121,8 +121,9 @@ class NoiseModel:
     states_flicker: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
-        """True if the rounding of samples to counts averages out in a mean. It does if the noise between the samples, with this
-        variance [unit²], is large enough to dither the rounding, or if the remainder of a count is carried to the next sample."""
+        """True if the rounding of samples to counts averages out in a mean. It averages out if the noise between the samples, with
+        this variance [unit²], is large enough to dither the rounding, or if remainders are carried from sample to sample
+        (`counted`)."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
@@ -158,9 +159,11 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class OutputModel:
-    """One output channel: its name, the unit in which it is recorded, its full scale in that unit (for both signs), and its noise.
-    `constant`: True if the output is exactly constant while the table is at rest, like the output of a simulated table encoder.
-    `senses`: the quantity that the output senses, if the unit does not determine it."""
+    """One output channel: its name, the unit in which it is recorded, its full scale and its noise.
+
+    The full scale applies to both signs and is in the unit of the channel. `constant`: True if the output is exactly constant while
+    the table is at rest, like the output of a simulated table encoder. `senses`: the quantity that the output senses, if the unit
+    does not determine this quantity."""
 
     name: str
     unit: str

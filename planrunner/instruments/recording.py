@@ -34,7 +34,7 @@ _TABLE = "check the table of segments in the bench file and the plan's labels"
 
 
 class RecordingPlayer(PlaysBack):
-    """A sensor that plays back a recording."""
+    """The sensor of a bench that plays back a recording."""
 
     role = "sensor"
     Parameters = RecordingParameters

@@ -57,7 +57,7 @@ def beneath(root: Path | None, name: str) -> Path:
 class RecordingFile(Protocol):
     """A recording that can be read repeatedly.
 
-    `origin`: time of the first row, s. `interval`: median time between the first rows, s, NaN if there is only one row. `about`:
+    `origin`: time of the first row, s. `interval`: median time between the first rows, s; NaN if there is only one row. `about`:
     approximate number of rows, used to display progress.
     """
 
@@ -74,7 +74,7 @@ class RecordingFile(Protocol):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks about rows and bytes that were skipped, in words. They are complete after a pass over all rows."""
+        """Remarks about rows and bytes that were skipped, in words. The remarks are complete after a pass over all rows."""
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
         """Yields all rows unchanged, in batches: the number of the first row, counted from 1; times [s], which may be missing or
@@ -99,8 +99,9 @@ def open_recording(
     """Opens the files `parts` as one recording, in this order, after a check of their columns and first rows.
 
     `channels`: for each channel, the name of its column. `given`: format from the bench file; None if the extension of each file
-    name determines it. `pause`: time [s] between the last row of a file and the first row of the next one if time starts again in
-    each file; None if the time continues. Raises `InstrumentError` if a file cannot be read or lacks a column.
+    name determines it. `pause`: used if the time starts again in each file: the time [s] between the last row of a file and the
+    first row of the next one. None if the time continues from file to file. Raises `InstrumentError` if a file cannot be read or
+    lacks a column.
     """
     files = []
     for part in parts:

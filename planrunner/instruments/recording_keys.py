@@ -302,7 +302,7 @@ def width(quantity: Quantity) -> float:
 
 def _check_dimension(channel: ChannelColumn, name: str, times: str, log: Findings) -> None:
     """Checks that a declared quantity has the dimension of the channel. `times`: a factor by which the unit of the channel is
-    multiplied, such as `*sqrt(s)`, or an empty text."""
+    multiplied, such as `*sqrt(s)`; an empty text if there is no factor."""
     value: Quantity | None = getattr(channel, name)
     if value is None:
         return

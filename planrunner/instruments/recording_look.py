@@ -66,10 +66,10 @@ _NAME = re.compile(r"[^A-Za-z0-9_]+")
 class LikelyChannel:
     """A column that is probably a channel.
 
-    `unit`: the probable unit. `counts`: True if the numbers are raw counts, with `per_unit` counts per unit. `noise`: standard
+    `unit`: the probable unit. `counts`: True if the numbers are raw counts, of which `per_unit` are one unit. `noise`: standard
     deviation of a sample at rest, in `unit`; 0 if the channel is constant at rest, NaN if the noise is unknown. `source`: what
-    shows the unit: `name` for the name of the column, `size` for the size of its values, `motion` for turns that the accelerometers
-    also show. `stands`: True if the channel never changes."""
+    shows the unit. The value is `name` if the name of the column states it, `size` if the size of the values suggests it, and
+    `motion` if turns that the accelerometers also show confirm it. `stands`: True if the values of the channel never change."""
 
     name: str
     column: str
@@ -92,7 +92,8 @@ class WindowLevels:
     """Mean and standard deviation (scatter) of each column in successive windows.
 
     `begin`, `end`: arrays of shape (n,), start and end times of the windows, s. `size`: number of rows in a window. `mean`,
-    `scatter`: for each column, the values (n,); both are NaN if a window contains fewer than two numbers."""
+    `scatter`: for each column, the mean and the standard deviation (n,) in the windows; NaN if a window contains fewer than two
+    numbers."""
 
     begin: Array
     end: Array
@@ -115,11 +116,11 @@ class WindowLevels:
 class Look:
     """Properties that were found in a recording.
 
-    `time`: the column of the time; None if rows are counted. `rate`: sample rate, Hz. `other`: columns that are not channels.
-    `sparse`: columns that contain less than half as many numbers as the fullest column of a gyro or accelerometer. `still`: spans
-    without motion. `backwards`: number of rows whose time does not increase; if there are any, rows are counted instead. `pauses`:
-    number of pauses, and the length of the shortest one, s. `motion`: comparison of gyros and accelerometers during turns; None if
-    it gives no clear result."""
+    `time`: the column of the time; None if the file has none and rows are counted. `rate`: sample rate, Hz. `other`: columns that
+    are not channels. `sparse`: columns that contain less than half as many numbers as the fullest column of a gyro or
+    accelerometer. `still`: spans without motion. `backwards`: number of rows whose time does not increase; if there are such rows,
+    rows are counted instead of using the time. `pauses`: number of pauses, and the length of the shortest one, s. `motion`:
+    comparison of gyros and accelerometers during turns; None if it gives no clear result."""
 
     file: str
     format: Format | None
@@ -209,8 +210,8 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
 class _Clock:
     """Observes the time column: rows in which time does not increase, steps longer than `pause` [s], and the total time.
 
-    `times`: times of the rows that were yielded last, s after the first row. `stamp`: after the last row, None if the column is not
-    a time."""
+    `times`: times of the rows that were yielded last, s after the first row. `stamp`: the column of the time after the last row has
+    been read; None if the column is not a time. `stamp`: after the last row, None if the column is not a time."""
 
     def __init__(self, stamp: LikelyTime | None, pause: float):
         self._stamp = stamp
@@ -278,8 +279,8 @@ class _Clock:
         self.times = own - self._first
 
     def rate(self, rows: int, median: float) -> float:
-        """Rows per second [Hz], averaged over the whole recording. If pauses make this differ from `median`, the rate of the median
-        step, returns `median`."""
+        """Rows per second [Hz], averaged over the whole recording. If pauses make this average differ from `median`, which is the
+        rate of the median step, the function returns `median`."""
         whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 
@@ -287,9 +288,9 @@ class _Clock:
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
     """Guesses for the columns, completed if the names do not help.
 
-    If no name suggests a gyro or an accelerometer, three neighbouring columns whose vector is as long as gravity are taken as
-    accelerometers, and three columns next to them as gyros. If the names of three columns state the axes x, y and z, they get these
-    axes; otherwise they are x, y and z in their order."""
+    If no name suggests a gyro or an accelerometer, the function searches for three neighbouring columns whose vector is as long as
+    gravity. These are taken as accelerometers, and three columns next to them as gyros. If the names of three columns state the
+    axes x, y and z, the columns get these axes; otherwise they are x, y and z in their order."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
@@ -376,7 +377,7 @@ def _levels(table: Array) -> tuple[Array, Array]:
 
 
 def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
-    """The same windows, with times that are computed from the number of rows.
+    """The same windows, with times that are computed from row numbers.
 
     `rate`: sample rate, Hz."""
     begin = np.arange(float(len(windows.begin))) * (windows.size / rate)
@@ -384,8 +385,8 @@ def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
 
 
 def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
-    """Spans in which every sensor is at rest: its scatter is similar to that in its quietest windows, or small compared with its
-    scatter in motion, and its mean does not change much between windows."""
+    """Spans in which every sensor is at rest. A sensor is at rest if its mean does not change much between windows, and if its
+    scatter is similar to the scatter in its quietest windows, or small compared with the scatter in motion."""
     if not columns or not len(windows.begin):
         return ()
     quiet = np.ones(len(windows.begin), bool)

@@ -31,9 +31,9 @@ _CLEARLY = 3.0  # times this error, and more, for any other explanation of anoth
 class TurnComparison:
     """Result of the comparison of gyros with accelerometers.
 
-    `unit`: unit of the gyros. `axes`: for the gyros x, y and z, the axis of the accelerometers about which each one measures, with
-    its sign. `error`: median angle [deg] between the direction of gravity that is measured after a turn and the direction that is
-    computed from the gyros."""
+    `unit`: unit of the gyros. `axes`: for each of the gyros x, y and z, the axis of the accelerometers about which the gyro
+    measures, with its sign. `error`: median angle [deg] between the direction of gravity that is measured after a turn and the
+    direction that is computed from the gyros."""
 
     unit: str
     axes: tuple[str, str, str]

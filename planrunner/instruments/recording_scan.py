@@ -51,7 +51,7 @@ class Wanted:
 @dataclass(slots=True)
 class _Seen:
     """What a pass over the recording found in one interval. `gap`: length [s] of the longest gap between samples. `at`: time at
-    which this gap starts."""
+    which this longest gap starts."""
 
     rows: int = 0
     complete: int = 0
@@ -78,7 +78,7 @@ class _Seen:
 @dataclass(slots=True)
 class _Pass:
     """What one pass over a recording has found so far. `faults`: descriptions of the first rows whose time is wrong. `wrong`: total
-    number of such rows."""
+    number of rows whose time is wrong. `wrong`: total number of such rows."""
 
     period: float
     seen: list[_Seen]
@@ -128,7 +128,7 @@ def scan(
     """Adds all faults of a recording to `log`.
 
     `name`: name of the file, used in messages. `sample_rate`: declared sample rate, Hz. `notice`: receives the progress. Returns
-    the span of the recording; None if times in it are wrong. Raises `InstrumentError` if the file cannot be read to its end.
+    the span of the recording; None if some of its times are wrong. Raises `InstrumentError` if the file cannot be read to its end.
     """
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])

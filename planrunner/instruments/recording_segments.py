@@ -28,15 +28,17 @@ LabelledRow = Mapping[str, str | None]
 
 @dataclass(frozen=True, slots=True)
 class SegmentTable:
-    """The intervals of a recording by label, after trimming, and the line of each label in the table. `name`: name of the file with
-    the table, used in messages."""
+    """The intervals of a recording by label, after trimming, and the line of each label in the table.
+
+    `name`: name of the file with the table, used in messages."""
 
     name: str
     spans: Mapping[str, Span]
     lines: Mapping[str, int]
 
     def span(self, label: str) -> Span:
-        """The interval that belongs to a label. If there is none, raises `InstrumentError`, which suggests the closest label."""
+        """The interval that belongs to a label. If there is no such interval, raises an `InstrumentError` that suggests the closest
+        label."""
         if label not in self.spans:
             raise InstrumentError(f"{self.name} has no segment '{label}'; {closest_label(label, self.spans)}")
         return self.spans[label]
@@ -63,7 +65,7 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
     """Yields the rows of a CSV table, each as label, line number and cells. `columns`: names of the columns that the table must
     have, first the column of the labels. `name`: name of the file, used in messages.
 
-    Raises `InstrumentError` with the line of the fault; every label must be present and unique.
+    Raises `InstrumentError` with the line of the fault if a label is missing or occurs twice.
     """
     try:
         text = read_text(path, name)

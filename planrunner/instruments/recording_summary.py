@@ -31,8 +31,8 @@ class SummaryRow:
     """The row of a segment in the table.
 
     `line`: line in the file. `start`: start time, s. `count`: number of samples. `means`, `deviations`: mean and standard deviation
-    of each channel, in the unit of the channel. A standard error in the table is converted to a deviation, so that a mean of
-    `count` independent samples with this deviation has the stated standard error.
+    of each channel, in the unit of the channel. If the table states a standard error, it is converted to a deviation, so that the
+    mean of `count` independent samples with this deviation has the stated standard error.
     """
 
     line: int

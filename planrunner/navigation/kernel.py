@@ -157,11 +157,12 @@ def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
 def advance(state, increments, interval, aiding, earth, gains, held, every, knots):  # type: ignore[no-untyped-def]
     """Advances `state` (18,) in place over n samples; returns the number of knots (output points) that were written.
 
-    `increments`: (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z. `interval`: (n,), length of the sampling
-    intervals, s. `aiding`: (n,), reference height [m] for the damped vertical channel, or (1,) if it is constant. `earth`:
-    (rotation rate [rad/s], factor on normal gravity). `gains`: (3,), gains of the third-order vertical loop [1/s, 1/s², 1/s³];
-    zeros for a free vertical channel. `held`: True if height and vertical velocity keep their values. `every`: number of steps
-    between two knots, counted since the state was made. `knots`: (m, 10), output, filled in order.
+    `increments`: array of shape (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z. `interval`: array of
+    shape (n,), length of the sampling intervals, s. `aiding`: array of shape (n,), reference height [m] for the damped vertical
+    channel, or (1,) if it is constant. `earth`: (rotation rate [rad/s], factor on normal gravity). `gains`: array of shape (3,),
+    gains of the third-order vertical loop [1/s, 1/s², 1/s³]; zeros for a free vertical channel. `held`: True if height and vertical
+    velocity keep their values. `every`: number of steps between two knots, counted since the state was made. `knots`: array of
+    shape (m, 10), output, filled in order.
     """
     q = (state[0], state[1], state[2], state[3])
     ve, vn, vu = state[4], state[5], state[6]

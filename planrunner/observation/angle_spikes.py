@@ -1,11 +1,13 @@
 """Spikes in recorded angles: single samples that do not agree with the motion around them.
 
 Encoders and gimbals may keep one value for a long time; and while the base rocks, successive samples differ by far more than a
-harmful spike. A sample is therefore compared with the value that its six neighbours predict for its place. This value is the
-interpolation through six equally spaced points. For a sine with the phase step φ, its error is (2·sin(φ/2))⁶/20 of the amplitude:
-3·10⁻⁴ for 15 samples per period. A sample is a spike under two conditions: it lies farther from this value than the noise or the
-motion around it explains; and as soon as it is replaced, all its neighbours agree with the motion. The second condition excludes
-steps, and sudden starts and stops. A small sudden change of the rate looks nearly like a spike; the better fit decides.
+harmful spike. A sample is therefore compared with the value that the three samples before it and the three samples after it
+predict. The prediction is the interpolation through these six equally spaced points. For a sine whose phase advances by φ from
+sample to sample, the error of the prediction is (2·sin(φ/2))⁶/20 of the amplitude: 3·10⁻⁴ for 15 samples per period. A sample is a
+spike if two conditions hold: its distance from the prediction is larger than the noise or the motion around it explains; and once
+the sample is replaced by the prediction, all its neighbours agree with the motion. The second condition excludes steps, and sudden
+starts and stops of the motion. A small sudden change of the rate looks nearly like a spike; the sample counts as what fits it
+better.
 
 The samples next to the ends of a segment have fewer than three neighbours on one side. They are compared with the parabola through
 the next three samples. The first and the last sample are not examined, because a motion may begin or end there.
@@ -95,7 +97,7 @@ class AngleSpikes:
         self.parts, self.held, self.begun = [(values[kept].copy(), rows[kept], time[kept])], min(n, 2 * _CONTEXT), True
 
     def _spikes(self, values: Array, low: int, high: int) -> list[tuple[int, float, float]]:
-        """The place, the deviation and the noise of each spike with an index from `low` up to but not including `high`."""
+        """The row number, the deviation and the noise of each spike with an index from `low` up to but not including `high`."""
         turn = 2 * math.pi * self.radian
         x = np.unwrap(values, period=turn) if np.ptp(values) > turn / 2 else values
         off = np.zeros(len(x))
@@ -126,7 +128,7 @@ class AngleSpikes:
         return max(_COUNTS * self.count, _SMALLEST * self.radian)
 
     def _judged(self, x: Array, k: int, scale: float) -> list[tuple[int, float, float]]:
-        """If the sample k is a spike, returns its place, its deviation and the noise, and replaces the sample in x; otherwise
+        """If the sample k is a spike, returns its row number, its deviation and the noise, and replaces the sample in x; otherwise
         returns an empty list."""
         off = float(_off_course(x[k - _SIDE : k + _SIDE + 1])[0])
         least = max(self.factor * scale, self._smallest)

@@ -39,8 +39,8 @@ class Averaged:
     """One segment, averaged in bins.
 
     `begin`: time of the first sample, s. `step`: time between samples, s. `time`: array of shape (n,), times of the bins, s.
-    `table`: the means (n,) of each channel, in the channel's unit. `rejected`: number of rows left out because of a NaN. The other
-    fields are as in `Bins`, in SI.
+    `table`: the means (n,) of each channel, in the channel's unit. `rejected`: number of rows that were left out because of a NaN.
+    The other attributes are those of `Bins`, in SI units.
     """
 
     begin: float = np.nan
@@ -108,9 +108,10 @@ def averaged(
 ) -> Averaged:
     """Averages a segment in bins of `size` samples, in one pass.
 
-    `names`: names of the channels, first those of the K measured channels. `factors`: array of shape (K,), factors from the
-    channels' units to SI. `counts`: array of shape (K,), size of one count, SI. `smallest`: array of shape (K,), smallest noise
-    that the detection of outliers assumes, SI. `encoder`: name of a channel that wraps, and the number of its units per turn.
+    `names`: names of the channels; the K measured channels come first. `factors`: array of shape (K,), factors from the channels'
+    units to SI units. `counts`: array of shape (K,), size of one count in SI units. `smallest`: array of shape (K,), smallest noise
+    that the detection of outliers assumes, in SI units. `encoder`: name of a channel that wraps, and the number of its units per
+    turn.
     """
     out = Averaged(energy=np.zeros((len(factors),) * 2), spikes=np.zeros(len(factors), dtype=np.int64))
     out.levels = [np.empty(0) for _ in factors]
@@ -151,15 +152,15 @@ def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Itera
 
 
 def _look_at(values: Array, counts: Array, out: Averaged) -> None:
-    """Collects the levels of each channel until they confirm its declared count."""
+    """Collects the levels (distinct values) of each channel until they confirm its declared count."""
     for channel, step in enumerate(counts):
         if step > 0 and not settled(out.levels[channel]):
             out.levels[channel] = np.union1d(out.levels[channel], levels_of(values[channel], float(step)))
 
 
 def _upper(values: Array, out: Averaged) -> None:
-    """Adds up the energy of a piece in the upper three quarters of the orders of the cosine transform: at frequencies above one
-    eighth of the sampling rate."""
+    """Adds up the energy of a piece in the upper three quarters of the orders of the cosine transform, which belong to frequencies
+    above one eighth of the sampling rate."""
     from scipy.fft import dct
 
     quarter = values.shape[1] // 4

@@ -38,22 +38,22 @@ class CorrelatedError:
     channel: str = ""
 
     def covariance(self, one: int, other: int) -> Array | float:
-        """The contribution (n, n) to the covariance between the observations of two outputs; 0.0 unless the error acts on both
-        outputs."""
+        """The contribution (n, n) of the error to the covariance between the observations of two outputs; 0.0 if the error does not
+        act on both outputs."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
 
     def through(self, functionals: Array, in_scatter: bool = False) -> Influence:
-        """The influence of the error on q quantities. `functionals`: array of shape (q, m, n), coefficients with which each
+        """The influence of the error on q quantities. `functionals`: array of shape (q, m, n), the coefficients with which each
         quantity depends linearly on the observations."""
         moved = sum(functionals[:, output] @ change for output, change in self.changes.items())
         return Influence(self.quantity, np.asarray(moved), in_scatter, self.parts)
 
 
 def functionals_of(gains: Array) -> Array:
-    """Arranges the gains (m, p, n) of m outputs with p coefficients each as functionals (m·p, m, n) of all observations, output
-    after output."""
+    """Arranges the gains (m, p, n) of m outputs with p coefficients each as linear functions (m·p, m, n) of all observations,
+    output after output."""
     m, p, n = gains.shape
     stacked: Array = np.einsum("apn,ab->apbn", gains, np.eye(m)).reshape(m * p, m, n)
     return stacked
@@ -66,9 +66,9 @@ def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
 
 
 def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> Array:
-    """The changes (outputs, n, r) of the n observations of each output per standard uncertainty of every input; 0 for an error that
-    does not act on an output. If L₁ and L₂ are the changes of two outputs, L₁·L₂ᵀ is the contribution of the errors to the
-    covariance between their observations."""
+    """The changes (outputs, n, r) of the n observations of each output for an error of one standard uncertainty of every input; 0
+    for an error that does not act on an output. If L₁ and L₂ are the changes of two outputs, L₁·L₂ᵀ is the contribution of the
+    errors to the covariance between their observations."""
     roots = []
     for effect in effects:
         columns = next(iter(effect.changes.values())).shape[1]
@@ -80,8 +80,8 @@ def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> A
 
 
 def mixed(spread: Array, roots: Array) -> Array:
-    """The covariance (…, n, n) of the observations of outputs. It is the sum of noise with the standard uncertainty `spread` (…, n)
-    and of the contribution of correlated errors with the roots (…, n, r)."""
+    """The covariance (…, n, n) of the observations of outputs. It is the sum of two parts: noise with the standard uncertainty
+    `spread` (…, n), and the contribution of correlated errors with the roots (…, n, r) from `stacked_roots`."""
     covariance = np.asarray(roots @ roots.swapaxes(-1, -2))
     i = np.arange(spread.shape[-1])
     variances = covariance[..., i, i] + spread**2

@@ -1,9 +1,9 @@
-"""Courses of a slow drift of the outputs during a test: functions of the time, of the temperature, or of the rate of change of the
-temperature.
+"""Drift functions: functions of the time, of the temperature, or of the rate of change of the temperature, to which a slow drift of
+the outputs during a test may be proportional.
 
-A drift is a nuisance: its courses are fitted together with the coefficients, so that the unknown drift contributes to the
-uncertainties of the coefficients. A course is described by its mean over each segment, minus its average over the recorded time of
-all segments that the estimate uses. A constant is therefore a value for the whole test: at its average time, at its average
+A drift is a nuisance: the drift functions are fitted together with the coefficients, so that the unknown drift contributes to the
+uncertainties of the coefficients. A drift function is described by its mean over each segment, minus its average over the recorded
+time of all segments that the estimate uses. A constant is therefore a value for the whole test: at its average time, at its average
 temperature, and at its average rate of change. A constant thus has the same meaning for outputs that use only some of the segments.
 """
 
@@ -57,12 +57,12 @@ def thermometer() -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourse:
-    """One course of a drift, as columns for a fit.
+    """One drift function, as columns for a fit.
 
-    `columns`: array of shape (n, r), the same course for r parts of an output, without the unit of the output. `per`: the unit by
-    which the unit of the output is divided to give the unit of a fitted amplitude. `parts`: names of the parts if there are
-    several. `order`: power of the time if the course is a function of time, otherwise 0. `changed`: change of the recorded
-    temperature between segments, K, if the course follows the temperature and the change is significant; otherwise 0.
+    `columns`: array of shape (n, r), the same drift function for r parts of an output, without the unit of the output. `per`: the
+    unit by which the unit of the output is divided to give the unit of a fitted amplitude. `parts`: names of the parts if there are
+    several. `order`: power of the time if the drift function is a function of time, otherwise 0. `changed`: change of the recorded
+    temperature between segments, K, if the drift function follows the temperature and the change is significant; otherwise 0.
     """
 
     name: str
@@ -75,11 +75,11 @@ class DriftCourse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourses:
-    """The courses of a drift that may be fitted.
+    """The drift functions that may be fitted.
 
-    `by_evidence`: True if a course is fitted only if the data show it; False if all courses are fitted. `fits`: number of separate
-    fits in which the same drift is looked for. `shown`: names of the courses that one of these fits shows; every fit includes them
-    if its segments allow it.
+    `by_evidence`: True if a drift function is fitted only if the data show it; False if all drift functions are fitted. `fits`:
+    number of separate fits in which the same drift is looked for. `shown`: names of the drift functions that one of these fits
+    shows; every fit includes them if its segments allow it.
     """
 
     courses: tuple[DriftCourse, ...] = ()
@@ -92,8 +92,8 @@ NO_DRIFT = DriftCourses()
 
 
 def asked(words: Sequence[str]) -> tuple[str, ...]:
-    """The names of the courses that a plan requests, including the lower orders in time; for `by_evidence`, the courses that are
-    tried. Raises `EstimationError` for options that exclude each other."""
+    """The names of the drift functions that a plan requests, including the lower powers of the time; for `by_evidence`, the drift
+    functions that are tried. Raises `EstimationError` for options that exclude each other."""
     alone = [word for word in words if word in (BY_EVIDENCE, NONE)]
     if alone and len(set(words)) > 1:
         other = next(word for word in words if word != alone[0])
@@ -115,7 +115,7 @@ def drift_of(
     segments: Sequence[RecordedSegment],
     test: Sequence[RecordedSegment],
 ) -> DriftCourses:
-    """The courses for the observations of recorded segments.
+    """The drift functions for the observations of recorded segments.
 
     `channel`: the thermometer that the plan names, or None. `segments`: the segments of the observations, in the same order; empty
     if the observations are parts of segments and have no known temperature. `test`: all segments that the estimate uses. Raises
@@ -150,11 +150,12 @@ def drift_of(
 def courses_by_evidence(
     start: Array, end: Array, seconds: Array, kelvin: Array | None, observed: int
 ) -> tuple[DriftCourses, DriftCourses]:
-    """The courses that n observations may show; and the same courses for all r rows, which are the observations and further times.
+    """The drift functions that n observations may show; and the same drift functions for all r rows, which are the observations
+    followed by further times.
 
-    `start`, `end`: arrays of shape (r,) in s, first those of the observations, then those of the further times. `seconds`: array of
-    shape (r,), recorded time of each observation, s, and 0 at the further times. `kelvin`: array of shape (r,), temperatures, K,
-    None if they are not recorded. `observed`: number n of observations.
+    `start`, `end`: arrays of shape (r,) in s, start and end of each observation, then the further times. `seconds`: array of shape
+    (r,), recorded time of each observation, s, and 0 at the further times. `kelvin`: array of shape (r,), temperatures, K, None if
+    they are not recorded. `observed`: number n of observations.
     """
     rows = list(range(observed))
     names = asked((BY_EVIDENCE,))
@@ -172,8 +173,8 @@ def _courses(
     names: Sequence[str],
     by_evidence: bool,
 ) -> list[DriftCourse]:
-    """The courses whose names are among `names`. Courses with the temperature are included only if the temperature is known and
-    changes between the given rows. start, end, seconds and kelvin have the shape (n,), as in `in_time`."""
+    """The drift functions whose names are among `names`. Drift functions of the temperature are included only if the temperature is
+    known and changes between the given rows. `start`, `end`, `seconds` and `kelvin` have the shape (n,), as in `in_time`."""
     courses = list(in_time(start, end, seconds))
     if kelvin is not None:
         changed = float(np.ptp(kelvin[rows]))
@@ -184,8 +185,8 @@ def _courses(
 
 
 def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)) -> tuple[DriftCourse, ...]:
-    """Courses that are powers of the time [h] since the middle of the test, up to the highest order. `start`, `end`: arrays of
-    shape (n,) in s. `seconds`: array of shape (n,), recorded time of the used samples, s."""
+    """Drift functions that are powers of the time [h] since the middle of the test, up to the highest order. `start`, `end`: arrays
+    of shape (n,) in s. `seconds`: array of shape (n,), recorded time of the used samples, s."""
     middle = (float(start.min()) + float(end.max())) / 2
     low, high = (start - middle) / _HOUR, (end - middle) / _HOUR
     made = []
@@ -197,9 +198,9 @@ def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)
 
 
 def _with_temperature(middle: Array, kelvin: Array, seconds: Array, names: Sequence[str]) -> tuple[DriftCourse, ...]:
-    """The courses with the temperature whose names are among `names`. `middle`: array of shape (n,), middle times of the segments,
-    s. `kelvin`: array of shape (n,), temperatures of the segments, K. The rate of change of the temperature is computed from the
-    temperatures of the neighbouring segments."""
+    """The drift functions of the temperature whose names are among `names`. `middle`: array of shape (n,), middle times of the
+    segments, s. `kelvin`: array of shape (n,), temperatures of the segments, K. The rate of change of the temperature is computed
+    from the temperatures of the neighbouring segments."""
     if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
         return ()
     by_level, by_rate = WITH_TEMPERATURE

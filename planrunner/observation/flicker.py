@@ -1,11 +1,11 @@
-"""The effect of an output's bias instability on the means of segments. It is flicker noise, whose slow part correlates all segments
-of a test.
+"""The effect of an output's bias instability on the means of segments. Bias instability is flicker noise, whose slow part
+correlates all segments of a test.
 
 Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). The spectrum of flicker
 has no lower limit, so a constant can be defined only as an average over some time span. The plan states this span; a constant is
-the average over the span, in whose middle the test lies. No cut-off frequency is then needed, because the means have a finite
-covariance after the average over the span has been subtracted. This covariance has the kernel −ln|t − t′|/π, whose double integrals
-over segments are known in closed form.
+the average over the span, and the test lies in the middle of the span. No cut-off frequency is then needed, because the means have
+a finite covariance after the average over the span has been subtracted. This covariance has the kernel −ln|t − t′|/π, whose double
+integrals over segments are known in closed form.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SPAN = parse_quantity("24 h")
 
 
 def drift_span() -> Quantity:
-    """Makes the key for the time span over which a constant is the average."""
+    """Makes the key for the time span over which a constant is defined as the average."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
         "A reported constant is the mean over this time span, which has the test in its middle and is at least as long as the test. "
@@ -74,8 +74,8 @@ def _root(covariance: Array) -> Array:
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
     """The flicker with B = 1, in the output's unit, of each output for which the bench file states no bias instability. For
-    expected observations there is none, because these contain only declared effects. `span`: time span around the test, over which
-    a constant is the average, s."""
+    expected observations the result is empty, because they contain only declared effects. `span`: time span around the test, over
+    which a constant is the average, s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
     return _effects(observations, silent, span)
@@ -83,7 +83,7 @@ def unstated_flicker(observations: Observations, inputs: Inputs, span: float) ->
 
 def of_unit_size(channel: str, unit: str) -> InputQuantity:
     """The coefficient B of a channel whose bias instability is not stated. B is set to one unit, so that influences of the flicker
-    are per unit of B."""
+    are stated per unit of B."""
     return InputQuantity(Aspect.BIAS_INSTABILITY.of(channel), 0.0, unit, 1.0)
 
 
@@ -105,7 +105,7 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
 def weighted_covariance(weights: Array, step: float, span: float) -> Array:
     """The covariance (…, q, q) of q weighted sums of means over n consecutive intervals of the length `step` [s]. The means are
     those of flicker noise with B = 1, after its average over `span` [s] around the intervals has been subtracted. `weights`: array
-    of shape (…, q, n).
+    of shape (…, q, n), the weights of the n means in each sum.
 
     For intervals of equal length, the result agrees with that of `mean_covariance`. The covariance of two means then depends only
     on the distance between their intervals. The product of this covariance with the weights is therefore a convolution (a Toeplitz
@@ -166,7 +166,8 @@ def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) ->
     A mean over the time T has the variance (c − ln T + 3/2)/π, where c is a constant. The variance of one batch mean is therefore
     larger than that of the mean of all batches by ln b/π. If functions of time are fitted to the batch means, the fit removes a
     part of the flicker. The contribution is then tr(R·K·R)/(b·ν), where R is the projection onto what the fit leaves, K the
-    covariance of the batch means, and ν the number of degrees of freedom. `courses`: the fitted functions, as in `Observations`.
+    covariance of the batch means, and ν the number of degrees of freedom. `courses`: the fitted functions of time, as in
+    `Observations`.
     """
     b = np.maximum(batches, 2).astype(float)
     plain = np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)

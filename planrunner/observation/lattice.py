@@ -19,7 +19,7 @@ _PIECE = 4096  # values taken at once
 
 
 def levels_of(values: Array, step: float) -> Array:
-    """The distinct values (n,) in units of the declared count, in ascending order."""
+    """The distinct values (n,) of a channel in units of the declared count, in ascending order."""
     return np.unique(np.round(values / step, 2))
 
 

@@ -1,4 +1,4 @@
-"""The motion of a sensor that was not commanded by a plan. Recorded channels, which the plan names, show this motion."""
+"""The motion of a sensor that no plan commands. Channels of the recording, which the plan names, show this motion."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _UNIT = 0.05  # deviation of the norm of a quaternion from 1
 class MotionShown:
     """A motion that recorded channels show.
 
-    `table`: angle, rate and acceleration of an axis with an encoder, (n,) each; zero without an encoder. `course`: the motion if
-    channels other than an encoder show it; None if an encoder shows it. `averaging`: number of consecutive samples to average.
-    `usable`: array of shape (n,), True for samples with neighbours on both sides. `differences`: True if rates are computed as
-    differences between the two neighbours of a sample.
+    `table`: angle, rate and acceleration of an axis with an encoder, an array of shape (n,) each; zero without an encoder.
+    `course`: the motion if channels other than an encoder show it; None if an encoder shows it. `averaging`: number of consecutive
+    samples that are averaged. `usable`: array of shape (n,), True for samples with neighbours on both sides. `differences`: True if
+    rates are computed as differences between the two neighbours of a sample.
     """
 
     table: Mapping[str, Array]
@@ -92,8 +92,8 @@ def recorded_course(
 
 
 def supposed_course(time: Array, site: Site) -> MotionShown:
-    """An assumed motion about all axes, used for a segment that has not been recorded. It is such that every effect can act.
-    Numbers that are reported must not depend on this motion."""
+    """An assumed motion about all axes, used for a segment that has not been recorded. The motion is chosen such that every effect
+    can act. Numbers that are reported must not depend on this motion."""
     since = time - time[0]
     rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
     zero = np.zeros(len(time))

@@ -31,15 +31,15 @@ SIGNIFICANCE = (
 class Observations:
     """Means of k channels over n segments, in the channels' units.
 
-    `mean`: array of shape (n, k). `standard_error`: array of shape (n, k), standard error of each mean, estimated from the scatter
-    within its segment; NaN if the segment is too short. `batches`: array of shape (n,), number of batches from which the standard
-    errors of a segment are estimated. `start`, `end`: arrays of shape (n,), start and end of the recorded interval, s on the run's
-    clock; the end does not belong to the interval. `correlation`: array of shape (k, k), correlation between the noise of the
-    channels, over all segments. `expected`: True if the observations are predicted from a schedule; the means then contain no
-    noise, and the standard errors come from the declared noise. `share`: array of shape (n,), fraction of the samples of each
-    segment that are used; None if all are used. `courses`: array of shape (n,), for each segment the functions of its motion that
-    are fitted together with its mean, as `course` in `Statistics`; None without motion. `within`: number of observations at the end
-    that are not means but contrasts within segments; the standard errors of these are known.
+    `mean`: array of shape (n, k), the means. `standard_error`: array of shape (n, k), standard error of each mean, estimated from
+    the scatter within its segment; NaN if the segment is too short. `batches`: array of shape (n,), number of batches from which
+    the standard errors of a segment are estimated. `start`, `end`: arrays of shape (n,), start and end of the recorded intervals, s
+    on the run's clock; the end does not belong to the interval. `correlation`: array of shape (k, k), correlation between the noise
+    of the channels, over all segments. `expected`: True if the observations are predicted from a schedule; the means then contain
+    no noise, and the standard errors come from the declared noise. `share`: array of shape (n,), fraction of the samples of each
+    segment that are used; None if all are used. `courses`: for each of the n segments, the functions of its motion that are fitted
+    together with its mean, as `course` in `Statistics`; None without motion. `within`: number of observations at the end that are
+    not means but contrasts within segments; the standard errors of the contrasts are known.
     """
 
     channels: tuple[str, ...]
@@ -102,7 +102,7 @@ class WithinSegmentNoise:
     """The standard uncertainty of the means of one channel due to the noise within segments.
 
     `sigma`: array of shape (n,), standard uncertainties, all positive. `known`: False if the samples give no information about the
-    noise; sigma is then 1. `degrees_of_freedom`: degrees of freedom of sigma, over all segments together.
+    noise; all elements of `sigma` are then 1. `degrees_of_freedom`: degrees of freedom of `sigma`, over all segments together.
     """
 
     sigma: Array
@@ -117,7 +117,7 @@ class WithinSegmentNoise:
 
 
 def weights_of(channels: Sequence[str], noises: Sequence[WithinSegmentNoise]) -> dict[str, str]:
-    """For each channel, the text that describes its weights, for the settings that an estimate reports."""
+    """For each channel, a text that describes its weights; an estimate reports these texts among its settings."""
     return {name: noise.weighting.value for name, noise in zip(channels, noises, strict=True)}
 
 
@@ -171,9 +171,9 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 
 
 def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Array], Array]) -> float:
-    """Standard error of a channel's mean over a segment, from the scatter about a known course of the channel. The samples are read
-    once more. If there are no samples but only published statistics, the standard error is that of these statistics. `course`:
-    gives the course at times (k,), s since the start of the segment, in the unit of the channel."""
+    """The standard error of a channel's mean over a segment, computed from the scatter of the samples about a known function of
+    time. The samples are read once more. If there are only published statistics and no samples, the standard error is that of the
+    statistics. `course`: returns this function at times (k,), s since the start of the segment, in the unit of the channel."""
     whole = recorded.statistics
 
     def left() -> Iterator[Block]:

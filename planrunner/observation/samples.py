@@ -57,10 +57,10 @@ def observed(
     and units. By default, the name of a channel gives its axis (`axis_of`), and its unit makes it a gyro (angular rate) or an
     accelerometer (acceleration). `angle_channel`: encoder of the table. `temperature_channel`: thermometer. `supply_channel`:
     voltmeter of the supply. `pressure_channel`: barometer. If the channel of a quantity is not given, the values of this quantity
-    in the plan are used. `power_on`: time of power-on, in the time of the recording, s. `free_angle`: True if an input once per
-    turn whose phase is unknown counts as noise, as in a diagnosis (`Observed.unknown_phase`). The angle of a table without encoder
-    is then the one that agrees best with the Earth's rate. If it is False, this angle is zero at the first sample, unless gravity
-    shows it. Raises `ObservationError` if the recording cannot be diagnosed.
+    in the plan are used. `power_on`: time of power-on, in the time of the recording, s. `free_angle`: True if an input that varies
+    once per turn with an unknown phase counts as noise, as in a diagnosis (`Observed.unknown_phase`). If it is True, the angle of a
+    table without encoder is the one that agrees best with the Earth's rate. If it is False, the angle of a table without encoder is
+    zero at the first sample, unless gravity shows the angle. Raises `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -142,9 +142,11 @@ def _part(
     size: int | None,
     free_angle: bool,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
-    """Reads one segment, without the rows that contain a NaN. Returns its planned states with its samples or, if `size` is given,
-    means over `size` samples; the rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and
-    the motion, if attitude and angle do not describe it. `limits`: full scale of each output."""
+    """Reads one segment, without the rows that contain a NaN.
+
+    Returns four values. The first is the planned states of the segment with its samples or, if `size` is given, with means over
+    `size` samples. The second is the rows as they were read. The third is the uncertainty of the temperature, NaN if the
+    temperature changes. The fourth is the motion, if attitude and angle do not describe it. `limits`: full scale of each output."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
         return _moved_part(item, motion, site, limits, channels, monitors, power_on, size)
@@ -248,9 +250,9 @@ def rows_of(
     size: int | None = None,
     encoder: str | None = None,
 ) -> Averaged:
-    """Reads the rows of a segment that contain no NaN; if `size` is given, means over this number of rows. `extra`: names of
-    further channels, of which the channel `encoder` wraps. Raises `ObservationError` if a channel is missing or there are too few
-    usable rows."""
+    """Reads the rows of a segment that contain no NaN; if `size` is given, returns means over `size` rows. `extra`: names of
+    further channels; one of them may be the channel `encoder`, whose values wrap. Raises `ObservationError` if a channel is missing
+    or there are too few usable rows."""
     names = [*(channel.name for channel in channels), *extra]
     missing = [name for name in names if name not in item.units]
     if missing:

@@ -155,8 +155,8 @@ def threshold(samples: int) -> float:
 class _Run:
     """A run of equal samples.
 
-    `row`, `time`: row and time of the first sample of the run. `last`: time of its last sample, s. `before`, `after`: values of the
-    samples next to the run on either side.
+    `row`, `time`: row and time of the first sample of the run. `last`: time of the last sample of the run, s. `before`, `after`:
+    values of the samples next to the run on either side.
     """
 
     row: int
@@ -182,7 +182,8 @@ class _Window:
     """A piece of one channel, together with neighbouring samples as far as they exist.
 
     `low`, `high`: bounds of the piece, which is values[low:high]. `usual`, `count`: mean change between neighbours, and size of a
-    count, as known when the piece was examined. `places`: (n,), index of the sample before each large change in the piece.
+    count, as known when the piece was examined. `places`: array of shape (n,), index of the sample before each large change in the
+    piece.
     """
 
     values: Array
@@ -214,8 +215,8 @@ class _Runs:
 
     `lengths`: number of runs by their length, where the last entry counts all longer runs. `long`: the longest runs. `row`, `time`:
     row and time of the first sample of the current run. `before`: value of the sample before the current run. `length`: number of
-    samples in the current run so far. `count`: smallest change between samples. `bend`, `bends`: sum of the absolute second
-    differences, and their number.
+    samples in the current run so far. `count`: smallest change between samples. `bend`: sum of the absolute second differences.
+    `bends`: number of second differences.
     """
 
     lengths: RowNumbers = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
@@ -229,8 +230,8 @@ class _Runs:
     bends: int = 0
 
     def add(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """Adds the next samples (n,). The first of them must be the last sample of the previous call, except at the start of the
-        segment."""
+        """Adds the next samples (n,). Except at the start of the segment, the first of these samples must be the last sample of the
+        previous call."""
         if not self.length:
             self.row, self.time, self.length = int(rows[0]), float(times[0]), 1
         ends = np.append(
@@ -669,8 +670,8 @@ class Screening:
         return found
 
     def _steps(self, k: int, found: Sequence[Find]) -> list[Find]:
-        """Finds changes of the level that persist: the difference between neighbouring means is far larger than elsewhere in the
-        segment."""
+        """Finds lasting changes of the level: places where the difference between neighbouring means is far larger than elsewhere
+        in the segment."""
         if not self.steady or not self.means[k]:
             return []
         means, times = np.concatenate(self.means[k]), np.concatenate(self.bin_times)
@@ -775,7 +776,8 @@ def _numbers(rows: Numbered) -> RowNumbers:
 
 
 def _as_one(finds: Sequence[Find]) -> list[Find]:
-    """Combines findings into one that does not count as bad: they are too many to be outliers and belong to the noise."""
+    """Combines findings that are too many to be outliers into one finding. The samples belong to the noise, so this finding does
+    not count as bad."""
     if not finds:
         return []
     largest = max(finds, key=lambda one: abs(one.size))
@@ -783,9 +785,9 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
-    """The distances of selected values from the medians of the `size` values around them. Beyond the ends, the values (n,) are
-    continued by their mirror image about the straight line at the end. A slow change of the values therefore does not count as a
-    distance."""
+    """The distances of selected values from the medians of the `size` values around each of them. Beyond the ends, the values (n,)
+    are continued by their mirror image about the straight line at the end. A slow change of the values therefore does not count as
+    a distance."""
     half = size // 2
     wide = np.pad(values, half, mode="reflect")
     if half >= _SLOPE_FROM:
@@ -842,8 +844,8 @@ def rows_of(finds: Iterable[Find]) -> int:
 
 
 def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) -> tuple[Statistics, float]:
-    """The statistics of each channel from those of its rows that are good. Covariances between channels use only rows that are good
-    in all channels. Also returns the fraction of good rows in the channel that has the fewest of them."""
+    """The statistics of each channel from those of its rows that are good. Covariances between channels are computed only from rows
+    that are good in all channels. The function also returns the fraction of good rows in the channel that has the fewest good rows."""
     raw = recorded.statistics
     rows = raw.count + raw.rejected
     sets: dict[frozenset[tuple[int, int]], list[str]] = {}

@@ -36,7 +36,7 @@ def with_standing(
     """Adds a finding to each segment for each channel that keeps one value although its noise would have changed it. The finding
     does not count as bad, because without its samples the channel would have no data left. A person must decide what to do.
 
-    `chance`: a channel counts as stuck if the probability that noise leaves it at one value is at most this.
+    `chance`: a channel counts as stuck if the probability that its noise leaves it at one value is at most `chance`.
     """
     found: dict[int, list[Find]] = {}
     for name in channels:

@@ -39,8 +39,8 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
     A sample is still if the standard deviation of every channel, in a window of the length `detection.window` around the sample, is
     below `detection.threshold`. A span is a run of still samples with a duration of at least `at_least`. A span therefore begins
     and ends half a window away from the motion. Rows with a missing value are left out. A window that lasts more than 1.5 times
-    `detection.window`, because rows are missing, is not still. Raises `EstimationError` if a channel is missing or is not an
-    acceleration.
+    `detection.window`, because rows are missing, does not count as still. Raises `EstimationError` if a channel is missing or is
+    not an acceleration.
     """
     limits = _limits(recorded, detection)
     found: list[StillSpan] = []
@@ -95,11 +95,9 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
 def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
 ) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int]]:
-    """Yields the samples that are centres of windows, in stretches: times, values (n, k), whether each sample is still, and the
-    number of samples per window.
-
-    Rows with a missing number are left out. A window that lasts more than 1.5 times its nominal length, because rows are missing,
-    is not still."""
+    """Yields the samples that are centres of windows, in pieces: times, values (n, k), whether each sample is still, and the number
+    of samples per window. Rows with a missing number are left out. A window that lasts more than 1.5 times its nominal length,
+    because rows are missing, does not count as still."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length = 0

@@ -30,9 +30,9 @@ _ALIKE = 0.01  # probability at and above which the temperatures of segments cou
 class Temperature:
     """The temperature during one segment.
 
-    `celsius`: array of shape (n,), temperature, degC. `rate`: array of shape (n,), rate of change, K/s. `uncertainty`: standard
-    uncertainty of a constant temperature due to the noise of the thermometer; NaN if the temperature changes or comes from the
-    plan.
+    `celsius`: array of shape (n,), temperature, degC. `rate`: array of shape (n,), rate of change of the temperature, K/s.
+    `uncertainty`: standard uncertainty of a constant temperature due to the noise of the thermometer; NaN if the temperature
+    changes or comes from the plan.
     """
 
     celsius: Array
@@ -79,8 +79,8 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
     """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer does not show a
-    difference between them (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if it is not
-    constant."""
+    difference between them (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if the
+    temperature is not constant."""
     from scipy.special import chdtrc
 
     setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]
@@ -116,8 +116,8 @@ def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Arr
 class Monitors:
     """Names of the channels that show the state of the sensor besides its motion; None for a state that comes from the plan.
 
-    `thermometer`: channel with the temperature of the sensor. `voltmeter`: channel with its supply voltage. `barometer`: channel
-    with the ambient pressure. `nominal_supply`: nominal supply voltage, V.
+    `thermometer`: channel with the temperature of the sensor. `voltmeter`: channel with the supply voltage of the sensor.
+    `barometer`: channel with the ambient pressure. `nominal_supply`: nominal supply voltage, V.
     """
 
     thermometer: str | None = None
@@ -130,7 +130,8 @@ class Monitors:
         return [one for one in (self.thermometer, self.voltmeter, self.barometer) if one is not None]
 
     def excess_of(self, item: RecordedSegment, time: Array, table: Mapping[str, Array]) -> dict[str, Array]:
-        """The `overvoltage` and the `overpressure` at the samples (n,) of a segment; recorded values are smoothed."""
+        """The overvoltage and the overpressure at the samples (n,) of a segment, computed from smoothed recorded values if they are
+        recorded."""
         planned = planned_excess(item.segment, self.nominal_supply)
         found = {}
         for name, channel, reference, stated in (

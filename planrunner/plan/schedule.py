@@ -145,21 +145,24 @@ class Watch:
 class Segment:
     """One state to reach and hold while recording.
 
-    attitude: attitude at the start of the motion, shape (3, 3); its rows are the sensor's x, y, z axes in East-North-Up of the site, so
-        v_sensor = attitude @ v_site; None if the plan says `unknown`.
-    temperature: stated temperature [K]; None for a ramp. ramp_to: temperature [K] at the end of a ramp; otherwise None.
-    kept_temperature: temperature [K] at which the chamber has kept the sensor since an earlier segment; None if no earlier segment
+    `attitude`: array of shape (3, 3), attitude at the start of the motion; its rows are the sensor's x, y, z axes in East-North-Up of the
+        site, so that v_sensor = attitude @ v_site. None if the plan says `unknown`.
+    `temperature`: stated temperature [K]; None for a ramp.
+    `ramp_to`: temperature [K] at the end of a ramp; None if the temperature does not ramp.
+    `kept_temperature`: temperature [K] at which the chamber has kept the sensor since an earlier segment; None if no earlier segment
         states a temperature, and on a bench that plays back a recording.
-    supply_voltage: V; ambient_pressure: Pa; each is None if the plan does not state it.
-    soak, settle, dwell, transition, start: s. `dwell` is None if the dwell lasts as long as the recording. `transition` is the planned
-        time to reach the state (moves, spin-up, temperature). `start` is the planned time from the beginning of the run to the
-        beginning of the dwell.
-    sample_rate: Hz; None for the sensor's own rate.
-    mode: operating mode of the sensor; None if the plan does not set it.
-    on_break: what happens to a segment interrupted by a crash: 'retake' repeats it, 'keep' keeps the recorded part.
-    stable, soaked: readings that must be steady before the waits `settle` and `soak` end; None for a wait of fixed length. watch:
-        conditions during the dwell. prompts: prompts to the operator before the segment.
-    marks: places of the segment's keys in the plan, for messages.
+    `supply_voltage`, `ambient_pressure`: supply voltage [V] and ambient pressure [Pa]; None for a quantity that the plan does not state.
+    `soak`, `settle`: waiting times before the dwell, s.
+    `dwell`: duration of the dwell, s; None if the dwell lasts as long as the recording.
+    `transition`: planned time to reach the state (moves, spin-up, temperature), s.
+    `start`: planned time from the beginning of the run to the beginning of the dwell, s.
+    `sample_rate`: sample rate, Hz; None for the sensor's own rate.
+    `mode`: operating mode of the sensor; None if the plan does not set it.
+    `on_break`: what happens to a segment that a crash interrupts: 'retake' repeats it, 'keep' keeps the recorded part.
+    `stable`, `soaked`: readings that must be steady before the waits `settle` and `soak` end; None for a wait of fixed length.
+    `watch`: conditions that are checked during the dwell.
+    `prompts`: prompts to the operator before the segment.
+    `marks`: positions of the segment's keys in the plan file, for messages.
     """
 
     index: int

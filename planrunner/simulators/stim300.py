@@ -56,8 +56,8 @@ class Stim300:
         """Makes datagrams (n, length).
 
         `columns`: the values (n,) by name: `gyro_x` … in deg/s (in deg for increments); `acc_x` … and `incl_x` … in g; `gyro_T_x` …
-        in degC; `pps` or `aux` as raw numbers; `gyro_status` and other status bytes where they are not zero. `counter`: (n,),
-        number of internal samples. `latency`: in µs.
+        in degC; `pps` or `aux` as raw numbers; `gyro_status` and other status bytes where they are not zero. `counter`: array of
+        shape (n,), number of internal samples. `latency`: in µs.
         """
         clusters, warm, extra = DATAGRAMS[self.datagram]
         count = counter.size

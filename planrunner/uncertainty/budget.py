@@ -47,8 +47,8 @@ def combine(
 ) -> Combined:
     """Adds the covariance of the influences to the type A `covariance` (m, m) of the coefficients.
 
-    `source`: where the type A part comes from; the budgets show this text in its row. Raises ValueError if the sensitivities do not
-    fit the coefficients or are not finite.
+    `source`: where the type A part comes from; the budgets show this text in the row of the type A part. Raises ValueError if the
+    sensitivities do not fit the coefficients or are not finite.
     """
     acting = merged(influences)
     m = len(measured)

@@ -29,8 +29,8 @@ Moved = Callable[[float], C]
 @dataclass(frozen=True, slots=True)
 class StatedCondition(Generic[C]):
     """An input of a formula that is stated with an uncertainty above zero. `parts`: for each independent part of the input, a
-    function that gives the conditions after a change of this part. The key is the name of the part, or empty if there is only one.
-    `in_scatter`: True if the scatter of the data already contains the effect of the input."""
+    function that gives the conditions after a change of this part. The key of a part is its name; it is empty if there is only one
+    part. `in_scatter`: True if the scatter of the data already contains the effect of the input."""
 
     quantity: InputQuantity
     parts: Mapping[str, Moved[C]]
@@ -47,13 +47,14 @@ class StatedCondition(Generic[C]):
         return () if tuple(self.parts) == ("",) else tuple(self.parts)
 
     def seen_by(self, view: Callable[[C], D]) -> StatedCondition[D]:
-        """The same input, as a condition of another formula. `view`: function that converts these conditions to those of the other
-        formula."""
+        """The same input, as a condition of another formula. `view`: function that converts the conditions of this formula to the
+        conditions of the other formula."""
         parts = {name: _after(moved, view) for name, moved in self.parts.items()}
         return StatedCondition(self.quantity, parts, self.in_scatter)
 
     def answers(self, formula: Callable[[C], Array]) -> list[Array]:
-        """For each part of the input, the derivative ∂(results)/∂part, in the shape of the formula's results."""
+        """For each part of the input, the derivative of the formula's results with respect to this part, in the shape of the
+        results."""
         return slopes(formula, self.parts.values(), self.quantity.standard_uncertainty)
 
 

@@ -18,9 +18,9 @@ _LEAST_FREEDOM = 0.5  # of χ²; with fewer, a measure of scatter is known too p
 class CoefficientRole(StrEnum):
     """The kind of quantity that a coefficient is. The kind determines how the value scatters about the true value.
 
-    LOCATION: a constant, a slope, an angle; the scatter is Student's t about the value. SCALE: a standard deviation or another
-    measure of scatter s; ν·s²/σ² follows χ² with ν degrees of freedom. MAXIMUM: the largest of several absolute values, such as a
-    nonlinearity or a hysteresis; it is never negative.
+    `LOCATION`: a quantity such as a constant, a slope or an angle, whose value scatters about the true value as Student's t.
+    `SCALE`: a measure of scatter s, such as a standard deviation, for which ν·s²/σ² follows χ² with ν degrees of freedom.
+    `MAXIMUM`: the largest of several absolute values, such as a nonlinearity or a hysteresis; it is never negative.
     """
 
     LOCATION = "location"

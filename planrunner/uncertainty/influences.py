@@ -1,6 +1,6 @@
 """Inputs other than the recorded data: quantities that are stated with an uncertainty, and the sensitivity of coefficients to them.
 
-They are the type B inputs of JCGM 100:2008, 4.3. A bench file, a plan or an estimator states such quantities. An estimator gives
+Such quantities are the type B inputs of JCGM 100:2008, 4.3. A bench file, a plan or an estimator states them. An estimator gives
 the sensitivity of its coefficients. `planrunner.uncertainty.budget` combines the contributions.
 """
 
@@ -31,11 +31,12 @@ class Aspect(StrEnum):
 class InputQuantity:
     """One quantity that is stated with an uncertainty.
 
-    `value`, `standard_uncertainty`: in `unit`, which is SI-coherent. `distribution`: normal, rectangular, triangular, u-shaped, t.
-    `source`: where the statement comes from, for an auditor: instrument, asset number, certificate, or the key of a file.
-    `calibrated`: ISO date of the calibration, or empty. `shown`: unit in which budgets show the quantity, usually the unit in which
-    it was stated; one such unit is `shown_factor` times `unit`. If it is empty, budgets show `unit`. `from_residuals`: True if the
-    uncertainty was estimated from the residuals of the same fit, so that it depends on the scatter of the data.
+    `value`, `standard_uncertainty`: value and standard uncertainty in `unit`, which is SI-coherent. `distribution`: normal,
+    rectangular, triangular, u-shaped, t. `source`: where the statement comes from, for an auditor: instrument, asset number,
+    certificate, or the key of a file. `calibrated`: ISO date of the calibration, or empty. `shown`: unit in which budgets show the
+    quantity, usually the unit in which it was stated. One unit `shown` is `shown_factor` times one `unit`. If `shown` is empty,
+    budgets use `unit`. `from_residuals`: True if the uncertainty was estimated from the residuals of the same fit, so that it
+    depends on the scatter of the data.
     """
 
     name: str
@@ -58,8 +59,8 @@ class Influence:
     `sensitivities`: array of shape (m, r), ∂coefficient/∂input in the unit of the coefficient per `quantity.unit`. If r independent
     inputs have the same uncertainty, such as the errors of the table at r positions, there are r columns; if all segments share one
     input, there is one column. `in_scatter`: True if the scatter of the data already contains the effect of the input; budgets then
-    list the input but do not add it. `parts`: names of the r inputs, such as orientations. They identify inputs that act through
-    two influences; inputs without names count as different.
+    list the input but do not add it. `parts`: names of the r inputs, such as orientations. The names show which inputs of two
+    influences are the same; inputs without names count as different.
     """
 
     quantity: InputQuantity

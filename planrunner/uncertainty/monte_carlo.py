@@ -52,9 +52,9 @@ class Propagated:
     """The result of a propagation of distributions.
 
     `intervals`: the result for each coefficient. `draws`: number of draws that were made. `stabilised`: True if the results
-    stabilised before the largest number of draws was reached. `spread`: (m,), half-width of the 95 % confidence interval for the
-    ends of each coefficient's interval (Student's t over the blocks); the larger of the values for the two ends. Infinite if there
-    is only one block.
+    stabilised before the largest number of draws was reached. `spread`: array of shape (m,), half-width of the 95 % confidence
+    interval for the ends of each coefficient's interval (Student's t over the blocks). It is the larger of the values for the two
+    ends. It is infinite if there is only one block.
     """
 
     intervals: tuple[Interval, ...]
@@ -90,8 +90,9 @@ def propagate(
     twice the standard deviation of its average over the blocks is smaller than its tolerance. The results are the mean, the
     standard deviation and the two ends of the interval.
 
-    `tolerances`: (m,), in the units of the coefficients. `heavy`: (m,), True for coefficients whose standard deviation need not
-    stabilise. `workers`: processes that share the blocks; with the same seed, the digits are the same for any number of workers.
+    `tolerances`: array of shape (m,), numerical tolerance of the results of each coefficient, in the unit of the coefficient.
+    `heavy`: array of shape (m,), True for coefficients whose standard deviation need not stabilise. `workers`: processes that share
+    the blocks; with the same seed, the digits are the same for any number of workers.
     """
     limit = np.asarray(tolerances, dtype=float)
     light = ~np.asarray(heavy, dtype=bool) if len(heavy) else np.ones(len(limit), dtype=bool)
@@ -122,8 +123,8 @@ def _of_averages(found: Sequence[Array]) -> Array:
 
 
 def _block(draw: Draws, probability: float, seed: int, number: int) -> tuple[Array, Array]:
-    """The draws (m, BLOCK) of one block, and their mean, standard deviation and two ends of the interval (4, m). Only one thread
-    computes, because the last digits of matrix products may depend on the number of threads."""
+    """The draws (m, BLOCK) of one block; and the mean, the standard deviation and the two ends of the interval of each coefficient
+    (4, m). Only one thread computes, because the last digits of matrix products may depend on the number of threads."""
     from threadpoolctl import threadpool_limits
 
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
@@ -173,8 +174,8 @@ def t_draws(
     """Draws m coefficients about zero. They are jointly normal with the covariance (m, m), and are scaled to Student's t with the
     degrees of freedom of each coefficient (JCGM 101:2008, 6.4.9.2).
 
-    `variances`: (m,), index of the estimated variance on which each coefficient depends; coefficients that depend on the same
-    variance have the same scale. By default, coefficients with the same degrees of freedom have the same scale.
+    `variances`: array of shape (m,), index of the estimated variance on which each coefficient depends; coefficients that depend on
+    the same variance have the same scale. By default, coefficients with the same degrees of freedom have the same scale.
     """
     root = square_root(np.asarray(covariance, dtype=float))
     freedoms = np.asarray(degrees_of_freedom, dtype=float)
@@ -186,8 +187,8 @@ def t_draws(
 def _scaled_to_t(
     root: Array, groups: Sequence[tuple[NDArray[np.intp], float]], rng: np.random.Generator, n: int
 ) -> Array:
-    """Jointly normal draws; the rows of each group are scaled to Student's t. `groups`: rows that depend on one estimated variance,
-    together with its degrees of freedom."""
+    """Scales jointly normal draws to Student's t, group by group. `groups`: for each estimated variance, the rows that depend on it
+    and its degrees of freedom."""
     values = root @ rng.standard_normal((root.shape[1], n))
     for rows, freedom in groups:
         scale = t_scale(rng, freedom, n)

@@ -26,8 +26,8 @@ class SamplesStuck:
 
 
 def sticking(time: Array, values: Array, begin: float, lasting: float, before: float) -> Array:
-    """The values (n,) of an output at times (n,), s, where the values from `begin` on repeat the last value before `begin` for
-    `lasting` seconds. `before`: the value before the first of `values`."""
+    """The values (n,) of an output at `time` [s], in which the values from the time `begin` on, for `lasting` seconds, repeat the
+    last value before `begin`. `before`: the value before the first of `values`."""
     inside = np.flatnonzero((time >= begin) & (time < begin + lasting))
     if not len(inside):
         return values

@@ -43,18 +43,19 @@ from planrunner.error_model.observed import Observed, TemperatureCourse
 class Column:
     """One column of an effect, which is multiplied by one amplitude.
 
-    magnitude: prior scale of the amplitude in SI, relative to the magnitudes of the effect's other columns.
-    unit: unit for display; factor: SI value of this unit.
-    parts: maps the index of each affected channel to the column (N,), which is the SI output for an amplitude of 1 in SI.
-    segments: (S,), True for the segments in which the column acts; None for all segments.
-    whole: True if the effect is either present or absent, so that its amplitude is not a parameter.
-    along: the axis of the sensor (0, 1, 2) if the column is the input along this axis. If the channel measures along the same axis, the
+    `magnitude`: prior scale of the amplitude in SI units, relative to the magnitudes of the effect's other columns.
+    `unit`: unit in which the amplitude is displayed.
+    `factor`: SI value of `unit`.
+    `parts`: maps the index of each affected channel to an array of shape (N,), the SI output for an amplitude of 1 in SI units.
+    `segments`: array of shape (S,), True for the segments in which the column acts; None for all segments.
+    `whole`: True if the effect is either present or absent, so that its amplitude is not a parameter.
+    `along`: the axis of the sensor (0, 1, 2) if the column is the input along this axis. If the channel measures along the same axis, the
         amplitude is the error of the scale factor.
-    plain: `unit` without a factor that is not a unit of measurement, such as the strength of a field; empty if there is no such factor.
-    axis: the axis (0, 1, 2) if the column belongs to one axis alone; the column's name then ends with "_" and the letter of the axis.
+    `plain`: `unit` without a factor that is not a unit of measurement, such as the strength of a field; empty if there is no such factor.
+    `axis`: the axis (0, 1, 2) if the column belongs to one axis alone; the column's name then ends with "_" and the letter of the axis.
         None for an amplitude of the whole sensor or of its surroundings. An effect must always state `axis`, because a column of
         one axis is reported for each output, and a column without an axis is reported once for all outputs.
-    smallest, largest: the physically possible limits of the amplitude, SI.
+    `smallest`, `largest`: the physically possible limits of the amplitude in SI units.
     """
 
     name: str
@@ -181,8 +182,8 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
     """An effect that a diagnosis does not look for in the coefficients to which it reduces a recording: an effect on the noise, a
-    line interference, or samples that repeat their values. An effect with the stage covariance has no columns. A line interference
-    has columns, which only a simulation uses."""
+    line interference, or samples that repeat their values. An effect with the stage covariance has no columns at all. A line
+    interference has columns, which only a simulation uses."""
 
     outside: OutsideKind
 
@@ -219,10 +220,10 @@ class HasShape(Effect, Protocol):
 class ChangesWithinSegments(HasShape, Protocol):
     """An effect that changes an output within segments, so that an estimate fits it to samples.
 
-    `acts_on`: 'rate' if the effect replaces the angular rate by an earlier or a smoothed rate; 'output' if the effect computes each
-    output from the value that this output would have without the effect at the same moment (`Observed.fitted`). In these two cases
-    the effect has one column, which is the change of the output. 'amplitudes' if the effect has a few values of its shape, and
-    columns with amplitudes for each of these values.
+    `acts_on` has one of three values. 'rate': the effect replaces the angular rate by an earlier or a smoothed rate. 'output': the
+    effect computes each output from the value that this output would have without the effect at the same moment
+    (`Observed.fitted`). With 'rate' or 'output', the effect has one column, which is the change of the output. 'amplitudes': the
+    effect has a few values of its shape, and columns with amplitudes for each of these values.
     """
 
     acts_on: Literal["rate", "output", "amplitudes"]
@@ -288,7 +289,8 @@ class Shaped:
 class HasAlternatives(Effect, Protocol):
     """An effect that acts in one of several ways, each with its own shape, such as clipping at an upper or at a lower limit. A
     diagnosis names the most probable way; a simulation may combine all ways whose shapes are stated. `alternatives`: one effect for
-    each way, all with the same `id` and `stage` but with distinct `shape_name`; each is fully determined by its shape."""
+    each way. All of them have the same `id` and `stage`, but each has its own `shape_name`, and each is fully determined by its
+    shape."""
 
     alternatives: Sequence[Shaped]
 
@@ -329,8 +331,8 @@ def per_axis(
 
 
 def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) -> Mapping[int, Array]:
-    """The changes of the outputs, by index of the channel, due to a change of the stimulus. `omega`: array of shape (N, 3),
-    additional angular rate. `force`: array of shape (N, 3), additional specific force; None means no change."""
+    """The changes of the outputs, by index of the channel, that a change of the stimulus causes. `omega`: array of shape (N, 3),
+    additional angular rate. `force`: array of shape (N, 3), additional specific force; None if the specific force does not change."""
     parts = {}
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
@@ -340,8 +342,9 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """The changes of the gyros' outputs, by index of the channel, due to a change of the rate. `omega`: array of shape (N, 3),
-    additional angular rate. If the response of the gyros in the fitted model is known, it is used; otherwise the declared response."""
+    """The changes of the gyros' outputs, by index of the channel, that a change of the rate causes. `omega`: array of shape (N, 3),
+    additional angular rate. The changes are computed with the response of the gyros in the fitted model if this response is known,
+    otherwise with the declared response."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}
@@ -364,5 +367,5 @@ def single(columns: Sequence[Column]) -> list[Variant]:
 
 
 def is_whole(columns: Sequence[Column]) -> bool:
-    """Whether these columns belong to an effect that is fully determined by its shape, such as a lag, a limit or a delay."""
+    """Returns True if these columns belong to an effect that is fully determined by its shape, such as a lag, a limit or a delay."""
     return len(columns) == 1 and columns[0].whole

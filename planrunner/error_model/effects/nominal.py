@@ -43,8 +43,8 @@ def towards_others(
     observed: Observed, kind: str, unit: str, magnitude: float, factor: Array | float = 1.0, inputs: bool = False
 ) -> list[Column]:
     """Columns for the response of each axis to the inputs of the other axes, multiplied by `factor`. `unit`: the unit of the
-    amplitudes, which is arcsec or arcsec per SI unit of the factor. `inputs`: True if the columns are the inputs of the sensor
-    themselves (`Column.along`)."""
+    amplitudes, which is arcsec or arcsec per SI unit of the factor. `inputs`: True if the columns are the unchanged inputs of the
+    sensor (`Column.along`)."""
     columns = []
     largest = 1.0 if isinstance(factor, float) else np.inf  # a component of the input axis, which is a unit vector
     for other in range(3):

@@ -98,8 +98,8 @@ class MountShift(Shaped):
 
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
-        """The columns of the shift. `felt`: array of shape (N, 12), angular rate, specific force, and then both with the opposite
-        sign."""
+        """The columns of the shift. `felt`: array of shape (N, 12): angular rate, specific force, the negative angular rate and the
+        negative specific force."""
         after, acting = _after(observed, value, felt)
         parts: list[dict[int, Array]] = [{}, {}, {}]
         for index, channel in enumerate(observed.channels):

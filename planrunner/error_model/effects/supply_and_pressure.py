@@ -18,8 +18,8 @@ DEG = np.pi / 180
 class _Quantity(NamedTuple):
     """A quantity to which errors are proportional.
 
-    `unit`: display unit of the excess over the nominal value. `size`: this unit in SI. `name`, `acts`, `remedy`, `shown_by`: texts
-    for `About` and `shown_by`.
+    `unit`: unit in which the excess over the nominal value is displayed. `size`: SI value of this unit. `name`, `acts`, `remedy`,
+    `shown_by`: texts for `About` and `shown_by`.
     """
 
     unit: str
@@ -67,8 +67,8 @@ def _about(kind: str, error: str, follows: Follows, because: str = "") -> About:
 
 class _OfSurroundings:
     """An error of each axis of a triad that is proportional to the supply voltage or to the ambient pressure. `kind`: kind of the
-    triad, gyro or accel. `natural`: usual change per V or per hPa; for a bias in the unit of `_BIAS`, for a scale factor as a
-    fraction."""
+    triad, gyro or accel. `natural`: usual change per V or per hPa. For a bias, it is in the unit of `_BIAS`; for a scale factor, it
+    is a fraction."""
 
     stage, hypothesis = "sensor", False
     kind: str

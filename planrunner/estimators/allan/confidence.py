@@ -1,16 +1,16 @@
 """Determines how well deviations are known: the power-law noise at each averaging time, and the equivalent degrees of freedom (EDF)
 that follow from it.
 
-The type of noise is given by the exponent α of the frequency spectrum S_y ∝ f^α: 2 white phase (in this field: quantisation), 1
-flicker phase, 0 white frequency (random walk of the angle), −1 flicker frequency (bias instability), −2 random walk of the
-frequency (rate random walk).
+The type of noise is given by the exponent α of the frequency spectrum S_y ∝ f^α. White phase noise (in this field: quantisation)
+has α = 2, flicker phase noise α = 1, white frequency noise (angle random walk) α = 0, flicker frequency noise (bias instability) α
+= −1, and random-walk frequency noise (rate random walk) α = −2.
 
 Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST
 SP 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003
-(SP 1065, 5.4.1). Phase computed from rate samples is an exact integral, not an average over a sample. Therefore the filter factor
-is F = ∞ for α ≤ 0. For white noise, the resulting degrees of freedom equal those of the empirical formula of SP 1065, even at the
-shortest averaging times. Sums whose length grows with the averaging factor are computed on a coarser grid with the same number of
-averaging times.
+(SP 1065, 5.4.1). The phase is computed from rate samples; it is the exact integral of the rate, and is not averaged over a sampling
+interval. Therefore the filter factor is F = ∞ for α ≤ 0. For white noise, the resulting degrees of freedom equal those of the
+empirical formula of SP 1065, even at the shortest averaging times. Sums whose length grows with the averaging factor are computed
+on a coarser grid with the same number of averaging times.
 """
 
 from __future__ import annotations

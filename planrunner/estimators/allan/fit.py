@@ -47,11 +47,11 @@ _MOST_LENGTHS = 40
 class NoiseFit:
     """The result of a fit of noise coefficients.
 
-    `squares`: array of shape (4,), Q²/τ0², N²/τ0, B² and K²·τ0 in the squared unit of the output, where τ0 is the time between
-    phase points; 0 for omitted terms. A square may come out negative if the output lacks this type of noise; a fit restricted to
-    positive values would bias the other terms. `covariance`: array of shape (4, 4), covariance of the squares. `fitted`: array of
-    shape (k,), the variances according to the fitted model. `chi_square`: χ² of the fit, with `freedom` degrees of freedom.
-    `terms`: names of the fitted terms.
+    `squares`: array of shape (4,), the estimates of Q²/τ0², N²/τ0, B² and K²·τ0 in the squared unit of the output, where τ0 is the
+    time between phase points; 0 for omitted terms. An estimate may be negative if the output lacks this type of noise; a fit
+    restricted to positive values would bias the other terms. `covariance`: array of shape (4, 4), covariance of the squares.
+    `fitted`: array of shape (k,), the variances according to the fitted model. `chi_square`: χ² of the fit, with `freedom` degrees
+    of freedom. `terms`: names of the fitted terms.
     """
 
     squares: Array
@@ -73,7 +73,7 @@ def model_matrix(factors: Integers, order: int = ALLAN) -> Array:
 class VarianceCovariance:
     """Computes the covariance (k, k) of overlapping Allan (or Hadamard) variances for any mixture of the four kinds of noise.
 
-    `factors`: (k,), averaging factors, ascending. `lengths`: number of phase points of each run.
+    `factors`: array of shape (k,), averaging factors, ascending. `lengths`: number of phase points of each run.
     """
 
     def __init__(self, factors: Integers, lengths: Integers, order: int = ALLAN):

@@ -23,8 +23,8 @@ _EXPONENTS = (-2, -1, 0, 1, 2)  # of the kinds of noise that an Allan variance d
 
 @dataclass(frozen=True, slots=True)
 class PlannedRecord:
-    """The size of a planned record. `interval`: time between samples, s. `lengths`: (r,), number of phase points of each segment,
-    one more than the number of its samples."""
+    """The size of a planned record. `interval`: time between samples, s. `lengths`: array of shape (r,), number of phase points of
+    each segment, one more than the number of its samples."""
 
     interval: float
     lengths: Integers
@@ -60,7 +60,7 @@ def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: flo
 
 
 def takes_part(tau: float, freedom: float, fit_up_to: Quantity | None) -> bool:
-    """Whether an Allan variance at `tau` [s] with `freedom` degrees of freedom takes part in the fit."""
+    """Returns True if an Allan variance at `tau` [s] with `freedom` degrees of freedom takes part in the fit."""
     return freedom >= LEAST_FREEDOM and (fit_up_to is None or tau <= fit_up_to.value * (1 + 1e-9))
 
 

@@ -38,8 +38,8 @@ class Deviation:
 
 
 def octave_factors(lengths: Integers) -> Integers:
-    """The averaging factors 1, 2, 4 … up to the largest one for which the longest run still gives four averages; only the factor 1
-    if there is none."""
+    """The averaging factors 1, 2, 4 … up to the largest factor for which the longest run still gives four averages; if no factor
+    does, only the factor 1."""
     longest = int(lengths.max()) - 1
     last = max(1, longest // 4)
     return 2 ** np.arange(int(math.log2(last)) + 1, dtype=np.int64)

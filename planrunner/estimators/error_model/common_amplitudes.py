@@ -24,7 +24,7 @@ class CommonAmplitudes:
 
     `amplitudes`: the q reported amplitudes. The reported amplitudes are computed from the p amplitudes that are fitted separately,
     output after output. `members`: for each reported amplitude, the indices of the fitted amplitudes that it combines; a single
-    index if only one output has this amplitude. `outputs`: (p,), name of the output of each fitted amplitude.
+    index if only one output has this amplitude. `outputs`: for each of the p fitted amplitudes, the name of its output.
     """
 
     amplitudes: tuple[ReportedAmplitude, ...]

@@ -86,9 +86,9 @@ class Contrasts:
     """The contribution of the samples within segments to a fit, as r contrasts (weighted sums of samples), in the output's unit.
 
     `matrix`: array of shape (r, p), linear model of the contrasts. `values`: array of shape (r,), the contrasts. `sigma`: array of
-    shape (r,), their standard deviations. `flicker`: array of shape (r, r), a matrix F with F·Fᵀ equal to the covariance of the
-    contrasts due to flicker with the bias instability B = 1. `phase`: array of shape (r, k), change of the contrasts by each of the
-    k errors that an unknown angle of the table causes.
+    shape (r,), standard deviations of the contrasts. `flicker`: array of shape (r, r), a matrix F with F·Fᵀ equal to the covariance
+    of the contrasts due to flicker with the bias instability B = 1. `phase`: array of shape (r, k), change of the contrasts by each
+    of the k errors that an unknown angle of the table causes.
     """
 
     matrix: Array

@@ -72,9 +72,9 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
-    """The influences on the coefficients [U; V] of one set, in SI, that act through the calibration which gave the set. Flicker is
-    left out, because the simulation of the residuals includes it. The errors of the table remain, because this simulation does not
-    include their contribution to the calibration."""
+    """The influences on the coefficients [U; V] of one set, in SI units, that act through the calibration which gave the set.
+    Flicker is left out, because the simulation of the residuals includes it. The errors of the table remain, because this
+    simulation does not include their contribution to the calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())
     own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}

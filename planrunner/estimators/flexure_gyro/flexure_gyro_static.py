@@ -75,7 +75,7 @@ class FlexureGyroStaticParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticQuantities(Quantities):
-    """The fitted static coefficients. `stated`: influences of declared inputs on [U; V] in SI, output after output."""
+    """The fitted static coefficients. `stated`: influences of declared inputs on [U; V] in SI units, output after output."""
 
     observations: Observations
     design: PositionsDesign

@@ -37,8 +37,8 @@ _DIMENSION = {"gyro": DIMENSIONS["angular rate"], "accel": DIMENSIONS["accelerat
 class Response:
     """The responses of the three outputs of a triad.
 
-    `kind`: gyro or accel. `units`: (3,), the units in which the outputs are recorded. `values`: array of shape (3, p), for each
-    output, the coefficients of the model's terms, in the unit of the output per SI unit of the term.
+    `kind`: gyro or accel. `units`: for each of the three outputs, the unit in which it is recorded. `values`: array of shape (3,
+    p), for each output, the coefficients of the model's terms, in the unit of the output per SI unit of the term.
     """
 
     kind: str

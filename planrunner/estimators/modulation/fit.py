@@ -33,9 +33,9 @@ class TooLittleError(ValueError):
 class PeriodicPart:
     """The part of a velocity error that repeats with the rotation cycle.
 
-    `orders`: array of shape (m,), orders of the harmonics, positive and negative. `velocities`: (m,), coefficients of the harmonics
-    [m/s]. `noise`: array of shape (m,), standard uncertainty of each coefficient [m/s], from the residuals. `hidden`: orders of
-    harmonics that are too close to a free oscillation. `period`: period of the cycle, s.
+    `orders`: array of shape (m,), orders of the harmonics, positive and negative. `velocities`: array of shape (m,), coefficients
+    of the harmonics [m/s]. `noise`: array of shape (m,), standard uncertainty of each coefficient [m/s], from the residuals.
+    `hidden`: orders of harmonics that are too close to a free oscillation. `period`: period of the cycle, s.
     """
 
     orders: NDArray[np.int_]
@@ -68,8 +68,8 @@ def largest(orders: NDArray[np.int_], parts: Complex) -> float:
 def periodic_part(time: Array, velocity: Complex, period: float, highest: int, site: Site) -> PeriodicPart:
     """Separates the part of a velocity error that repeats with the rotation cycle.
 
-    `time`: array of shape (n,) in s, evenly spaced, starting when a cycle starts. `velocity`: (n,), m/s. `highest`: the highest
-    harmonic to fit.
+    `time`: array of shape (n,) in s, evenly spaced, starting when a cycle starts. `velocity`: array of shape (n,) in m/s.
+    `highest`: the highest harmonic to fit.
 
     Raises `TooLittleError` if the record does not determine this part.
     """

@@ -36,8 +36,8 @@ def errors_over_time(
     """The position error as a function of time: times (n,) [s] and errors (n, 2) [m], east and north.
 
     `errors`: array of shape (6,), constant errors of gyros [rad/s] and accelerometers [m/s²] along x, y, z. `attitude`: array of
-    shape (3, 3), rows are the sensor's axes in East-North-Up at the first position. `cycle`: rotation cycle during navigation, None
-    at rest. `aligned`: rotation cycle during the alignment, None at rest.
+    shape (3, 3), whose rows are the sensor's axes in East-North-Up at the first position. `cycle`: rotation cycle during
+    navigation, None at rest. `aligned`: rotation cycle during the alignment, None at rest.
     """
     equations = ErrorEquations.at(site)
     level = attitude.T @ errors.reshape(2, 3).T  # columns: gyros, accelerometers, in East-North-Up

@@ -80,9 +80,9 @@ def encoder_attitude(
 ) -> Array:
     """The attitude (n, 3, 3) of the element, computed from ring and gimbal angles.
 
-    `rings`, `gimbals`: sequences of angles, (n,) each, the outermost ring or gimbal first. `directions`: the direction of each
-    ring's axis if all rings are at zero, before the table's `azimuth` is applied. `axes`: for each gimbal, the axis about which it
-    turns, as an axis of the part that carries the gimbal.
+    `rings`, `gimbals`: sequences of angles, (n,) each, the outermost ring or gimbal first. `directions`: the direction that the
+    axis of each ring has while all rings are at zero, before the table's `azimuth` is applied. `axes`: for each gimbal, the axis
+    about which it turns, as an axis of the part that carries the gimbal.
     """
     found = np.broadcast_to(turned(2, -azimuth), (len(rings[0]), 3, 3))
     for angle, direction in zip(rings, directions, strict=True):

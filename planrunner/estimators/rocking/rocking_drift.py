@@ -91,7 +91,8 @@ class RockingDrift:
 
     def foresee(self, request: DesignRequest[RockingDriftParameters]) -> Foresight:
         """Predicts the drifts from declared effects that differ from run to run: accelerometer errors, drift, azimuth and ring
-        errors. Samples are not simulated. Effects that all runs have in common cancel almost completely and are left out."""
+        errors. Samples are not simulated. Effects that all runs have in common cancel almost completely and are left out of the
+        prediction."""
         runs = find_runs(request.segments, request.parameters.rotation_order)
         return _foreseen(request, by_state(quadruples(runs)), span(runs))
 

@@ -32,9 +32,9 @@ from planrunner.estimators.rocking.windows import Windows, low_pass, read_pieces
 class RockingConditions:
     """The conditions under which drifts are computed.
 
-    `earth`: array of shape (3,), Earth rate in East-North-Up, rad/s. `gravity`: m/s^2. `installation`: array of shape (6,) in rad,
-    installation angles in the order of `Installation.stated`. `turned`: error of the table's azimuth, rad, positive if the true
-    azimuth is farther east.
+    `earth`: array of shape (3,), Earth rate in East-North-Up, rad/s. `gravity`: magnitude of gravity, m/s^2. `installation`: array
+    of shape (6,) in rad, installation angles in the order of `Installation.stated`. `turned`: error of the table's azimuth, rad,
+    positive if the true azimuth is farther east.
 
     One object can hold m conditions (see `several_conditions`); its arrays then have a leading axis of length m."""
 

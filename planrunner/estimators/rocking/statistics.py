@@ -73,9 +73,9 @@ class StateDrifts:
 class CombinedDrifts:
     """The m rocking drifts, averaged over the states; the drifts by the accelerometers come first.
 
-    `axes`: the axis of each drift. `by_gimbals`: (m,), True for each drift that comes from the gimbals. `values`: array of shape
-    (m,) in deg/h, the drifts; `covariance` (m, m) is their covariance. `shares`: for each state, a matrix (m, k) with the weights
-    of the k drifts of this state in the m results.
+    `axes`: the axis of each drift. `by_gimbals`: array of shape (m,), True for each drift that comes from the gimbals. `values`:
+    array of shape (m,) in deg/h, the drifts. `covariance`: array of shape (m, m), covariance of the drifts. `shares`: for each
+    state, a matrix (m, k) with the weights of the k drifts of this state in the m results.
     """
 
     axes: tuple[int, ...]

@@ -295,7 +295,7 @@ def _quiet(label: str, mean: Array, site: Site) -> Said:
 
 
 def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site) -> None:
-    """Raises `UnfitDataError` unless the mean readings are those of a sensor at rest. `channels`: (6,), names of the channels.
+    """Raises `UnfitDataError` unless the mean readings are those of a sensor at rest. `channels`: names of the six channels.
     `mean`: array of shape (6,), rad/s and m/s², mean readings at the first stop."""
     if not np.isfinite(mean).all():
         raise UnfitDataError(f"segment '{label}' has too few usable samples: record it again")

@@ -63,9 +63,9 @@ class ErrorRecord:
     navigator returns attitude, velocity and position. Times are in s since the navigation began, errors in m and m/s.
 
     `knots`: number of knots. `squares`: sum of the squares of the radial position error. `speed_squares`: sum of the squares of the
-    radial velocity error. `time_error`: sum of time multiplied by radial error. `time_squares`: sum of time². `largest`: largest
-    radial position error, which occurs at the time `largest_at`. `largest_speed`: largest radial velocity error. `course`: the
-    errors at every `stride`-th knot; see `points`.
+    radial velocity error. `time_error`: sum, over all knots, of the time multiplied by the radial position error. `time_squares`:
+    sum, over all knots, of the squared time. `largest`: largest radial position error, which occurs at the time `largest_at`.
+    `largest_speed`: largest radial velocity error. `course`: the errors at every `stride`-th knot, which `points` returns.
     """
 
     stride: int

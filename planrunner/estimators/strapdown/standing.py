@@ -33,10 +33,11 @@ class Stops:
     """The mean readings over parts of stops.
 
     `time`: array of shape (n,) in s, mean time of each part since the alignment began. `seconds`: array of shape (n,) in s, length
-    of the part. `means`: array of shape (n, 6), rad/s and m/s². `position`: array of shape (n,), number of the position. `kelvin`:
-    array of shape (n,), temperature, NaN where it is not known. `rotation`: array of shape (n, 3, 3), navigated attitude, with the
-    body axes as columns in East-North-Up. `white`: array of shape (6,), white noise, rad/√s and m/s/√s, computed from the
-    differences of means over successive intervals of the navigator. `freedom`: degrees of freedom of `white`.
+    of the part. `means`: array of shape (n, 6), mean readings of gyros [rad/s] and accelerometers [m/s²]. `position`: array of
+    shape (n,), number of the position. `kelvin`: array of shape (n,), temperature, NaN where it is not known. `rotation`: array of
+    shape (n, 3, 3), navigated attitude, with the body axes as columns in East-North-Up. `white`: array of shape (6,), white noise,
+    rad/√s and m/s/√s, computed from the differences of means over successive intervals of the navigator. `freedom`: degrees of
+    freedom of `white`.
     """
 
     time: Array

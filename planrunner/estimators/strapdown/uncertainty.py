@@ -65,8 +65,8 @@ _MOMENTS = 96  # at which the effect of biases that wander is evaluated
 
 
 class Spread:
-    """The uncertainty that comes from noise. `covariance`: (m, m), covariance of the coefficients, in their units. `radial`: (n,),
-    standard uncertainty of the radial error [m] at the points of `ErrorRecord.points`."""
+    """The uncertainty that comes from noise. `covariance`: array of shape (m, m), covariance of the coefficients, in their units.
+    `radial`: array of shape (n,), standard uncertainty of the radial error [m] at the points of `ErrorRecord.points`."""
 
     def __init__(self, equations: ErrorEquations, found: Navigated, points: Array, turns: bool):
         start = np.zeros((SIZE, SIZE))
@@ -88,9 +88,9 @@ class Spread:
 class Wander:
     """The uncertainty that comes from biases which change over time (flicker).
 
-    `influences`: one influence for each sensor whose bias instability is stated. `radial`: (n,), standard uncertainty [m] of the
-    radial error at the points of `ErrorRecord.points`, due to these sensors. `unstated`: the flicker of each sensor whose bias
-    instability the bench file does not give.
+    `influences`: one influence for each sensor whose bias instability is stated. `radial`: array of shape (n,), standard
+    uncertainty [m] of the radial error at the points of `ErrorRecord.points`, due to these sensors. `unstated`: the flicker of each
+    sensor whose bias instability the bench file does not give.
     """
 
     def __init__(self, request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, points: Array):

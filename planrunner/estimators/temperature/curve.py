@@ -123,9 +123,9 @@ def held_out(
 ) -> tuple[HeldOut, ...]:
     """The held-out errors of the curves of each order.
 
-    `sigma`: array of shape (n,), standard uncertainties for the weights. `fold`: (n,), index of the fold in which each value is
-    held out. `beside`: array of shape (n, q), columns that are fitted together with each curve. `whitening`: array of shape (n, n),
-    matrix that whitens correlated values; without it, values are divided by sigma.
+    `sigma`: array of shape (n,), standard uncertainties for the weights. `fold`: array of shape (n,), index of the fold in which
+    each value is held out. `beside`: array of shape (n, q), columns that are fitted together with each curve. `whitening`: array of
+    shape (n, n), matrix that whitens correlated values; without it, values are divided by sigma.
     """
     whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
@@ -207,8 +207,8 @@ class RampScatter:
 @dataclass(frozen=True, slots=True)
 class SummedCovariance:
     """The covariance of m coefficients as a sum of independent mean squares for noise and for the scatter of ramps, each with its
-    degrees of freedom. `parts`: for each mean square, a matrix (m, m) and its degrees of freedom; the first matrix may have
-    negative eigenvalues."""
+    degrees of freedom. `parts`: pairs of a matrix (m, m) and its degrees of freedom, one pair for each mean square; the first
+    matrix may have negative eigenvalues."""
 
     parts: tuple[tuple[Array, float], ...]
 
@@ -287,11 +287,13 @@ class CurveFit:
 class OverTemperature:
     """The n values at different temperatures to which a curve is fitted.
 
-    `temperature`: array of shape (n,) in degC. `sigma`: array of shape (n,), standard uncertainties for the weights. `group`: (n,),
-    number of the temperature, equal for values at the same temperature. `series`: (n,), index of the ramp along which a value
-    follows other values, −1 for a single value. `ramp`: (n,), index of the ramp or sweep that has a common offset, −1 for none.
-    `direction`: (n,), direction of this ramp. `beside`: array of shape (n, q), columns that are fitted together with the curve.
-    `covariance`: array of shape (n, n), covariance of the values, if they are correlated; `sigma` is then the uncorrelated part.
+    `temperature`: array of shape (n,) in degC. `sigma`: array of shape (n,), standard uncertainties for the weights. `group`: array
+    of shape (n,), number of the temperature at which each value was measured; values at the same temperature have equal numbers.
+    `series`: array of shape (n,), index of the ramp along which a value follows other values; −1 for a single value. `ramp`: array
+    of shape (n,), index of the ramp or sweep whose values have a common offset; −1 if there is none. `direction`: array of shape
+    (n,), +1 on a rising ramp, −1 on a falling ramp. `beside`: array of shape (n, q), columns that are fitted together with the
+    curve. `covariance`: array of shape (n, n), covariance of the values, if they are correlated; `sigma` is then the uncorrelated
+    part.
     """
 
     temperature: Array

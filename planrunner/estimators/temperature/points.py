@@ -36,12 +36,13 @@ class Points:
     """The values of one quantity at n temperatures.
 
     `temperature`: array of shape (n,) in degC. `uncertainty`: array of shape (n,), standard uncertainties, NaN for values whose
-    uncertainty is not known. `direction`: (n,), +1 if the temperature was rising or was reached from below, −1 if it was falling or
-    was reached from above, 0 if the direction is not known. `ramp`: (n,), index of the ramp, or of the sweep of held temperatures;
-    −1 for a value without a direction. `labels`: source of each value. `along`: True if the values follow each other along ramps.
-    `expected`: True if the values are expected from a schedule, without scatter. `covariance`: array of shape (n, n), covariance of
-    the values, which includes the flicker that the bench declares; None if no flicker is declared, or if the uncertainties are not
-    known. `time`: array of shape (n,) in s, the mean time of each value; empty if the times are not known.
+    uncertainty is not known. `direction`: array of shape (n,), +1 if the temperature was rising or was reached from below, −1 if it
+    was falling or was reached from above, 0 if the direction is not known. `ramp`: array of shape (n,), index of the ramp, or of
+    the sweep of held temperatures; −1 for a value without a direction. `labels`: source of each value. `along`: True if the values
+    follow each other along ramps. `expected`: True if the values are expected from a schedule, without scatter. `covariance`: array
+    of shape (n, n), covariance of the values, which includes the flicker that the bench declares; None if no flicker is declared,
+    or if the uncertainties are not known. `time`: array of shape (n,) in s, the mean time of each value; empty if the times are not
+    known.
     """
 
     name: str
@@ -245,11 +246,11 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
 class _Ramp:
     """One branch of a segment's temperature, divided into b bins of ascending temperature.
 
-    `direction`: +1 or −1, 0 if the temperature hardly changes. `ends`: first and last temperature, degC. `count`: array of shape
-    (b,), number of samples in each bin. `celsius`: array of shape (b,), mean temperature in each bin. `mean`: array of shape (b,),
-    mean value in each bin. `squares`: array of shape (b,), sum of squares about a straight line within each bin. `shares`: array of
-    shape (b, q), for each bin, the fraction of its samples in each of the q intervals of equal length into which the segment is
-    divided.
+    `direction`: +1 or −1, 0 if the temperature hardly changes. `ends`: first and last temperature of the branch, degC. `count`:
+    array of shape (b,), number of samples in each bin. `celsius`: array of shape (b,), mean temperature in each bin. `mean`: array
+    of shape (b,), mean value in each bin. `squares`: array of shape (b,), sum of squares about a straight line within each bin.
+    `shares`: array of shape (b, q), for each bin, the fraction of its samples in each of the q intervals of equal length into which
+    the segment is divided.
     """
 
     direction: int

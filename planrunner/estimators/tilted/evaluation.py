@@ -89,13 +89,14 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """The results of an evaluation. They can be compared with the results for other conditions. For g temperatures and m axes:
-    means: (g, m, 5), means over the repeats of the five `QUANTITIES`.
+    """The results of an evaluation for g temperatures and m axes, which can be compared with the results for other conditions.
 
-    `repeats`: for each temperature (q, m, 5), the quantities of each repeat. `residuals`: for each temperature (n, m), residuals
-    averaged over the repeats. `repeatability`: array of shape (g, m), standard deviation of K divided by K, NaN for a single
-    repeat. `coefficient`: array of shape (m,), slope of K as a function of temperature, divided by K at the reference temperature.
-    `sensitivity`: array of shape (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); both are NaN for a single temperature.
+    `means`: array of shape (g, m, 5), the five `QUANTITIES`, averaged over the repeats. `repeats`: for each temperature, an array
+    (q, m, 5) with the quantities of each repeat. `residuals`: for each temperature, an array (n, m) with the residuals averaged
+    over the repeats. `repeatability`: array of shape (g, m), standard deviation of K divided by K; NaN for a single repeat.
+    `coefficient`: array of shape (m,), slope of K as a function of temperature, divided by K at the reference temperature.
+    `sensitivity`: array of shape (m,), the largest |K_T − K_0|/(K_0·|T − T_0|). `coefficient` and `sensitivity` are NaN for a
+    single temperature.
     """
 
     means: Array

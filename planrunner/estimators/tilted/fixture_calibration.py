@@ -23,8 +23,8 @@ _AZIMUTH = "azimuth_{}"
 
 
 def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[MountedAxes, tuple[Influence, ...]]:
-    """The axes with their calibrated angles, and the influences (m, r) on these angles, rad. If there is no calibration, the axes
-    are unchanged.
+    """Returns the axes with their calibrated angles, and the influences (m, r) on these angles, rad. If there is no calibration,
+    the axes are unchanged.
 
     Raises `EstimationError` for an estimate that is not a calibration of the fixture, or that does not contain all axes.
     """

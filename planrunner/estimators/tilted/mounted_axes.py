@@ -28,7 +28,8 @@ class MountedAxes:
     """The m input axes in a fixture. `names`: names of the axes in `mounting`. `outputs`: names of the channels of the axes.
 
     `angles`: array of shape (m,) in rad. `azimuths`: array of shape (m,) in rad, NaN for an azimuth that is not stated. `tilt`:
-    (2,), rad, a small rotation of all axes about the fixture's x and y axes, from which sensitivities are computed.
+    array of shape (2,) in rad, a small rotation of all axes about the fixture's x and y axes, from which sensitivities are
+    computed.
     """
 
     names: tuple[str, ...]

@@ -42,8 +42,8 @@ def line_through(rates: Array) -> tuple[Array, Array]:
 
 
 def fit_lines(x: Array, f: Array) -> RateLines:
-    """Fits a line to each series of each axis. `x`: input of each axis, (q, n, m), rad/s. `f`: outputs minus the rest value, (q, n,
-    m). The rates of a series must not all be equal."""
+    """Fits a line to each series of each axis. `x`: array of shape (q, n, m) in rad/s, input of each axis. `f`: array of shape (q,
+    n, m), outputs minus the output at rest. The rates of a series must not all be equal."""
     centre = x.mean(axis=1, keepdims=True)
     off = x - centre
     slope = np.sum(off * f, axis=1) / np.sum(off * off, axis=1)

@@ -208,8 +208,8 @@ def _unstated(
     shown: Sequence[Item],
 ) -> tuple[UnstatedFlicker, ...]:
     """The effect of flicker on the coefficients, for outputs for which the bench file states no flicker. `sigma`: array of shape
-    (N, m), noise of each segment's mean. `freedom`: array of shape (m,), degrees of freedom of this noise; both as `_sigma` returns
-    them."""
+    (N, m), noise of each segment's mean. `freedom`: array of shape (m,), degrees of freedom of this noise. Both arrays are in the
+    form in which `_sigma` returns them."""
     silent = unstated_flicker(observations, request.setup.inputs, SPAN.value)
     found = []
     for error, influence in unstated_influences(situation, silent, request.parameters.uncertainty):

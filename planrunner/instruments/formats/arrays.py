@@ -56,7 +56,7 @@ class ArraysFile(FormatFile[NoKeys]):
 
     @abstractmethod
     def read(self, names: list[str], begin: int, end: int) -> Mapping[str, Array]:
-        """Reads the rows from `begin` (counted from 0) up to but not including `end`, for the named columns."""
+        """Reads the rows from `begin` (counted from 0) up to but not including `end` of the named columns."""
 
     def faults(self) -> tuple[type[Exception], ...]:
         return (*super().faults(), ValueError, KeyError, EOFError, zlib.error, zipfile.BadZipFile, struct.error)
@@ -109,8 +109,8 @@ def _columns_of(array: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def _part(array: NDArray[np.generic] | h5py.Dataset, column: str, begin: int, end: int) -> Array:
-    """The rows from `begin` up to but not including `end` of one column of an array or dataset; of a dataset, only these rows are
-    read."""
+    """The rows from `begin` up to but not including `end` of one column of an array or dataset. If the column is in a dataset, only
+    these rows are read from the file."""
     shape = array.shape
     if len(shape) == 1:
         return np.asarray(array[begin:end], float)
@@ -197,7 +197,7 @@ class MatlabFile(_HeldArrays):
 
 def _unpacked(file: BinaryIO) -> int:
     """Total size in bytes of all elements of a MATLAB file after unpacking. Counting stops as soon as the total exceeds
-    `MAX_UNPACKED`. Afterwards the file is positioned at its start."""
+    `MAX_UNPACKED`. The read position is then at the start of the file."""
     file.seek(0)
     header = file.read(_MATLAB_HEADER)
     order = ">" if header[126:128] == b"MI" else "<"

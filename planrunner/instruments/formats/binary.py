@@ -1,4 +1,4 @@
-"""Binary records of constant length: plain records in sequence, or frames with sync bytes and a checksum."""
+"""Files of binary records of constant length: plain records in sequence, or frames with sync bytes and a checksum."""
 
 from __future__ import annotations
 

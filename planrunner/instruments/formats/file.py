@@ -47,9 +47,9 @@ def few_columns(count: int, name: str) -> None:
 class TimeStamps:
     """Describes where the time of a row comes from.
 
-    `column`: the column with the time or with a counter; None if the rows are counted. `scale`: seconds per unit of the column.
-    `period`: time [s] between rows if the rows are counted. `wraps`: value at which the counter starts again from zero, None if it
-    never does.
+    `column`: name of the column with the time or with a counter; None if the rows are counted. `scale`: seconds per unit of the
+    column. `period`: time [s] between rows if the rows are counted. `wraps`: value at which the counter starts again from zero,
+    None if it never does.
     """
 
     column: str | None
@@ -74,7 +74,7 @@ class SampleRows(Protocol):
     def count(self) -> int: ...
 
     def numbers(self, column: str) -> Array:
-        """The values (count,) of a column; a missing number is NaN. Raises `InstrumentError` for a value that is not a number."""
+        """The values (count,) of a column. A missing number is NaN. Raises `InstrumentError` for a value that is not a number."""
 
 
 @dataclass
@@ -108,11 +108,10 @@ Keys = TypeVar("Keys", bound=Record, covariant=True)
 class FormatFile(ABC, Generic[Keys]):
     """A file of samples in some format.
 
-    `name`: name of the file, used in messages. `stamps`: source of the time of a row. `channels`: for each channel, the name of its
-    column. `parameters`: the keys of the format in the bench file.
-
-    `origin`: time of the first row, s. `interval`: median time between the first rows, s, NaN if there is only one row. `about`:
-    approximate number of rows. `look` sets `origin`, `interval` and `about`.
+    `name`: name of the file, used in messages. `stamps`: where the time of a row comes from. `channels`: for each channel, the name
+    of its column. `parameters`: the keys of the format in the bench file. `origin`: time of the first row, s. `interval`: median
+    time between the first rows, s; NaN if there is only one row. `about`: approximate number of rows. The method `look` sets
+    `origin`, `interval` and `about`.
     """
 
     Parameters: type[Record] = NoKeys
@@ -150,7 +149,7 @@ class FormatFile(ABC, Generic[Keys]):
 
     @property
     def wanted(self) -> list[str]:
-        """The columns of the time and of the channels, each listed once."""
+        """The names of the columns of the time and of the channels, each listed once."""
         return list(dict.fromkeys((*self.stamps.columns, *self.channels.values())))
 
     def look(self) -> None:

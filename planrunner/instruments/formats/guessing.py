@@ -77,10 +77,10 @@ _MATRIX = re.compile(r"\[([123])\]$")
 class LikelyTime:
     """The column that probably contains the time.
 
-    `column`: name of the column. `unit`: unit of its values; s if `per_second` is given. `rate`: sample rate, Hz. `per_second`:
-    counts per second if the column is a counter, otherwise None. `wraps`: value at which the counter returns to zero; None if it
-    never does. `sure`: True if the name of the column states the unit, or if the rate in this unit is one that the file states.
-    `line`: the line of the file from which `per_second` was guessed, otherwise empty."""
+    `column`: name of the column. `unit`: unit of the values of the column; s if `per_second` is given. `rate`: sample rate, Hz.
+    `per_second`: counts per second if the column is a counter, otherwise None. `wraps`: value at which the counter returns to zero;
+    None if it never does. `sure`: True if the name of the column states the unit, or if this unit leads to a sample rate that the
+    file states. `line`: the line of the file from which `per_second` was guessed, otherwise empty."""
 
     column: str
     unit: str
@@ -92,7 +92,7 @@ class LikelyTime:
 
     @property
     def doubt(self) -> str:
-        """The reason why the unit may be wrong; empty if it is sure."""
+        """The reason why the unit may be wrong; empty if `sure` is True."""
         if self.sure:
             return ""
         return (
@@ -111,7 +111,8 @@ class LikelyTime:
 class StatedRate:
     """A rate that a file states before its header.
 
-    `rate`: Hz. `line`: the line, shortened. `of_samples`: True if the line says that this is the rate of the samples.
+    `rate`: Hz. `line`: the line of the file that states the rate, shortened. `of_samples`: True if the line says that this is the
+    rate of the samples.
     """
 
     rate: float
@@ -160,7 +161,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
 
 def _text_keys(start: str, encoding: str) -> TextKeys | None:
     """Guesses the layout of a text file from its first lines. The chosen separator is the one for which most lines have the same
-    number of columns; among equals, the one with the most columns. Returns None if the lines contain no columns of numbers."""
+    number of columns; if several separators are equally good, it is the one that gives the most columns. Returns None if the lines
+    contain no columns of numbers."""
     lines = start.splitlines()[:-1] or start.splitlines()
     best: tuple[int, int, TextKeys] | None = None
     for word, separator in SEPARATORS.items():
@@ -190,7 +192,7 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
 
 
 def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
-    """The index of the first line in which most cells are numbers."""
+    """The index of the first line whose cells are mostly numbers."""
     for index, row in enumerate(cells):
         if (
             len(row) == width
@@ -201,7 +203,7 @@ def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
 
 
 def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]:
-    """The numeric columns of a file. Columns whose number of rows differs from the most common one are left out. Raises
+    """The numeric columns of a file. Columns whose number of rows differs from the most common number of rows are left out. Raises
     `InstrumentError` if there is no numeric column."""
     counts: dict[str, int] = {}
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()
@@ -222,8 +224,8 @@ def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]
 
 
 def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) -> AnyFile:
-    """Opens a file with these columns as channels. As its time is not known yet, its rows count as one second apart. Raises
-    `InstrumentError` if the file cannot be read."""
+    """Opens a file with these columns as channels. Because the time of its rows is not known yet, they count as one second apart.
+    Raises `InstrumentError` if the file cannot be read."""
     file = open_file(path, name, TimeStamps(None, period=1.0), {column: column for column in columns}, given)
     file.look()
     return file
@@ -232,7 +234,7 @@ def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) 
 def stated_rates(path: Path, name: str, given: Format | None) -> tuple[StatedRate, ...]:
     """The rates that a text file states before its header, such as `// Sample rate: 100.0Hz`.
 
-    Lines on filters and on other instruments are left out. Raises `InstrumentError` if the file cannot be opened."""
+    Lines that are about filters or about other instruments are left out. Raises `InstrumentError` if the file cannot be opened."""
     if given is None or not isinstance(given.parameters, TextKeys):
         return ()
     with open_samples(path, name) as file:
@@ -279,8 +281,8 @@ def guessed_time(first: Mapping[str, Array], stated: Sequence[StatedRate] = ()) 
 def wrap_of(backwards: Array, step: float, least: float, most: float) -> float | None:
     """The value at which a counter returns to zero; None if its values decrease for another reason.
 
-    `backwards`: the steps of the counter that are not positive. `step`: its median step. `least`, `most`: its smallest and its
-    largest value."""
+    `backwards`: the steps of the counter that are not positive. `step`: median step of the counter. `least`, `most`: smallest and
+    largest value of the counter."""
     if not len(backwards) or step <= 0 or least < 0:
         return None
     fits = (w for w in _WRAPS if most < w and np.all((backwards + w > 0) & (backwards + w <= LONGEST_STEP * step)))
@@ -308,9 +310,9 @@ def _time_of(
 ) -> LikelyTime | None:
     """Describes the time in a column; None if no unit of time leads to a usual sample rate.
 
-    `step`: median step of the column. `whole`: True if its values are whole numbers. A unit that leads to a stated rate is sure.
-    Only a column of whole numbers can be a counter of unknown frequency. It counts as one if the file states the rate of its
-    samples, and each unit of time leads to a very different rate."""
+    `step`: median step of the column. `whole`: True if the values of the column are whole numbers. If a unit leads to a stated
+    rate, the unit counts as sure. Only a column of whole numbers can be a counter of unknown frequency. Such a column counts as one
+    if the file states the rate of its samples, and if each unit of time leads to a very different rate."""
     for pattern, per_second in _COUNTERS:
         if pattern.search(column):
             return LikelyTime(column, "s", per_second / step, per_second, wraps)

@@ -25,8 +25,8 @@ _END = struct.Struct("<I4s")
 
 
 def check_directory(file: BinaryIO, name: str) -> None:
-    """Checks that the directory of the file is not too large; afterwards the file is positioned at its start. Raises
-    `InstrumentError` if it is too large."""
+    """Checks that the directory of the file is not too large; the read position is then at the start of the file. Raises
+    `InstrumentError` if the directory is too large."""
     size = file.seek(0, 2)
     if size >= _END.size:
         file.seek(size - _END.size)

@@ -194,7 +194,8 @@ class TextFile(FormatFile[TextKeys]):
         return file
 
     def _not_numbers(self, wanted: list[str]) -> InstrumentError | None:
-        """An error about the first line that is too long or the first cell that is not a number; None if neither exists."""
+        """Makes an error about the first line that is too long or the first cell that is not a number; None if there is no such
+        line and no such cell."""
         layout = self.parameters
         encoding = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
         with contextlib.suppress(OSError, UnicodeDecodeError), open_samples(self.path, self.name) as opened:
@@ -248,8 +249,8 @@ class Blanks(io.RawIOBase):
 
 
 def check_header(file: BinaryIO, name: str, layout: TextKeys) -> None:
-    """Checks that the first line is not too long; afterwards the file is positioned at its start. Raises `InstrumentError` if it is
-    too long."""
+    """Checks that the first line is not too long; the read position is then at the start of the file. Raises `InstrumentError` if
+    the first line is too long."""
     for _ in range(layout.skip):
         file.readline(MAX_HEADER)
     start = file.read(MAX_HEADER + 1).removeprefix(b"\xef\xbb\xbf").lstrip(b"\r\n")

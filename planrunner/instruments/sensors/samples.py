@@ -20,11 +20,12 @@ Whole = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Samples of several frames, one element per frame in every array.
+    """Samples of several frames. Every array has one element per frame.
 
-    `received`: time of reception, s. `counter`: counter of the frame, as sent. `latency`: s, as reported by the sensor. `channels`:
-    values (n,) by name. `doubtful`: True for frames that a status bit marks as doubtful. `doubts`: meanings of the status bits that
-    did so. `refused`: number of frames that cannot be decoded although their checksum is correct.
+    `received`: time of reception, s. `counter`: counter of the frame, as the sensor sent it. `latency`: latency that the sensor
+    reports, s. `channels`: values (n,) of each channel, by name. `doubtful`: True for frames that a status bit marks as doubtful.
+    `doubts`: meanings of the status bits that mark frames as doubtful. `refused`: number of frames that cannot be decoded although
+    their checksum is correct.
     """
 
     received: Array
@@ -70,8 +71,8 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits of a frame, in the field `item`. `words`: for each bit that can mark a frame as doubtful, its meaning. A frame is
-    doubtful if one of these bits is set or, with `set_is_good`, if one of them is clear."""
+    """Status bits of a frame, in the field `item`. `words`: for each bit that can mark a frame as doubtful, the meaning of the bit.
+    A frame is doubtful if one of these bits is set or, with `set_is_good`, if one of them is clear."""
 
     item: Field
     name: str
@@ -84,8 +85,9 @@ class FrameLayout:
     """Decodes frames with a fixed layout.
 
     `fields`: position of each number, by channel. `units`: unit of each channel. `counts`: position of the counter, None if there
-    is none. `latency`: position of the latency, whose `scale` converts it to seconds. `means`: channels that are the mean of other
-    channels, with the names of those. `zeros`: offset that is added to a channel.
+    is none. `latency`: position of the latency in the frame; the `scale` of this field converts the latency to seconds. `means`:
+    channels that are computed as the mean of other channels, each with the names of these other channels. `zeros`: offset that is
+    added to a channel.
     """
 
     framing: Framing

@@ -35,7 +35,8 @@ class SegmentStream:
 
     `byte_time`: time per byte on the line, s. `skew`: relative skew of the sensor's clock, as determined from earlier frames.
     `haste`: seconds of the bench's clock per second of real time. `over`: True after all samples have been returned. `heard`:
-    number of good frames in the last call of `advance`. `fresh`: number of those that are later than all earlier frames.
+    number of good frames in the last call of `advance`. `fresh`: number of those good frames that are later than all earlier
+    frames.
     """
 
     def __init__(

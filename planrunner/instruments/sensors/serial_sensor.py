@@ -40,7 +40,7 @@ class FirstFrames:
     """The first frames after connecting, and what they show.
 
     `seconds`: time between the first and the last good frame, not counting frames that waited in buffers. `heard`: time of the last
-    good frame. `haste`: seconds of the bench's clock per second of real time; buffers follow real time.
+    good frame. `haste`: seconds of the bench's clock per second of real time; it is needed because the buffers follow real time.
     """
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
@@ -142,7 +142,7 @@ class SerialSensor(Generic[P]):
 
     @classmethod
     def configure(cls, parameters: P, link: SerialStream, clock: Clock) -> Mapping[str, str]:
-        """Configures the sensor and returns what it reports about its identity; both only if the driver supports it. Raises
+        """Configures the sensor, if the driver supports this, and returns what the sensor reports about its identity. Raises
         `InstrumentError` if the sensor does not accept the configuration."""
         return {}
 

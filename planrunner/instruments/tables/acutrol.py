@@ -70,7 +70,7 @@ def kind_of(reply: bytes) -> str | None:
 
 
 class AcutrolFraming:
-    """Reads the replies of an ACUTROL controller. The first reply shows how they are framed."""
+    """Reads the replies of an ACUTROL controller. The first reply shows how replies are framed."""
 
     def __init__(self) -> None:
         self._known = False

@@ -19,8 +19,8 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisBounds:
-    """Limits that an axis must enforce by itself, as readings of its controller: deg/s, deg/s² and deg. `lowest` and `highest` are
-    None if the axis has no stops."""
+    """Limits that an axis must enforce by itself, in the units in which its controller shows them: deg/s, deg/s² and deg. `lowest`
+    and `highest` are None if the axis has no stops."""
 
     rate: float
     acceleration: float

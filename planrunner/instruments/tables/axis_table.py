@@ -46,8 +46,8 @@ K = TypeVar("K", bound=LinkedTableKeys)
 
 @dataclass(frozen=True, slots=True)
 class Aim:
-    """The last commands to the axes, by index of the axis: joint angles [rad] for axes that hold a position, rates [rad/s] for axes
-    that turn. Every new command makes a new `Aim`, even if its values are the same."""
+    """The last commands to the axes, by index of the axis: joint angles [rad] of the axes that hold a position, and rates [rad/s]
+    of the axes that turn. Every new command makes a new `Aim`, even if its values are the same."""
 
     positions: Mapping[int, float] = field(default_factory=dict)
     rates: Mapping[int, float] = field(default_factory=dict)
@@ -288,8 +288,8 @@ class AxisTable(Commanded[AxisCommands]):
         return 1 / rocking.frequency
 
     def _rock_between(self, begin: float, end: float) -> None:
-        """Rocks from the time `begin` to the time `end` [s by the bench's clock]. It is used for rocking that begins only after the
-        recording of the segment has started. If `end` is infinite, the rocking continues until the motion is ended."""
+        """Rocks from the time `begin` to the time `end` [s by the bench's clock]. The function is used for rocking that begins only
+        after the recording of the segment has started. If `end` is infinite, the rocking continues until the motion is ended."""
         rocking = self._rocking
         assert rocking is not None
         self._timed.until(begin)

@@ -26,7 +26,7 @@ from planrunner.plan.source import Node, Scalar
 
 @dataclass(frozen=True, slots=True)
 class CommandTemplate:
-    """A command as a text with placeholders. `places`: the names that may appear in braces."""
+    """A command as a text with placeholders. `places`: the names that may appear in braces in the text."""
 
     places: tuple[str, ...]
 
@@ -66,7 +66,7 @@ SINE = ("axis", "amplitude", "frequency", "phase")
 
 
 class TableCommands(Record):
-    """Keys with the commands of a table. The placeholder `{axis}` stands for the number of the axis, the other placeholders stand
+    """Keys with the commands of a table. The placeholder `{axis}` stands for the number of the axis; the other placeholders stand
     for values in degrees, deg/s and Hz."""
 
     identify: str = key(Text(), "Asks for the identification.", "*IDN?", default="*IDN?")

@@ -29,7 +29,7 @@ class CalledOffError(Exception):
 
 class TimedMotion:
     """Performs timed motions, one at a time. `broken`: the reason why a motion could not continue, in words; empty if there is
-    none. `patience`: the run must query the table at least once within this real time [s]."""
+    none. `patience`: the longest real time [s] between two queries of the table by the run; after a longer time, the motion ends."""
 
     def __init__(self, clock: Clock):
         self.broken = ""

@@ -62,7 +62,8 @@ class WiredTableKeys(TableKeys):
 class CountedAxis:
     """An axis as its controller counts it.
 
-    `number`: number of the axis. `zero`: reading [deg] of the controller at the joint angle zero. `sense`: 1 or −1.
+    `number`: number that the controller gives to the axis. `zero`: reading [deg] of the controller at the joint angle zero.
+    `sense`: 1 or −1.
     """
 
     number: int

@@ -26,8 +26,8 @@ _SNAP = 1e-6  # of an interval: a break nearer than this to a sample's end count
 
 
 def interval_means(world: World, sampling: Sampling, first: int, length: int) -> tuple[Components, Components]:
-    """Mean inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes over the sampling intervals first … first +
-    length − 1. Each component is a float if nothing moves, otherwise an array (length,)."""
+    """Mean inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes over each of the sampling intervals first …
+    first + length − 1. Each component is a float if nothing moves, otherwise an array (length,)."""
     begin = sampling.start + first / sampling.rate
     stretches = world.stretches(begin, begin + length / sampling.rate)
     if all(stretch.pace == 0.0 for stretch in stretches):
@@ -77,7 +77,7 @@ def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: 
 def _add_moments(
     means: np.ndarray, world: World, times: Sequence[np.ndarray], points: Sequence[tuple[float, float]]
 ) -> None:
-    """Adds the weighted stimulus at `times`, which has one array (n,) for each quadrature point, to the means (6, n)."""
+    """Adds the weighted stimulus at `times` to the means (6, n); `times` has one array (n,) for each quadrature point."""
     rates, forces = world.stimulus(np.concatenate(times))
     for mean, felt in zip(means, (*rates, *forces), strict=True):
         for (_, weight), moments in zip(
@@ -102,7 +102,8 @@ def _snapped(position: float) -> float:
 
 @lru_cache(maxsize=64)
 def _points(phase: float) -> tuple[tuple[float, float], ...]:
-    """Points (place, weight) of a quadrature over an interval of length one, for phases that change by up to `phase` rad within it."""
+    """Points of a quadrature over an interval of length one, each with its position and weight, for phases that change by up to
+    `phase` rad within the interval."""
     order = 1 if phase <= _ONE_POINT else 2 if phase <= _TWO_POINTS else 3
     panels = max(1, math.ceil(phase / _THREE_POINTS))
     places, weights = np.polynomial.legendre.leggauss(order)

@@ -1,8 +1,8 @@
-"""Courses of virtual tables. A course describes the joint angles and rates as functions of time; there is one small class for each
-kind of motion.
+"""Motions of virtual tables. A class derived from `Course` describes one kind of motion: it gives the joint angles and rates as
+functions of time.
 
-For an array of times after its start, a course computes the angles and rates at these times. A course can be stored as JSON data,
-so that a resumed run starts with the table in the same state. The angles of joints at rest are plain floats, so no arrays are
+For an array of times after the start of the motion, it computes the angles and rates at these times. A motion can be stored as JSON
+data, so that a resumed run starts with the table in the same state. The angles of joints at rest are plain floats, so no arrays are
 computed if nothing moves.
 """
 
@@ -27,8 +27,8 @@ TURN = 2 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A time interval [s] within which a course is smooth. `pace`: the largest rate of change of the phases of its sines, rad/s; 0
-    if nothing moves."""
+    """A time interval [s] within which the motion of a table is smooth. `pace`: the largest rate of change of the phases of its
+    sines, rad/s; 0 if nothing moves."""
 
     begin: float
     end: float
@@ -50,7 +50,7 @@ class Course(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A course in which every joint is at rest."""
+    """A motion in which every joint stays at rest."""
 
     kind: ClassVar[str] = "standing"
     angles: tuple[float, ...]
@@ -67,7 +67,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Travelling:
-    """A course that moves the joints from rest to rest. Every joint has its own trapezoidal rate profile."""
+    """A motion that takes the joints from rest to rest. Every joint has its own trapezoidal rate profile."""
 
     kind: ClassVar[str] = "travelling"
     begin: float
@@ -101,7 +101,7 @@ class Travelling:
 
 @dataclass(frozen=True, slots=True)
 class Spinning:
-    """A course in which one joint changes from one rate to another with constant acceleration and then keeps the new rate; the
+    """A motion in which one joint changes from one rate to another with constant acceleration and then keeps the new rate; the
     other joints are at rest."""
 
     kind: ClassVar[str] = "spinning"
@@ -138,7 +138,7 @@ class Spinning:
 
 @dataclass(frozen=True, slots=True)
 class Rocking:
-    """A course in which joints rock sinusoidally about `angles`. At the time `steady`, the sines have the phases `phases`. The
+    """A motion in which joints rock sinusoidally about `angles`. At the time `steady`, the sines have the phases `phases`. The
     rocking fades in during the period before `steady`. It fades out during the period after `steady` + `duration`, so that no joint
     jumps."""
 
@@ -193,7 +193,7 @@ class Rocking:
 
 @dataclass(frozen=True, slots=True)
 class Cycling:
-    """A course in which one joint repeats a sequence of stops and turns. The rate of each turn has a trapezoidal profile."""
+    """A motion in which one joint repeats a sequence of stops and turns. The rate of each turn has a trapezoidal profile."""
 
     kind: ClassVar[str] = "cycling"
     begin: float
@@ -285,7 +285,7 @@ _KINDS: Mapping[str, Callable[..., Course]] = {
 
 
 def to_json(course: Course) -> JsonObject:
-    """Converts a course to JSON data. An infinite duration becomes null."""
+    """Converts a motion to JSON data. An infinite duration becomes null."""
     assert isinstance(course, StatedCourse)
     state = {name: None if value == math.inf else value for name, value in asdict(course).items()}
     return {"kind": course.kind, **state}

@@ -240,7 +240,7 @@ def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
 
 
 def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
-    """The fault in the direction of an axis, and the hint that tells how to correct it."""
+    """Describes the fault in the direction of an axis, with a hint that tells how to correct the direction."""
     if (axis.angle is None) != (axis.azimuth is None):
         given, missing = ("azimuth", "angle") if axis.angle is None else ("angle", "azimuth")
         return f"has an {given} but no {missing}", f"add for example `{missing}: 0 deg`"

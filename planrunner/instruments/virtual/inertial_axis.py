@@ -37,11 +37,13 @@ WARM_UP_TIME = 600.0  # s, where nothing is said of it
 
 @dataclass(frozen=True, slots=True)
 class InertialAxis:
-    """One input axis and its coefficients.
+    """One input axis and its coefficients, with the symbols that the docstring of the module uses.
 
-    `name`, `unit`: name and unit of the output. `direction`: (3,), unit vector in the sensor's frame. `nominal`: declared K, in the
-    output's unit per SI input. `error`: δ. `step`: smallest step of a sample in `unit`, or size of a count in unit·s if `counted`.
-    `white`: N, SI·√s. `walk`: coefficient K of the random walk, SI/√s. `warm_up`: A, SI. `warm_up_time`: τ, s.
+    `name`, `unit`: name and unit of the output. `direction`: array of shape (3,), unit vector along the axis in the sensor's frame.
+    `nominal`: declared scale factor K, in the output's unit per SI input. `error`: relative scale-factor error δ. `step`: smallest
+    step of a sample in `unit`, or size of a count in unit·s if `counted` is True. `white`: coefficient N of the white noise, SI·√s.
+    `walk`: coefficient K of the random walk, SI/√s. `warm_up`: amplitude A of the warm-up in SI units. `warm_up_time`: time
+    constant τ of the warm-up, s.
     """
 
     name: str

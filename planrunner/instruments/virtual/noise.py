@@ -59,7 +59,8 @@ class Flicker:
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The sum of the processes [unit] at the next `nodes` nodes, which are `step` s apart; the first is the present node."""
+        """The sum of the processes [unit] at the next `nodes` moments, which are `step` s apart; the first of these moments is the
+        present one."""
         if self.coefficient == 0.0:
             return np.zeros(nodes)
         assert self.state is not None
@@ -90,7 +91,7 @@ class Flicker:
 
 
 class RandomWalk:
-    """A bias that is a random walk: after T s, its standard deviation is coefficient·√T [unit]. `coefficient`: K, in unit/√s."""
+    """A bias that is a random walk: after T s, its standard deviation is `coefficient`·√T [unit]. `coefficient`: K, in unit/√s."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -98,12 +99,12 @@ class RandomWalk:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Advances the walk to the time [s] of a segment's first node."""
+        """Advances the walk to the time at which a segment starts, `time` [s]."""
         self.value += self.coefficient * math.sqrt(max(0.0, time - self.time)) * draw.standard_normal()
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The walk [unit] at the next `nodes` nodes, which are `step` s apart; the first is the present node."""
+        """The walk [unit] at the next `nodes` moments, which are `step` s apart; the first of these moments is the present one."""
         if self.coefficient == 0.0:
             return np.zeros(nodes)
         walked = self.value + np.cumsum(self.coefficient * math.sqrt(step) * draw.standard_normal(nodes))
@@ -128,7 +129,8 @@ class GaussMarkov:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Advances the bias to the time [s] of a segment's first node, by the exact transition from its last node."""
+        """Advances the bias to the time at which a segment starts, `time` [s], by the exact transition from the time that it has
+        reached."""
         fresh = self.sigma * draw.standard_normal()
         if self.value is None:
             self.value = fresh
@@ -138,7 +140,7 @@ class GaussMarkov:
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The bias [unit] at the next `nodes` nodes, which are `step` s apart; the first is the present node."""
+        """The bias [unit] at the next `nodes` moments, which are `step` s apart; the first of these moments is the present one."""
         from scipy.signal import lfilter
 
         assert self.value is not None
@@ -158,8 +160,8 @@ class GaussMarkov:
 
 
 class PulseCounter:
-    """An integrating output that counts pulses: the remainder of a sample is carried to the next sample. `step`: smallest step of
-    one sample, in the output's unit."""
+    """An integrating output that counts pulses: the part of a sample that does not fill a pulse is carried to the next sample.
+    `step`: smallest step of one sample, in the output's unit."""
 
     def __init__(self, step: float):
         self.step = step
@@ -187,8 +189,8 @@ class Readout:
     full_scale: float = math.inf
 
     def samples(self, draw: np.random.Generator, level: Array, length: int, hold: int) -> Array:
-        """Draws readings (length,) around `level`, which has either one value per sample or (nodes,) values, each of which applies
-        to `hold` samples.
+        """Draws readings (length,) around `level`, which has either one value per sample, or fewer values, each of which applies to
+        `hold` samples.
 
         The readings are computed in pieces that fit the processor's cache, because a pass through memory takes as long as drawing
         the noise.

@@ -231,7 +231,7 @@ class VirtualPlatform:
         return DriftLaw(constant, rectified, p.random_walk.value, p.caging.leaving_time.value)
 
     def _accelerations(self, times: Array, axes: Array, rate: float, draw: np.random.Generator) -> list[Array]:
-        """Readings (n,) [g] of each accelerometer."""
+        """Readings (n,) of each accelerometer [g]."""
         p = self.parameters.accelerometers
         arm = [item.value for item in self.parameters.lever_arm]
         force = self.world.site.specific_force_enu + shaking(self.world, times, arm)
@@ -259,7 +259,7 @@ class VirtualPlatform:
     def _encoders(
         self, times: Array, step: float, base: Array, axes: Array, rings: RingEncoders, draw: np.random.Generator
     ) -> dict[str, Array]:
-        """Readings (n,) [deg] of each gimbal and ring."""
+        """Readings (n,) of each gimbal and ring [deg]."""
         p = self.parameters
         readings = {}
         for name, angle, phase in zip(GIMBALS, gimbal_angles(base, axes), self.phases, strict=True):

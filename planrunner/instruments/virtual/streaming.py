@@ -25,8 +25,8 @@ class Sampling:
     """How the dwell of one segment is sampled.
 
     `start`: start time of the dwell, s. `rate`: sample rate, Hz. `count`: number of samples in all blocks. `hold`: number of
-    samples in about one second, within which slow quantities of the sensor are held constant. `size`: number of samples in a block,
-    a multiple of `hold`.
+    samples in about one second; slow quantities of the sensor are held constant over this number of samples. `size`: number of
+    samples in a block, a multiple of `hold`.
     """
 
     start: float

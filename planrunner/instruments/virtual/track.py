@@ -198,7 +198,7 @@ def _rhumb_rates(
     latitude: Array, speed: Array, acceleration: Array, along: float, across: float
 ) -> tuple[Array, Array, Array, Array]:
     """First and second time derivatives of latitude and longitude on a line of constant heading. `along`: cosine of the heading.
-    `across`: its sine."""
+    `across`: sine of the heading."""
     meridian = ellipsoid.meridian_radius(latitude)
     parallel = ellipsoid.normal_radius(latitude) * np.cos(latitude)
     north, east = speed * along, speed * across

@@ -24,9 +24,9 @@ _ALL = 0xFFFFFFFF
 class Checksum:
     """A method to compute a check value of `width` bits from bytes.
 
-    `kind`: CRC, SUM (of bytes, mod 2^width), NEGATIVE_SUM (the value with which the sum becomes zero) or XOR. For a CRC, the
-    following fields are defined as in catalogues of CRCs: polynomial (without its leading one), initial, reflected (least
-    significant bit first) and final (exclusive-or at the end).
+    `kind`: CRC; SUM, the sum of the bytes mod 2^width; NEGATIVE_SUM, the value that makes the sum zero; or XOR. The other
+    attributes apply to a CRC and are defined as in catalogues of CRCs: `polynomial` (without its leading one), `initial`,
+    `reflected` (least significant bit first) and `final` (exclusive-or at the end).
     """
 
     kind: int

@@ -71,9 +71,10 @@ class Unwrapping:
     _floor: float = math.nan
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
-        """The indices (counts since the first frame) of the first frames, as far as they can be decided; of all frames if `final`
-        is True. Frames whose index is not returned must be passed again, together with the frames that follow. `received`: array of
-        shape (n,), times of reading, s. `raw`: (n,), values of the counter. Raises `InstrumentError` if the counter was reset."""
+        """The indices of frames, which are counts since the first frame. The result contains the first frames, as far as their
+        indices can be decided, or all frames if `final` is True. Frames whose index is not returned must be passed again, together
+        with the frames that follow. `received`: array of shape (n,), times of reading, s. `raw`: array of shape (n,), values of the
+        counter. Raises `InstrumentError` if the counter was reset."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):
@@ -148,8 +149,8 @@ class HostClock:
     _last: tuple[int, float] | None = None
 
     def stamp(self, index: Whole, received: Array) -> Array:
-        """The times (n,) of samples, s. They increase strictly with the indices, also from one call to the next. `index`: (n,),
-        increasing. `received`: array of shape (n,), times of reading minus all known delays, s."""
+        """The times (n,) of samples, s. The times increase strictly with the indices, also from one call to the next. `index`:
+        array of shape (n,), increasing. `received`: array of shape (n,), times of reading minus all known delays, s."""
         if index.size == 0:
             return np.empty(0)
         nominal = index.astype(float) * self.counter.tick
@@ -194,8 +195,8 @@ class HostClock:
 
 
 def line_under(points: Array) -> tuple[float, float]:
-    """Slope and offset of the line that lies below all points (n, 2) and is, on average, closest to them. The line contains the
-    edge of the lower convex hull of the points whose range of abscissae contains the mean abscissa of all points. The abscissae
+    """Slope and offset of the line that lies below all points (n, 2) and is, on average, closest to them. The line contains one
+    edge of the lower convex hull of the points: the edge above or below which the mean abscissa of all points lies. The abscissae
     must increase."""
     hull: list[tuple[float, float]] = []
     for x, y in points.tolist():

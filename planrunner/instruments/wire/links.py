@@ -40,7 +40,7 @@ _making = threading.Lock()
 
 
 def lock_of(address: str) -> threading.RLock:
-    """The lock of a resource. All links to the resource in this process use the same lock."""
+    """The lock of a resource, which all links to the resource in this process share."""
     with _making:
         return _locks.setdefault(address, threading.RLock())
 
@@ -82,7 +82,7 @@ class LinkSettings:
 
 
 class LinkFailure(Exception):  # noqa: N818 - reported to users as an InstrumentError
-    """Reports that an exchange failed. In a message, its text follows the name of the resource."""
+    """Reports that an exchange failed. In a message, the text of this exception follows the name of the resource."""
 
 
 class Wire(Protocol):
@@ -180,7 +180,7 @@ class MessageLink:
         """Sends `text` and returns the answer, without its terminator and without blanks at its ends.
 
         `after`: commands that are sent immediately before `text`. `again`: True if the request may be repeated on a new connection
-        when there is no answer; must be False for commands that change the instrument. `framing`: framing of this answer, if it
+        when there is no answer. It must be False for commands that change the instrument. `framing`: framing of this answer, if it
         differs from the framing of other answers.
         """
         tries = self.settings.tries if again and not after else 1
@@ -202,8 +202,8 @@ class MessageLink:
         return told
 
     def doubt(self) -> None:
-        """Restarts the link as after a failure. This is necessary if the received data do not answer the request, because the reply
-        may still arrive."""
+        """Restarts the link as after a failure. This is necessary if the received data do not answer the request, because the true
+        reply may still arrive."""
         with self._lock:
             self._give_up()
 

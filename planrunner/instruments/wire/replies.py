@@ -1,4 +1,5 @@
-"""Converts numbers in replies and in commands. A reply without a number leads to an error that explains the problem."""
+"""Converts texts in replies to numbers, and numbers to texts in commands. A reply without a number leads to an error that explains
+the problem."""
 
 from __future__ import annotations
 

@@ -69,8 +69,8 @@ class Ring:
         return pieces
 
     def follow(self, following: bool) -> None:
-        """Starts or ends the operation for a consumer, in which the buffer keeps all bytes. Either call discards the bytes in the
-        buffer. Starting also sets the number of dropped bytes to zero."""
+        """Starts or ends the consumer's use of the buffer, during which the buffer keeps all bytes. Both starting and ending
+        discard the bytes in the buffer. Starting also sets the number of dropped bytes to zero."""
         with self._lock:
             self._pieces, self._held, self._following = deque(), 0, following
             if following:
@@ -78,8 +78,8 @@ class Ring:
 
 
 class SerialStream:
-    """A serial port and the thread that reads it. `name`: name of the port, used in messages. `now`: function that returns the time
-    [s by the bench's clock]."""
+    """A serial port and the thread that reads it. `name`: name of the port, used in messages. `now`: function that returns the
+    present time [s by the bench's clock]."""
 
     def __init__(
         self, port: SerialPort, name: str, now: Callable[[], float], capacity: int = CAPACITY, bulk: bool = False
