@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from planrunner.error_model.effects.interface import effect_named
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.forms import candidates_of
 from planrunner.observation.refusals import ObservationError
 from tests.gap.turntable import Fault, record
 
@@ -123,3 +126,11 @@ def test_a_latitude_beyond_a_pole_is_not_named(latitude: float, effects: tuple[s
     found = diagnose(record(seed=5, fault=elsewhere(latitude)), DiagnosisOptions(effects=effects))
     assert "site_latitude" not in found.verdict.effects and found.verdict.kind != "none"
     assert sum(p for name, p in found.posterior.probability.items() if "site_latitude" in name) < 0.01
+
+
+def test_an_effect_that_no_possible_amplitude_makes_visible_is_no_hypothesis() -> None:
+    """Within the noise of this recording, a lever arm shows from about a millimetre on; the table allows 1 µm, or 0.3 m."""
+    effects = [effect_named("lever_arm")]
+    for reach, visible in ((1e-6, False), (0.3, True)):
+        (found,) = candidates_of(Weighing(replace(record(seed=5), reach=reach)), effects)
+        assert bool(np.isfinite(found.log_bayes).any()) is visible

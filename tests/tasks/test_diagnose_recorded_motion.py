@@ -45,13 +45,14 @@ report: [summary.md]
 """
 
 
-def diagnosed(folder: Path, scale: float, capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
-    """The diagnosis of a gyro that is turned to and fro by two superposed oscillations; bias 0.2 deg/s, Earth's rate in z."""
+def diagnosed(folder: Path, scale: float, capsys: pytest.CaptureFixture[str], late: float = 0.0) -> dict[str, object]:
+    """The diagnosis of a gyro that is turned to and fro by two superposed oscillations; bias 0.2 deg/s, Earth's rate in z. late: s, delay
+    of the gyro."""
     draw = np.random.default_rng(12)
     time = np.arange(round(SEGMENTS * LONG * RATE)) / RATE
     rate, angle = np.zeros(len(time)), np.zeros(len(time))
     for amplitude, hertz in ((20.0, 0.35), (9.0, 0.61)):
-        rate += amplitude * np.cos(2 * np.pi * hertz * time)
+        rate += amplitude * np.cos(2 * np.pi * hertz * (time - late))
         angle += amplitude * np.sin(2 * np.pi * hertz * time) / (2 * np.pi * hertz)
     wz = scale * (rate + 15.041 / 3600 * np.sin(np.radians(48))) + 0.2 + draw.normal(0, 0.1, len(time))
     table = np.column_stack([time, wz, angle])
@@ -74,6 +75,16 @@ def test_a_scale_factor_is_found_in_the_response_to_a_recorded_motion(
     assert "gyro_scale_factor" in {*verdict["effects"], *verdict["class"]}  # type: ignore[index]
     assert said["rest"]["passes"]  # type: ignore[index]
     assert said["gap"]["gyro_z"]["before"] > 5 * said["gap"]["gyro_z"]["noise_floor"]  # type: ignore[index]
+
+
+def test_a_small_scale_factor_is_found_although_the_gyro_is_late(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The delay causes an error in quadrature with the rate, thirty times as large as that of the scale factor. It is no noise."""
+    said = diagnosed(tmp_path, 1.001, capsys, late=0.013)
+    verdict = said["verdict"]
+    assert "gyro_axis_delay+gyro_scale_factor" in verdict["class"]  # type: ignore[index]
+    assert verdict["noise"] == []  # type: ignore[index]
 
 
 def test_a_right_scale_factor_leaves_no_gap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -180,7 +180,7 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
     used = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]
     root = np.sqrt(observed.bin_size)[observed.owner]
     taken = sum(
-        basis.vectors.shape[1]
+        basis.removed.shape[1]
         for basis, at in zip(weighing.spectrum.bases, observed.segments(), strict=True)
         if used[at.start]
     )

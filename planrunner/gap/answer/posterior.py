@@ -159,7 +159,9 @@ def posterior(
             if (ratios > 1).any():
                 wide = weighing.inflated(ratios.tolist())
                 again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, refit=False)
-                named = _shared({name: value + log_prior(name, count) for name, value in again.items()})
+                named = _shared(
+                    {name: value + log_prior(name, count) for name, value in again.items() if name in found}
+                )
             more = {
                 key: value + _whatever_noise(noise, len(key.split("+")), count)
                 for key, value in _with_something_else(weighing, chain, found, count).items()

@@ -242,7 +242,7 @@ def _typical(observed: Observed, spectrum: Spectrum) -> Array:
         size = len(squares) // windows
         each = squares[: windows * size].reshape(windows, size, -1).mean(1)
         bias = (1 - 2 / (9 * size)) ** 3 if windows > 2 else 1.0
-        found[index] = np.median(each, axis=0) / bias * len(squares) / max(len(squares) - len(basis.frequency), 1)
+        found[index] = np.median(each, axis=0) / bias * len(squares) / max(len(squares) - basis.removed.shape[1], 1)
     return found
 
 

@@ -65,7 +65,7 @@ def outliers(
         if len(samples) < LEAST or not len(channels):
             continue
         if id(basis) not in transformed:
-            transformed[id(basis)] = dct(basis.vectors, norm="ortho", axis=0)
+            transformed[id(basis)] = dct(basis.removed, norm="ortho", axis=0)
         size = int(observed.bin_size[index])
         frequency = np.arange(len(samples)) * observed.sample_rate / size / (2 * len(samples))
         variance = noise.of_segment(index, frequency) * white**2

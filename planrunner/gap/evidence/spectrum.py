@@ -3,9 +3,11 @@ remainder in each frequency band.
 
 The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
 and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If an encoder
-shows the motion, the angular rates take the place of the harmonics. Deterministic effects lie in the span of this basis. The
-remainder is noise or a tone; it is stored as energies in bands of the DCT-II. Outliers far outside the noise are replaced by the
-fit of the basis and counted, because a single one would affect all coefficients.
+shows the motion, the angular rates take the place of the harmonics. The angular accelerations are then removed from the samples
+without being used: a delay between the encoder and the sensor is unknown, and would otherwise count as noise at the frequencies of
+the rates. Deterministic effects lie in the span of this basis. The remainder is noise or a tone; it is stored as energies in bands
+of the DCT-II. Outliers far outside the noise are replaced by the fit of the basis and counted, because a single one would affect
+all coefficients.
 """
 
 from __future__ import annotations
@@ -38,12 +40,20 @@ class SpectralBasis:
     `vectors`: array of shape (n, m), whose columns are orthonormal; the first column is constant. `frequency`: array of shape (m,),
     the frequency of each vector in Hz; it is 0 for the constant vector. `harmonic`: array of shape (m,) that states what each
     vector is. The value is 0 for a vector of the cosine transform, and `RESPONSE` for the response to a recorded motion. For a
-    harmonic of the motion, the value is its order.
+    harmonic of the motion, the value is its order. `latency`: array of shape (n, q), further orthonormal columns, orthogonal to
+    `vectors`: the response to a delay between the sensor and the encoder. These columns are removed from the samples, but their
+    coefficients are not used.
     """
 
     vectors: Array
     frequency: Array
     harmonic: NDArray[np.int64]
+    latency: Array
+
+    @cached_property
+    def removed(self) -> Array:
+        """All columns (n, m + q) that are removed from the samples: `vectors`, followed by `latency`."""
+        return np.hstack([self.vectors, self.latency]) if self.latency.size else self.vectors
 
 
 @dataclass(frozen=True)
@@ -92,10 +102,10 @@ class Spectrum:
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     def outside(self, observed: Observed, columns: Array) -> Array:
-        """Removes the components in the basis of each segment from columns of samples (N, P)."""
+        """Removes from columns of samples (N, P) what was removed from the samples of each segment."""
         out = columns.copy()
         for basis, part in zip(self.bases, observed.segments(), strict=True):
-            out[part] -= basis.vectors @ (basis.vectors.T @ out[part])
+            out[part] -= basis.removed @ (basis.removed.T @ out[part])
         return out
 
     @cached_property
@@ -122,21 +132,27 @@ def basis_of(observed: Observed, index: int) -> SpectralBasis:
     columns = [np.cos(np.pi * k * (np.arange(n) + 0.5) / n) for k in order]
     frequency, harmonic = list(order * rate / (2 * n)), [0] * len(order)
     motion = observed.motions[index]
-    for column, hertz in _responses(observed, part, motion, rate):
+    encoder = isinstance(motion, RecordedMotion) and bool(motion.angle)
+    for column in _by_axis(observed.omega[part]) if encoder else []:
         columns.append(column)
-        frequency.append(hertz)
+        frequency.append(float(np.linalg.norm(np.gradient(column)) / np.linalg.norm(column)) * rate / (2 * np.pi))
         harmonic.append(RESPONSE)
     for h, phase, hertz in _harmonics(observed, part, motion):
         if hertz < rate / 2:
             columns += [np.cos(phase), np.sin(phase)]
             frequency += [hertz] * 2
             harmonic += [h] * 2
+    size = len(columns)
+    columns += _by_axis(observed.swing[part]) if encoder else []
     stacked = np.column_stack(columns)
     stacked /= np.linalg.norm(stacked, axis=0) + 1e-300
     q, r = np.linalg.qr(stacked)
     keep = np.abs(np.diag(r)) > _DEPENDENT
     q = q * np.sign(np.diag(r))
-    return SpectralBasis(q[:, keep], np.array(frequency)[keep], np.array(harmonic)[keep])
+    own = np.flatnonzero(keep[:size])
+    return SpectralBasis(
+        q[:, own], np.array(frequency)[own], np.array(harmonic)[own], q[:, size + np.flatnonzero(keep[size:])]
+    )
 
 
 def _shared(known: dict[tuple[int, int, object], SpectralBasis], observed: Observed, index: int) -> SpectralBasis:
@@ -161,28 +177,19 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
     return []
 
 
-def _responses(observed: Observed, part: slice, motion: object, rate: float) -> list[tuple[Array, float]]:
-    """The angular rates (n,) that an encoder shows, each with its mean frequency [Hz]. Scale factors and misalignments act in
-    proportion to these rates. The result is empty for other motions: the reference of a free motion has its own delays and filters,
-    which act at the same frequencies. `rate`: sample rate, Hz."""
-    if not isinstance(motion, RecordedMotion) or not motion.angle:
-        return []
-    omega = observed.omega[part]
-    omega = omega - omega.mean(axis=0)
-    size = np.linalg.norm(omega, axis=0)
-    found = []
-    for axis in np.flatnonzero(size > _DEPENDENT * size.max()):
-        changes = np.gradient(omega[:, axis])
-        hertz = float(np.linalg.norm(changes) / size[axis]) * rate / (2 * np.pi)
-        found.append((omega[:, axis], hertz))
-    return found
+def _by_axis(motion: Array) -> list[Array]:
+    """The components (n,) of a recorded motion (n, 3) about the axes that it has, without their means. Scale factors and
+    misalignments act in proportion to the angular rates. A delay acts nearly in proportion to the angular accelerations, like the
+    first-order lag of a filter. Only the motion that an encoder shows is used: the reference of a free motion has its own delays and
+    filters, which act at the same frequencies."""
+    motion = motion - motion.mean(axis=0)
+    size = np.linalg.norm(motion, axis=0)
+    return [motion[:, axis] for axis in np.flatnonzero(size > _DEPENDENT * size.max())]
 
 
 def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | None = None) -> Spectrum:
     """The spectrum of the samples after the nominal simulation `reference` (N, K) has been subtracted. `held`: array of shape (N,
     K), True for samples that are replaced by the fit."""
-    from scipy.fft import dct
-
     known: dict[tuple[int, int, object], SpectralBasis] = {}
     bases = tuple(_shared(known, observed, index) for index in range(len(observed)))
     sizes = [len(basis.frequency) for basis in bases]
@@ -199,17 +206,16 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
         left = observed.values[part] - reference[part]
         if roots is not None:
             left *= roots[index]
-        coefficients, rest, spiked = _robust(basis.vectors, left, smallest, None if held is None else held[part])
+        coefficients, rest, spiked = _robust(basis.removed, left, smallest, None if held is None else held[part])
         spikes += spiked.sum(axis=0)
-        values.append(coefficients)
+        values.append(coefficients[: len(basis.frequency)])
         replaced[part][spiked] = rest[spiked]
         rest[spiked if held is None else spiked | held[part]] = 0.0
         remainder[part] = rest
-        squares = dct(rest, type=2, norm="ortho", axis=0) ** 2
         half = observed.sample_rate / int(observed.bin_size[index]) / 2
         orders = np.minimum(np.round(edges / half * len(rest)).astype(np.int64), len(rest))
-        energy[index] = np.diff(np.vstack([np.zeros(squares.shape[1]), np.cumsum(squares, axis=0)])[orders], axis=0)
-        count[index] = np.diff(orders)
+        energy[index] = _of_bands(rest, orders)
+        count[index] = np.diff(orders) - _of_bands(basis.latency, orders).sum(axis=1)
         taken = np.round(basis.frequency / half * len(rest)).astype(np.int64)
         band = np.minimum(np.searchsorted(orders, taken, side="right"), len(orders) - 1) - 1
         np.subtract.at(count[index], band, 1)
@@ -229,6 +235,14 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
         replaced,
         np.add.reduceat(observed.values, observed.bounds[:-1], axis=0) / np.diff(observed.bounds)[:, None],
     )
+
+
+def _of_bands(samples: Array, orders: NDArray[np.int64]) -> Array:
+    """Energy (B, K) of the DCT-II of samples (n, K) between neighbouring orders (B + 1,)."""
+    from scipy.fft import dct
+
+    squares = dct(samples, type=2, norm="ortho", axis=0) ** 2
+    return np.diff(np.vstack([np.zeros(squares.shape[1]), np.cumsum(squares, axis=0)])[orders], axis=0)
 
 
 def _roots(observed: Observed) -> Array | None:

@@ -17,6 +17,7 @@ from planrunner.error_model.effects.interface import Column, Effect, Variant
 from planrunner.error_model.effects.nominal import PARTS
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import (
+    WEAKEST,
     best_amplitudes,
     held_amplitude,
     held_log_bayes_factor,
@@ -100,6 +101,19 @@ class Weighed:
         largest = np.array([columns[k].largest / columns[k].magnitude for k in limited])
         inside = np.minimum(largest - mean[limited], mean[limited] - smallest)
         return float(log_ndtr(inside / np.sqrt(np.diag(covariance)[limited])).sum())
+
+    @property
+    def can_be_seen(self) -> bool:
+        """False if the projected columns are zero, except for rounding, or if the energy λ stays below `WEAKEST` for all physically
+        possible amplitudes."""
+        if self.kept <= ABSORBED or self.trace <= 0:
+            return False
+        columns, gram = self.variant.columns, self.gram[0]
+        reach = np.array([max(-column.smallest, column.largest) / column.magnitude for column in columns])
+        seen = np.diag(gram) > 0
+        if not np.isfinite(reach[seen]).all():
+            return True
+        return float(reach[seen] @ np.abs(gram[np.ix_(seen, seen)]) @ reach[seen]) >= WEAKEST
 
     @cached_property
     def amplitudes(self) -> tuple[Array, Array]:

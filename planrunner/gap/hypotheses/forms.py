@@ -50,7 +50,7 @@ def _likeliest(ways: Sequence[Candidate]) -> Candidate:
 
 
 def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Candidate:
-    usable = [item for item in weighed if item.kept > ABSORBED and item.trace > 0]
+    usable = [item for item in weighed if item.can_be_seen]
     if not usable:
         return Candidate(effect, tuple(weighed), np.full(len(weighing.base), -np.inf))
     log_bayes = log_mean_exp(np.array([item.log_bayes for item in usable]), 0)
@@ -107,11 +107,8 @@ def _settled(
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         seen = weighing.seen([raw[:, 0] for raw in best.raw])
-        coarse = [
-            item
-            for item in weighing.weigh([effect.at(seen, float(value)) for value in effect.grid(seen)])
-            if item.kept > ABSORBED and item.trace > 0
-        ]
+        forms = [effect.at(seen, float(value)) for value in effect.grid(seen)]
+        coarse = [item for item in weighing.weigh(forms) if item.can_be_seen]
         if len(coarse) < 3:
             break
         again, value = _refined(weighing, effect, coarse, seen)
