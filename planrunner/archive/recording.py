@@ -132,7 +132,8 @@ class RecordedSegment:
 
     `expected`: True if the segment was not recorded. Its statistics are then predicted from the schedule: with the declared noise
     in the scatter, but means without noise. `finds`: findings of the screening; None if the segment has not been screened. `share`:
-    the fraction of the segment's samples that is used.
+    the fraction of the segment's samples that is used. `summary`: True if only the statistics were recorded, so that there are no
+    samples to read.
     """
 
     segment: Segment
@@ -144,6 +145,7 @@ class RecordedSegment:
     expected: bool = False
     finds: tuple[Find, ...] | None = None
     share: float = 1.0
+    summary: bool = False
 
     @property
     def label(self) -> str:

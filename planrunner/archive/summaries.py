@@ -77,7 +77,7 @@ def summarised(
     )
     own = {name: units[name] for name in names}
     refused = partial(_no_samples, where, segment.label)
-    return RecordedSegment(segment, own, statistics, refused, readings=dict(readings or {}), finds=())
+    return RecordedSegment(segment, own, statistics, refused, readings=dict(readings or {}), finds=(), summary=True)
 
 
 def _no_samples(where: str, label: str, channels: Sequence[str]) -> Iterator[Block]:

@@ -175,6 +175,8 @@ def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Arra
     time. The samples are read once more. If there are only published statistics and no samples, the standard error is that of the
     statistics. `course`: returns this function at times (k,), s since the start of the segment, in the unit of the channel."""
     whole = recorded.statistics
+    if recorded.summary:
+        return float(whole.standard_error[whole.of(channel)])
 
     def left() -> Iterator[Block]:
         for block in recorded.blocks((channel,)):

@@ -159,9 +159,10 @@ class World:
         return found
 
     def estimate(self, seed: int) -> Estimate:
-        request = EstimateRequest(
-            "model", tuple(self.recording(seed)), self.parameters, self.site, self.model, setup=self.setup
-        )
+        return self.estimate_of(self.recording(seed))
+
+    def estimate_of(self, recording: Sequence[RecordedSegment]) -> Estimate:
+        request = EstimateRequest("model", tuple(recording), self.parameters, self.site, self.model, setup=self.setup)
         return ErrorModelEstimator().estimate(request)
 
     def design(self) -> DesignRequest[ErrorModelParameters]:

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from effects_within import GYRO, SITE, World, rates, rocks, single, statics, timed, truth
 
+from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.summaries import summarised
 from planrunner.base import plugins
 from planrunner.error_model.segment_columns import estimable
 from planrunner.estimators.interface import Estimate
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+from planrunner.instruments.interfaces import Block, SummaryChannels
 from planrunner.observation.samples import observed
 from tests.blind.device import clean_output, ideal
 
@@ -54,6 +57,25 @@ def test_accelerometers_that_warm_up() -> None:
     outputs = {"accel_x": ("accel_bias", "accel_scale_factor", "accel_misalignment", "accel_warm_up")}
     found = World(still, single("accel_warm_up", 0.1, 0.05, -0.1, shape=(400.0,)), outputs).estimate(1)
     assert away(found, "accel_warm_up_tau_x", 400.0) < 4 and away(found, "accel_warm_up_a_x", 0.1 / G * 1e3) < 4
+
+
+def test_a_warm_up_is_found_in_a_table_that_contains_only_means() -> None:
+    still = timed([one for _ in range(6) for one in statics(4.0)], begin=30.0, pause=40.0)
+    outputs = {"accel_x": ("accel_bias", "accel_scale_factor", "accel_misalignment", "accel_warm_up")}
+    world = World(still, single("accel_warm_up", 0.1, 0.05, -0.1, shape=(400.0,)), outputs)
+    found = world.estimate_of([_summarised(one) for one in world.recording(1)])
+    assert away(found, "accel_warm_up_tau_x", 400.0) < 4 and away(found, "accel_warm_up_a_x", 0.1 / G * 1e3) < 4
+
+
+def _summarised(recorded: RecordedSegment) -> RecordedSegment:
+    """The segment as a row of a table: means, standard deviations, number of samples and duration."""
+    own = recorded.statistics
+    row = dict(zip(own.channels, own.mean, strict=True))
+    row |= {f"s_{name}": float(own.covariance[k, k] ** 0.5) for k, name in enumerate(own.channels)}
+    row |= {"n": float(own.count), "seconds": own.duration}
+    block = Block(np.array([own.start]), {name: np.array([value]) for name, value in row.items()})
+    summary = SummaryChannels({name: f"s_{name}" for name in own.channels}, "n", "seconds")
+    return summarised(recorded.segment, recorded.units, summary, iter([block]), "table.csv")
 
 
 @pytest.mark.parametrize(
