@@ -245,12 +245,13 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     drift = fit.drift
     if not drift.courses:
         suspected = tuple(_suspected(fit, one, basis) for one in drift.suspected)
-        doubted = tuple(_doubted(fit, one) for one in drift.doubted)
+        named = {one.course.name for one in drift.suspected}
+        doubted = tuple(_doubted(fit, one) for one in drift.doubted if one.course.name not in named)
         if drift.rivals and drift.nonlinear is not None:
             included = tuple(_included(fit, one) for one in drift.doubted)
             return DriftWords(included, (_rivalled(fit, drift.rivals, drift.nonlinear),))
         if drift.judged:
-            return DriftWords(doubted, suspected)
+            return DriftWords(warnings=(*suspected, *doubted))
         hidden = said(
             "{outputs}: a drift during the test cannot be distinguished from the coefficients or from scatter, so none is "
             "fitted: repeat the first segment at the end, or add segments.",
@@ -306,10 +307,11 @@ def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
 
 
 def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
-    """A note about a drift that is included in the uncertainties, although it is not fitted."""
+    """A warning about a drift that is included in the uncertainties, although it is not fitted."""
     return said(
         "{outputs}: the segments neither show nor exclude a drift ({drift}; probability by chance: {chance:.2g}). It is not fitted, and "
-        "the uncertainties include the change of the coefficients that it would cause. Write `drift: none` if there is no drift.",
+        "the uncertainties include the change of the coefficients that it would cause. To find out whether there is a drift, repeat "
+        "the first segment at the end. Write `drift: none` if there is no drift.",
         outputs=fit.outputs,
         drift=found.course.name,
         chance=found.probability,

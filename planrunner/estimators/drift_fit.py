@@ -18,9 +18,10 @@ weaker than required, and the drift function would change a coefficient by more 
 the drift function is a recorded temperature that changed, and the segments do not separate it well from a coefficient. An amplitude
 that the data cannot exclude would then change the coefficient by several standard uncertainties.
 
-With few degrees of freedom, some tests do not notice even a drift that changes coefficients by several standard uncertainties. If a
-drift function has weak evidence, the change that it would cause is therefore added to the uncertainties, as an error that is not
-corrected (JCGM 100:2008, F.2.4.5).
+With few degrees of freedom, some tests do not notice even a drift that changes coefficients by several standard uncertainties. If
+there is weak evidence, either for a drift function or in the residuals of all outputs, the change that the drift function would cause
+is therefore added to the uncertainties, as an error that is not corrected (JCGM 100:2008, F.2.4.5). The same applies to a suspected
+temperature that the segments do not separate well from a coefficient.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ given by chance in less than one of twenty fits of two outputs."""
 FEW = 4
 """Degrees of freedom of an output. With fewer, a drift that changes coefficients can remain unnoticed."""
 DOUBTED = 0.2
-"""Probability by chance below which, with `FEW` degrees of freedom, the change that a course would cause is part of the uncertainty
-although the course is not adopted."""
+"""Probability by chance, of a course or of the residuals, below which, with `FEW` degrees of freedom, the change that a course would
+cause is part of the uncertainty although the course is not adopted."""
 _SEPARABLE = 1e-3  # of a course, the part that the terms of the model cannot imitate
 _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of computing
 
@@ -77,7 +78,8 @@ class SuspectedDrift:
 class DoubtedDrift:
     """A drift function that is not fitted, although there is some evidence for it. `amplitudes`: array of shape (m, r), for each
     output and each column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u.
-    `probability`: probability that chance alone gives amplitudes at least as large as the fitted ones."""
+    `probability`: probability that chance alone gives amplitudes at least as large as the fitted ones, or residuals at least as
+    large as those of the fit without drift, whichever is smaller; 1 for a drift function that was not tested."""
 
     course: DriftCourse
     amplitudes: Array
@@ -175,7 +177,11 @@ def fitted_drift(
         chosen, by_chance[best.name] = (*chosen, best), probability
     if not chosen:
         suspected = _suspected(matrix, magnitudes, names, drift, hinted, fits)
-        doubted = () if hinted is None else _doubted(matrix, *hinted, noises, fits, basis)
+        doubted: tuple[DoubtedDrift, ...] = ()
+        if hinted is not None:
+            course, probability = hinted
+            doubted = _doubted(matrix, course, min(probability, _scattering(fits(matrix), noises)), noises, fits, basis)
+        doubted += _hidden(matrix, suspected, doubted, noises, fits, basis)
         return FittedDrift(by_evidence=True, judged=judged, suspected=suspected, doubted=doubted)
     if not drift.shown and any(course.order for course in chosen):
         chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
@@ -194,6 +200,14 @@ def fitted_drift(
     return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), _taken(plain, whole))
 
 
+def _scattering(plain: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float:
+    """The probability that the noise within the segments causes residuals at least as large as those of all outputs together
+    (F-test); 1 if the noise is unknown, or if the residuals are so large that another warning names them. Unlike the test of one
+    drift function, this test finds a drift of any form."""
+    found = _probability_of_residuals(plain, noises)
+    return 1.0 if found is None or found < SIGNIFICANCE else found
+
+
 def _doubted(
     matrix: Array,
     course: DriftCourse,
@@ -203,16 +217,45 @@ def _doubted(
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
     """A `DoubtedDrift` for the drift function, if there are few degrees of freedom and the probability by chance is small enough;
-    otherwise an empty tuple. If the uncertainties are based on residuals, the standard uncertainties of the amplitudes follow from
-    the residuals of the fit with the drift function."""
-    r, found = course.columns.shape[1], fits(joined(matrix, (course,)))
+    otherwise an empty tuple."""
+    found = fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
+    return (DoubtedDrift(course, _not_corrected(course, found, noises, basis), probability),)
+
+
+def _hidden(
+    matrix: Array,
+    suspected: Sequence[SuspectedDrift],
+    doubted: Sequence[DoubtedDrift],
+    noises: Sequence[WithinSegmentNoise],
+    fits: Fits,
+    basis: str,
+) -> tuple[DoubtedDrift, ...]:
+    """A `DoubtedDrift` for each recorded temperature that changed and that the segments hardly separate from a coefficient, unless
+    it is already in doubt, or cannot be separated at all."""
+    known = {one.course.name for one in doubted}
+    return tuple(
+        DoubtedDrift(
+            one.course, _not_corrected(one.course, fits(joined(matrix, (one.course,))), noises, basis), one.probability
+        )
+        for one in suspected
+        if one.course.changed and np.isfinite(one.growth) and one.course.name not in known
+    )
+
+
+def _not_corrected(
+    course: DriftCourse, found: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise], basis: str
+) -> Array:
+    """Returns the sizes (m, r) of a drift function as an error that is not corrected: √(a² + u²) of each fitted amplitude a and its
+    standard uncertainty u. `found`: the fits of the outputs with the drift function. If the uncertainties are based on residuals,
+    u follows from the residuals of these fits."""
+    r = course.columns.shape[1]
     amplitudes = np.array([one.coefficients[-r:] for one in found])
     by_noise = [noise.known and basis != "residual" for noise in noises]
     scales = [1.0 if known else one.variance_factor for one, known in zip(found, by_noise, strict=True)]
     variances = np.array([scale * np.diag(one.cofactor)[-r:] for one, scale in zip(found, scales, strict=True)])
-    return (DoubtedDrift(course, np.sqrt(amplitudes**2 + variances), probability),)
+    return np.asarray(np.sqrt(amplitudes**2 + variances))
 
 
 def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
@@ -344,13 +387,20 @@ def _chance(
 
 def explained_by_noise(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> bool:
     """Whether the noise within the segments explains the residuals of all outputs together (F-test); False if the noise is unknown."""
+    found = _probability_of_residuals(after, noises)
+    return found is not None and found >= SIGNIFICANCE
+
+
+def _probability_of_residuals(found: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float | None:
+    """The probability that the noise within the segments causes residuals at least as large as those of all outputs together
+    (F-test); None if the noise is unknown."""
     from scipy.special import fdtrc
 
     if not all(noise.known for noise in noises):
-        return False
-    left = sum(one.degrees_of_freedom for one in after)
-    ratio = sum(one.chi_squared for one in after) / left
-    return bool(fdtrc(left, sum(noise.degrees_of_freedom for noise in noises), ratio) >= SIGNIFICANCE)
+        return None
+    left = sum(one.degrees_of_freedom for one in found)
+    ratio = sum(one.chi_squared for one in found) / left
+    return float(fdtrc(left, sum(noise.degrees_of_freedom for noise in noises), ratio))
 
 
 def _is_rounding(matrix: Array, course: DriftCourse, after: Sequence[LinearFit]) -> bool:

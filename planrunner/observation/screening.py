@@ -575,32 +575,39 @@ class Screening:
             )
             off, scale = _off(x, size, looked), np.full(len(looked), usual)
             if not self.steady:
-                scale = np.maximum(scale, _JERK * self._changes_around(x, changes)[looked])
+                scale = np.maximum(scale, _JERK * self._changes_around(x, changes, looked, g * wider * usual))
             outlying |= off > g * wider * scale
         found = looked[outlying]
         for group in np.split(found, np.flatnonzero(np.diff(found) > _TOGETHER) + 1) if len(found) else ():
             self._note(k, window, int(group[0]), int(group[-1]) + 1)
 
-    def _changes_around(self, x: Array, changes: Array) -> Array:
-        """The mean change from sample to sample around each of n samples. In a segment of turns and stops, the mean is taken over a
-        short time. A change to a sample and back again is subtracted, because it is not part of a turn. `x`: array of shape (n,).
-        `changes`: array of shape (n - 1,), absolute differences of x."""
+    def _changes_around(self, x: Array, changes: Array, places: RowNumbers, noise: float) -> Array:
+        """The mean change from sample to sample around each of the samples x[places]. In a segment of turns and stops, the mean is
+        taken over a short time. A change to a sample and back again is subtracted, because it is not part of a turn. Changes on one
+        side of a sample do not count if they belong to a turn: the samples on the other side and the next two samples on this side
+        then lie on one level. `x`: array of shape (n,). `changes`: array of shape (n - 1,), absolute differences of x. `noise`:
+        a distance from the level that noise does not exceed."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
-            return _mean_around(padded, _FAR)
+            return np.asarray(_mean_around(padded, _FAR)[places])
         size = min(_FAR, max(_NEAR, 2 * round(_SETTLED / self.interval) + 1))
         back = np.zeros(len(x))
         to_and_fro = np.diff(x[:-1]) * np.diff(x[1:]) < 0
         back[1:-1] = np.where(to_and_fro, 2 * np.minimum(changes[:-1], changes[1:]), 0.0)
-        return np.maximum(_mean_around(padded, size) - back / size, 0.0)
+        around = np.maximum(_mean_around(padded, size) - back / size, 0.0)[places]
+        before = _changes_before(x, size, places, noise)
+        after = _changes_before(x[::-1], size, len(x) - 1 - places, noise)
+        return np.minimum(around, np.minimum(before, after))
 
     def _note(self, k: int, window: _Window, low: int, high: int) -> None:
         """Stores a spike or a burst that covers the indices `low` to `high` of the window."""
         values, rows, times = window.values, window.rows, window.times
         around = np.concatenate([values[max(0, low - _FAR) : low], values[high : high + _FAR]])
-        before, after = values[max(0, low - 4) : low], values[high : high + 4]
+        beside = 1 if self.stopping else 4  # a turn may begin or end two samples away
+        before, after = values[max(0, low - beside) : low], values[high : high + beside]
         before, after = (before if len(before) else after), (after if len(after) else before)
-        own = values[low:high] - float(np.median(around))
+        level = (float(np.median(before)) + float(np.median(after))) / 2 if self.stopping else float(np.median(around))
+        own = values[low:high] - level
         if len(self.found[k]) >= _KEPT:
             self.more[k] += 1
             return
@@ -769,6 +776,18 @@ def _stands_out(window: _Window) -> bool:
         if off.max() > _APART * window.usual:
             return True
     return False
+
+
+def _changes_before(x: Array, size: int, places: RowNumbers, noise: float) -> Array:
+    """The largest change from sample to sample among the `size` samples before each of the samples x[places], if these samples and
+    the next two lie within the distance `noise` of one level; otherwise, and near the ends, infinity. The ripple of a filter beside
+    a turn does not keep a level. `x`: array of shape (n,)."""
+    found = np.full(len(places), np.inf)
+    inner = np.flatnonzero((places >= size) & (places < len(x) - 2))
+    others = x[places[inner, None] + np.append(np.arange(-size, 0), (1, 2))]
+    level = np.all(np.abs(others - np.median(others, axis=1)[:, None]) <= noise, axis=1)
+    found[inner] = np.where(level, np.abs(np.diff(others, axis=1)).max(axis=1), np.inf)
+    return found
 
 
 def _numbers(rows: Numbered) -> RowNumbers:

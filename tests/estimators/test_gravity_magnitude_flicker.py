@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
 from accelerometer_coverage import CHANNELS, SITE, spread_attitudes
-from recorded import from_means, from_samples, segment, sensor
+from recorded import from_samples, played, segment, sensor
 
 from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
@@ -17,12 +18,24 @@ from planrunner.observation.flicker import mean_covariance
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.selection import Detection
 from planrunner.uncertainty.influences import InputQuantity, Inputs
+from tests.worlds.faults import Recorded, flicker
 
-WHITE = 2e-4  # m/s², of every mean
+WHITE = 1e-3  # m/s², of every mean
 SIZES = (5e-4, 1e-3, 2e-3)  # m/s², bias instability of x, y, z
-BATCHES = 32
 STARTS = 90.0 * np.arange(24)
-NOISE = np.random.default_rng(4).normal(0, 1e-3, (24, 3))
+DWELL, SAMPLES = 60.0, 320
+
+
+@cache
+def noise() -> np.ndarray:
+    """White noise and flicker of every sample, (24, samples, 3), m/s²: flicker from the independent generator."""
+    draw, rate = np.random.default_rng(4), SAMPLES / DWELL
+    time = (STARTS[:, None] + np.arange(SAMPLES) / rate).ravel()
+    pose, sizes = np.repeat(np.arange(24), SAMPLES), np.array(SIZES)
+    white = WHITE * math.sqrt(SAMPLES) * np.ones(3)
+    values = white * draw.standard_normal((len(time), 3))
+    made = flicker(Recorded(time, pose, values, white, sizes, rate), draw, 1.0) + values
+    return made.reshape(24, SAMPLES, 3)
 
 
 def declared(sizes: tuple[float, ...]) -> Setup:
@@ -31,16 +44,14 @@ def declared(sizes: tuple[float, ...]) -> Setup:
 
 
 def estimate(basis: str, sizes: tuple[float, ...] = SIZES) -> Estimate:
-    """Perfect sensor; the scatter within holds what flicker adds to it."""
-    seen = math.log(BATCHES) / (math.pi * (BATCHES - 1))
-    error = np.sqrt(WHITE**2 + seen * np.square(sizes))
+    """Samples of a perfect sensor with white noise and flicker."""
     made = []
     for k, attitude in enumerate(spread_attitudes()):
-        means = dict(zip(CHANNELS, map(float, 9.80 * attitude[:, 2] + NOISE[k]), strict=True))
-        planned = segment(f"P{k}", attitude, dwell=60.0)
-        made.append(from_means(planned, means, "m/s^2", error, BATCHES, start=STARTS[k]))
+        means = dict(zip(CHANNELS, map(float, 9.80 * attitude[:, 2]), strict=True))
+        planned = segment(f"P{k}", attitude, dwell=DWELL)
+        made.append(played(planned, means, noise()[k].T, "m/s^2", STARTS[k]))
     parameters = AccelerometerMultiPositionParameters(
-        reference="gravity_magnitude", uncertainty=basis, drift_span=parse_quantity("6 h")
+        reference="gravity_magnitude", uncertainty=basis, drift=("none",), drift_span=parse_quantity("24 h")
     )
     model = sensor(*CHANNELS, unit="m/s^2")
     request = EstimateRequest("a", tuple(made), parameters, SITE, model, setup=declared(sizes))
@@ -50,9 +61,9 @@ def estimate(basis: str, sizes: tuple[float, ...] = SIZES) -> Estimate:
 def by_hand(
     sizes: tuple[float, ...],
     starts: np.ndarray = STARTS,
-    dwell: float = 60.0,
+    dwell: float = DWELL,
     white: float = WHITE,
-    span: float = 6 * 3600.0,
+    span: float = 24 * 3600.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters less those of a perfect sensor, and their covariance; mg, 1, mrad. |f| − g answers by −d_i to a bias, by −g·d_i² to a
     scale factor and by −g·d_i·d_j to an angle, d along gravity; a reading's error reaches it by d."""
@@ -62,29 +73,30 @@ def by_hand(
     common = mean_covariance(starts, starts + dwell, span)
     v = white**2 * np.eye(24) + sum(b**2 * np.outer(d[:, k], d[:, k]) * common for k, b in enumerate(sizes))
     cofactor = np.linalg.inv(jacobian.T @ np.linalg.solve(v, jacobian))
-    values = cofactor @ jacobian.T @ np.linalg.solve(v, np.sum(d * NOISE, axis=1))
+    values = cofactor @ jacobian.T @ np.linalg.solve(v, np.sum(d * noise().mean(axis=1), axis=1))
     units = np.array([9.80665e-3] * 3 + [1.0] * 3 + [1e-3] * 3)
     return values / units, cofactor / np.outer(units, units)
 
 
 def test_values_and_uncertainties_are_those_of_generalised_least_squares() -> None:
-    """The hand's directions are those of a perfect sensor, the fit's those of the fitted one, 1e-3 apart."""
+    """The hand's directions are those of a perfect sensor, the fit's those of the fitted one, 1e-3 apart. The hand knows the white noise,
+    which the fit takes from the scatter of 32 parts of each of 24 poses, that is to about 3 %."""
     found = estimate("within_segment")
     values, covariance = by_hand(SIZES)
     perfect = np.array([0.0] * 3 + [1.0] * 3 + [0.0] * 3)
     spread = np.sqrt(np.diag(covariance))
     moved = np.array([item.value for item in found.coefficients]) - perfect
-    assert moved / spread == pytest.approx(values / spread, abs=0.02)
-    assert [item.standard_uncertainty for item in found.coefficients] == pytest.approx(spread, rel=2e-3)
+    assert moved / spread == pytest.approx(values / spread, abs=0.1)
+    assert [item.standard_uncertainty for item in found.coefficients] == pytest.approx(spread, rel=0.03)
     correlation = covariance / np.outer(spread, spread)
-    assert found.covariance / np.outer(spread, spread) == pytest.approx(correlation, abs=3e-3)
+    assert found.covariance / np.outer(spread, spread) == pytest.approx(correlation, abs=0.06)
 
 
 def test_the_residual_basis_has_one_factor_for_noise_and_flicker() -> None:
     found = estimate("residual")
     spreads = np.array([item.standard_uncertainty for item in found.coefficients])
     ratio = spreads / np.sqrt(np.diag(by_hand(SIZES)[1]))
-    assert np.ptp(ratio) < 5e-3 * ratio.mean()
+    assert np.ptp(ratio) < 0.02 * ratio.mean()
     assert found["bias_x"].degrees_of_freedom == pytest.approx(24 - 9)
     assert any("bias instability accel_z" in note for note in found.notes)
 

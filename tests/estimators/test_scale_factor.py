@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded import from_means, segment, sensor
+from recorded import from_means, noisy, segment, sensor
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators import method
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
@@ -44,6 +45,10 @@ def line(
         from_means(segment(f"R{n}", motion=Spin(rate * DEG)), {"gyro": value}, unit, [own])
         for n, (rate, value, own) in enumerate(zip(rates, outputs, errors, strict=True))
     )
+    return fitted(recorded, unit, setup, **keys)
+
+
+def fitted(recorded: tuple[RecordedSegment, ...], unit: str = "deg/s", setup: Setup = NOTHING, **keys: Any) -> Estimate:
     parameters = ScaleFactorParameters(outputs=("gyro",), **keys)
     request = EstimateRequest("scale", recorded, parameters, SITE, sensor("gyro", unit=unit), setup=setup)
     return combined(ScaleFactor().estimate(request))
@@ -108,13 +113,18 @@ def test_uncertainty_of_the_rate_is_common_to_all() -> None:
 
 
 def test_part_between_segments_makes_chi_square_one() -> None:
-    """Unequal noise that does not explain the scatter: the weights level out, and the quietest segment does not draw the line to itself."""
-    rng = np.random.default_rng(0)
+    """Segments with offsets of their own, of 1 deg/s, beside which the noise of their samples is small and unequal: the weights level
+    out, and the quietest segment does not draw the line to itself."""
+    draw = np.random.default_rng(0)
     rates = np.linspace(-100, 100, 21)
-    outputs = rates + rng.normal(0, 1.0, 21)
+    offsets = draw.normal(0, 1.0, 21)
     errors = np.full(21, 0.1)
     errors[-1] = 0.0001
-    found, equal = line(rates, outputs, error=errors), line(rates, outputs, error=errors, weights="equal")
+    recorded = tuple(
+        noisy(segment(f"R{n}", motion=Spin(rate * DEG)), {"gyro": rate + offset}, "deg/s", error, draw)
+        for n, (rate, offset, error) in enumerate(zip(rates, offsets, errors, strict=True))
+    )
+    found, equal = fitted(recorded), fitted(recorded, weights="equal")
     assert found["K_gyro"].value == pytest.approx(equal["K_gyro"].value, abs=0.1 * equal["K_gyro"].standard_uncertainty)
     assert found["K_gyro"].standard_uncertainty == pytest.approx(equal["K_gyro"].standard_uncertainty, rel=0.05)
     assert any("added as scatter between segments" in note for note in found.notes)
