@@ -64,7 +64,7 @@ def _time(time: LikelyTime) -> JsonObject:
     own: JsonObject = {"column": time.column, "unit": time.unit}
     if time.per_second is not None:
         own = {"column": time.column, "per_second": time.per_second}
-    return own if time.wraps is None else {**own, "wraps": time.wraps}
+    return own if time.wraps is None or time.written else {**own, "wraps": time.wraps}
 
 
 def _json(look: Look) -> JsonObject:

@@ -22,7 +22,7 @@ from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordedFile, RecordingFile, beneath, open_recording
-from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
+from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.instruments.recording_scan import Wanted, scan
 from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stretches
 from planrunner.instruments.recording_summary import SummaryPlayer
@@ -117,7 +117,7 @@ class RecordingPlayer(PlaysBack):
         stated = parameters.segments
         if stated is not None and table is not None:
             spans = read_segment_table(
-                table, stated.table, (stated.label, stated.start, stated.end), SECONDS[stated.unit], stated.trim.value
+                table, stated.table, (stated.label, stated.start, stated.end), stated.unit, stated.trim.value
             )
         if stated is not None and parameters.pauses is not None:
             raise InstrumentError("`segments` and `pauses` both define the segments of the recording: keep one of them")

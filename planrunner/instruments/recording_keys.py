@@ -8,6 +8,7 @@ from typing import Final, Literal
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings
 from planrunner.instruments.formats.choice import Format, FormatChoice
+from planrunner.instruments.formats.clock import DAY, seconds_of
 from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.parameters import nominal_supply
 from planrunner.plan.kinds import (
@@ -29,8 +30,11 @@ from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 COLUMN = r"[^\x00-\x1f]{1,200}"
-TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
-SECONDS = dict(zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9, 60.0, 3600.0), strict=True))
+WRITTEN = ("date_time", "time_of_day")
+"""Times that are texts: a date with a time, and a time of day."""
+TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "days", *WRITTEN)
+SECONDS = dict(zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9, 60.0, 3600.0, DAY, 1.0, 1.0), strict=True))
+"""Seconds per unit of a time; a time that is a text is read in s."""
 SAMPLE_COUNT: Final = "sample_count"
 _NO_TRIM = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
 
@@ -55,7 +59,12 @@ class TimeColumn(Record):
     """Keys of the column that contains the time."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
-    unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", default="s")
+    unit: str = key(
+        Choice(TIME_UNITS),
+        "Its unit. `date_time`: dates with times, such as 2026-03-04T12:00:00.005Z. `time_of_day`: times of day, such as 12:00:00.005.",
+        "s",
+        default="s",
+    )
     per_second: float | None = optional(Number(), "For a counter instead of a time: its counts per second.", 168000000)
     wraps: float | None = optional(
         Number(),
@@ -136,12 +145,22 @@ class ChannelColumn(Record):
         return otherwise if value is None else width(value) / unit(self.unit).factor
 
 
+def seconds_in_unit(cell: str, unit: str, where: str) -> float:
+    """The time [s] that a cell of a table states. `unit`: one of `TIME_UNITS`. `where`: the place of the cell, used in messages. Raises
+    `ValueError` if the cell is not a number, and `InstrumentError` if it is not a date or a time of day although it should be one."""
+    return seconds_of(cell, where) if unit in WRITTEN else float(cell) * SECONDS[unit]
+
+
 def check_time(time: TimeColumn, log: Findings) -> None:
     """Adds an error for each contradiction in the description of a time column."""
     for name in ("per_second", "wraps"):
         value = time.per_second if name == "per_second" else time.wraps
         if value is not None and not value > 0:
             log.error("meaning-range", time.at(name), "a positive number is needed here", "write for example 1000")
+    if time.wraps is not None and time.unit in WRITTEN:
+        message = f"a time in the unit {time.unit} is no counter that returns to zero"
+        hint = "leave `wraps` out: a time of day returns to zero at midnight without it"
+        log.error("meaning-range", time.at("wraps"), message, hint)
     if time.per_second is not None and "unit" in time.origin.keys:
         message = "the unit of the time is given twice, by `unit` and by `per_second`"
         log.error("meaning-range", time.at("unit"), message, "leave `unit` out for a counter")
@@ -290,7 +309,8 @@ class RecordingParameters(Record):
         """Where the time of a row comes from; None if the bench file does not state it."""
         if isinstance(self.time, TimeColumn):
             scale = SECONDS[self.time.unit] if self.time.per_second is None else 1 / self.time.per_second
-            return TimeStamps(self.time.column, scale, wraps=self.time.wraps)
+            wraps = DAY if self.time.unit == "time_of_day" else self.time.wraps
+            return TimeStamps(self.time.column, scale, wraps=wraps, written=self.time.unit in WRITTEN)
         return None if self.time is None else TimeStamps(None, period=1 / self.sample_rate.value)
 
 

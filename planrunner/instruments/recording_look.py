@@ -21,10 +21,13 @@ from planrunner.instruments.formats.guessing import (
     Guess,
     LikelyTime,
     columns_of_numbers,
-    guessed_channel,
+    columns_of_times,
+    guessed_channels,
     guessed_format,
     guessed_time,
+    not_numbers,
     opened,
+    sensors_in_rows,
     stated_rates,
     usual_unit,
     wrap_of,
@@ -69,7 +72,8 @@ class LikelyChannel:
     `unit`: the probable unit. `counts`: True if the numbers are raw counts, of which `per_unit` are one unit. `noise`: standard
     deviation of a sample at rest, in `unit`; 0 if the channel is constant at rest, NaN if the noise is unknown. `source`: what
     shows the unit. The value is `name` if the name of the column states it, `size` if the size of the values suggests it, and
-    `motion` if turns that the accelerometers also show confirm it. `stands`: True if the values of the channel never change."""
+    `motion` if turns that the accelerometers also show confirm it. `stands`: True if the values of the channel never change.
+    `increments`: True if the column contains the integral over one sample period; this period is then `per_unit`."""
 
     name: str
     column: str
@@ -80,6 +84,7 @@ class LikelyChannel:
     noise: float
     source: str
     stands: bool = False
+    increments: bool = False
 
     @property
     def sure(self) -> bool:
@@ -169,23 +174,31 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     try:
         given = guessed_format(path, path.name)
         columns = columns_of_numbers(path, path.name, given)
+        _one_sensor_a_row(path, columns, given)
         file = opened(path, path.name, columns, given)
-        first = next(values for _, values in file.rows())
-        time = guessed_time(first, stated_rates(path, path.name, given))
+        first = next((values for _, _, values in file.all_rows()), None)
+        if first is None:
+            raise InstrumentError(f"{path.name} holds no samples")
+        written = {} if rate is not None else columns_of_times(path, path.name, columns, given)
+        time = guessed_time(first, written, stated_rates(path, path.name, given))
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
-            hint = "state the sample rate, such as --sample-rate '100 Hz'; a date or a time of day as text is not read as a time"
+            hint = "state the sample rate, such as --sample-rate '100 Hz'"
+            if unread := not_numbers(path, path.name, columns, given):
+                message = f"{message}; {next(iter(unread.values()))}"
             raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
+        if rate is None and time is not None and time.written:
+            file = opened(path, path.name, columns, given, time.column)
         found = rate if rate is not None else 0.0 if time is None else time.rate
         stamp = time if rate is None else None
-        guesses = [guessed_channel(column) for column in columns if stamp is None or column != stamp.column]
+        guesses = guessed_channels([column for column in columns if stamp is None or column != stamp.column])
         guesses = _named_or_alike(guesses, first)
         clock = _Clock(stamp, max(PAUSE, _PERIODS / found))
         wanted = [one.column for one in guesses]
         windows, rows, counts = _windows(clock.watched(file.all_rows()), wanted, found, file.about, clock, notice)
         stamp = clock.stamp
         if time is not None and rate is None and stamp is None:
-            found = clock.rate(rows, found)
+            found = found if time.shared else clock.rate(rows, found)
             windows = _counted(windows, found)
     except InstrumentError as error:
         hint = "docs/recording-formats.md shows how a bench describes a recording"
@@ -193,18 +206,32 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     if not any(one.sensed in ("gyro", "accel") for one in guesses):
         message = f"no column looks like a gyro or an accelerometer: {', '.join(columns[:12])}"
         hint = "describe the recording in a bench file, as docs/recording-formats.md shows"
+        if unread := not_numbers(path, path.name, columns, given):
+            message, hint = f"no gyro or accelerometer can be read: {next(iter(unread.values()))}", "correct the file"
         raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
     samples = max(counts[one.column] for one in guesses if one.sensed in ("gyro", "accel"))
     sparse = tuple(one.column for one in guesses if one.sensed and counts[one.column] < _SPARSE * samples)
     sensed = [one for one in guesses if one.sensed and one.column not in sparse]
     still = _still(windows, [one.column for one in sensed if one.sensed in ("gyro", "accel")])
-    motion = _motion(sensed, windows, still)
-    channels = _channels(sensed, windows, still, motion)
+    period = 1 / found
+    motion = _motion(sensed, windows, still, period)
+    channels = _channels(sensed, windows, still, motion, period)
     other = tuple(one.column for one in guesses if not one.sensed)
     pauses = (len(clock.steps), min(clock.steps, default=0.0))
     return Look(
         path.name, given, stamp, found, rows, channels, other, sparse, windows, still, clock.backwards, pauses, motion
     )
+
+
+def _one_sensor_a_row(path: Path, columns: Sequence[str], given: Format | None) -> None:
+    """Raises `InstrumentError` if the rows of a file belong to different sensors."""
+    column, words = sensors_in_rows(path, path.name, columns, given)
+    if column:
+        message = (
+            f"each row of {path.name} belongs to one sensor, which the column '{column}' states: {', '.join(words)}"
+        )
+        hint = "write one file for each sensor, or a table in which each row contains all sensors"
+        raise InstrumentError(f"{message}; {hint}")
 
 
 class _Clock:
@@ -256,8 +283,8 @@ class _Clock:
     def watched(self, rows: FileRows) -> FileRows:
         """Yields the rows unchanged, and observes their times."""
         for number, time, values in rows:
-            if self._stamp is not None and len(values[self._stamp.column]):
-                self._take(values[self._stamp.column], self._stamp)
+            if self._stamp is not None and len(time):
+                self._take(time if self._stamp.written else values[self._stamp.column], self._stamp)
             yield number, time, values
 
     def _take(self, raw: Array, stamp: LikelyTime) -> None:
@@ -299,12 +326,24 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
         level = _median(norm)
         if not any(abs(math.log(max(level, 1e-9) / one_g)) < GRAVITY_ALIKE for one_g in (STANDARD_GRAVITY, 1.0)):
             continue
-        others = guesses[begin + 3 : begin + 6] if len(guesses) >= begin + 6 else guesses[max(begin - 3, 0) : begin]
+        after = [guesses[k : k + 3] for k in range(begin + 3, len(guesses) - 2, 3)][:2]
+        triads = [*after, guesses[max(begin - 3, 0) : begin]]
         sensed = _axes("accel", three)
-        if len(others) == 3:
-            sensed |= _axes("gyro", others)
+        gyros = next((one for one in triads if len(one) == 3 and not _turns_with_the_sensor(first, one)), None)
+        if gyros is not None:
+            sensed |= _axes("gyro", gyros)
         return [Guess(one.column, *sensed.get(one.column, ("", "")), one.unit) for one in guesses]
     return guesses
+
+
+def _turns_with_the_sensor(first: Mapping[str, Array], three: Sequence[Guess]) -> bool:
+    """True if three columns form a vector of constant length whose direction changes, as a magnetometer measures it."""
+    table = np.column_stack([first[one.column] for one in three])
+    table = table[np.isfinite(table).all(axis=1)]
+    if not len(table):
+        return False
+    length = np.linalg.norm(table, axis=1)
+    return bool(length.std() < 0.3 * length.mean() and table.std(axis=0).max() > 0.3 * length.mean())
 
 
 def _axes(sensed: str, three: Sequence[Guess]) -> dict[str, tuple[str, str]]:
@@ -420,30 +459,42 @@ def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Arr
     return values[chosen] if chosen.any() else values
 
 
-def _motion(guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[Span]) -> TurnComparison | None:
+def _motion(
+    guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[Span], period: float
+) -> TurnComparison | None:
     """Compares gyros and accelerometers during turns; None if there is not exactly one triad of each, or if the comparison gives no
-    clear result."""
+    clear result. `period`: sample period, s."""
     triads: list[Array] = []
     for sensed in ("gyro", "accel"):
-        triad = [[one.column for one in guesses if (one.sensed, one.axis) == (sensed, axis)] for axis in "xyz"]
+        triad = [[one for one in guesses if (one.sensed, one.axis) == (sensed, axis)] for axis in "xyz"]
         if any(len(columns) != 1 for columns in triad):
             return None
-        triads.append(np.column_stack([windows.mean[columns[0]] for columns in triad]))
+        triads.append(np.column_stack([windows.mean[one.column] / _integrated(one, period) for (one,) in triad]))
     gyro, accel = triads
     return turns_compared(gyro, accel, windows.begin, windows.end, still)
 
 
 def _channels(
-    guesses: Sequence[Guess], windows: WindowLevels, still: Sequence[Span], motion: TurnComparison | None
+    guesses: Sequence[Guess],
+    windows: WindowLevels,
+    still: Sequence[Span],
+    motion: TurnComparison | None,
+    period: float,
 ) -> tuple[LikelyChannel, ...]:
-    accels = [one.column for one in guesses if one.sensed == "accel"]
+    """Completes the guesses by the size of the values. `period`: sample period, s."""
+    accels = [one for one in guesses if one.sensed == "accel"]
+    rested = [_at_rest(windows, still, windows.mean[one.column]) / _integrated(one, period) for one in accels]
     norm = largest = math.nan
     if len(accels) < 3:
-        means = [abs(_median(_at_rest(windows, still, windows.mean[column]))) for column in accels]
-        largest = max(means, default=math.nan)  # one axis may be close to the vertical
+        largest = max(
+            (abs(_median(means)) for means in rested), default=math.nan
+        )  # one axis may be close to the vertical
     else:
-        squares = sum(_at_rest(windows, still, windows.mean[column]) ** 2 for column in accels[:3])
-        norm = largest = _median(np.sqrt(squares))
+        norm = largest = _median(np.sqrt(sum(means**2 for means in rested[:3])))
+    fastest = max(
+        (_large(windows.mean[one.column]) / _integrated(one, period) for one in guesses if one.sensed == "gyro"),
+        default=0.0,
+    )
     accel_unit = next((one.unit for one in guesses if one.sensed == "accel" and one.unit), "") or usual_unit(
         "accel", largest
     )
@@ -454,12 +505,12 @@ def _channels(
         name = short if simple.count(short) == 1 else _NAME.sub("_", one.column).strip("_")[:40]
         mean = windows.mean[one.column]
         known = np.abs(mean[np.isfinite(mean)])
-        level = largest if one.sensed != "gyro" else float(np.quantile(known, _LARGE)) if len(known) else 0.0
+        level = {"gyro": fastest, "accel": largest}.get(one.sensed, _median(known))
         turned = "" if motion is None or one.sensed != "gyro" or in_counts else motion.unit
         unit = one.unit or turned or usual_unit(one.sensed, level, accel_unit)
-        usual = _median(known) if one.sensed == "temperature" else norm
+        usual = level if one.sensed == "temperature" else norm
         counts = not one.unit and (in_counts or usual > (MOST_DEGREES if one.sensed == "temperature" else MOST_G))
-        per_unit = 1.0
+        per_unit = _integrated(one, period)
         counts = counts or not unit
         if counts:
             unit = {"gyro": "deg/s", "accel": "g", "temperature": "degC"}[one.sensed]
@@ -477,9 +528,21 @@ def _channels(
                 scatter if scatter > rounding else 0.0,
                 "name" if one.unit else "motion" if turned and not counts else "size",
                 stands=bool(len(known) and np.ptp(mean[np.isfinite(mean)]) <= rounding and scatter <= rounding),
+                increments=one.increments and not counts,
             )
         )
     return tuple(made)
+
+
+def _integrated(one: Guess, period: float) -> float:
+    """Time [s] over which a column integrates the output of its sensor; 1 if it contains the output itself."""
+    return period if one.increments else 1.0
+
+
+def _large(mean: Array) -> float:
+    """A large absolute value of the means of a gyro."""
+    known = np.abs(mean[np.isfinite(mean)])
+    return float(np.quantile(known, _LARGE)) if len(known) else 0.0
 
 
 def poses(windows: WindowLevels, still: Sequence[Span], triad: Sequence[LikelyChannel]) -> int:

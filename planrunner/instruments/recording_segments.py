@@ -18,6 +18,7 @@ from planrunner.base.findings import InputError, closest
 from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import RecordingFile
+from planrunner.instruments.recording_keys import seconds_in_unit
 from planrunner.plan.selection import closest_label
 from planrunner.plan.source import read_text
 from planrunner.plan.span import Span
@@ -44,18 +45,18 @@ class SegmentTable:
         return self.spans[label]
 
 
-def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], scale: float, trim: float) -> SegmentTable:
+def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], unit: str, trim: float) -> SegmentTable:
     """Reads the table of segments at `path`.
 
-    `columns`: names of three columns: that of the labels, that of the start times, and that of the end times. `scale`: factor that
-    converts start and end times to seconds. `trim`: time [s] omitted at both ends of each segment.
+    `columns`: names of three columns: that of the labels, that of the start times, and that of the end times. `unit`: unit of the
+    start and end times, one of `TIME_UNITS`. `trim`: time [s] omitted at both ends of each segment.
 
     Raises `InstrumentError` with the line of the fault.
     """
     spans: dict[str, Span] = {}
     lines: dict[str, int] = {}
     for label, line, row in labelled_rows(path, name, columns):
-        spans[label], lines[label] = _span(label, row, columns[1:], f"{name}, line {line}", scale, trim), line
+        spans[label], lines[label] = _span(label, row, columns[1:], f"{name}, line {line}", unit, trim), line
     if not spans:
         raise InstrumentError(f"{name} contains no segments")
     return SegmentTable(name, spans, lines)
@@ -92,12 +93,12 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
         raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
 
 
-def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, scale: float, trim: float) -> Span:
-    """The interval that a row states. `columns`: names of the columns of the start and the end."""
+def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, unit: str, trim: float) -> Span:
+    """The interval that a row states. `columns`: names of the columns of the start and the end. `unit`: their unit."""
     times = []
     for column in columns:
         try:
-            times.append(float(row[column] or "") * scale)
+            times.append(seconds_in_unit(row[column] or "", unit, f"{where}, column '{column}'"))
         except ValueError:
             raise InstrumentError(
                 f"{where}: '{(row[column] or '')[:40]}' in column '{column}' is not a number"

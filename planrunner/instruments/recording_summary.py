@@ -18,7 +18,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.findings import Findings, Mark
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, SummaryChannels, UnservedError
-from planrunner.instruments.recording_keys import SECONDS, RecordingParameters, RowColumns
+from planrunner.instruments.recording_keys import SECONDS, WRITTEN, RecordingParameters, RowColumns, seconds_in_unit
 from planrunner.instruments.recording_segments import LabelledRow, labelled_rows
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import closest_label
@@ -170,7 +170,7 @@ def _row_of(
     count = _number(cells, columns.count, where)
     if count < 1 or count != round(count):
         raise InstrumentError(f"{where}: {count:g} in column '{columns.count}' is not a number of samples")
-    start = begin if columns.start is None else _number(cells, columns.start, where) * SECONDS[columns.unit]
+    start = begin if columns.start is None else _start(cells, columns.start, columns.unit, where)
     means, deviations = {}, {}
     for name, channel in parameters.channels.items():
         means[name] = channel.sign * (_number(cells, channel.column, where) - channel.zero) / channel.per_unit
@@ -184,6 +184,13 @@ def _row_of(
         independent = 1.0 if channel.standard_deviation else math.sqrt(count)
         deviations[name] = scatter / abs(channel.per_unit) * independent
     return SummaryRow(line, start, int(count), means, deviations)
+
+
+def _start(cells: LabelledRow, column: str, unit: str, where: str) -> float:
+    """The start time [s] that a row states. `unit`: unit of the column."""
+    if unit not in WRITTEN:
+        return _number(cells, column, where) * SECONDS[unit]
+    return seconds_in_unit(cells[column] or "", unit, f"{where}, column '{column}'")
 
 
 def _number(cells: LabelledRow, column: str, where: str) -> float:

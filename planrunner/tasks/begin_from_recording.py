@@ -19,7 +19,10 @@ _DOUBTS = {
     "motion": " # the unit was determined from the turns that the accelerometers show",
     "size": " # the unit is a guess",
     "counts": " # raw counts: put in the sensitivity",
+    "increments": " # increments: per_unit is the sample period in s",
 }
+_NOISE = {"degC": ("K", 1.0), "degF": ("K", 5 / 9)}
+"""Unit of a difference of temperatures, and its size."""
 
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
@@ -68,7 +71,7 @@ def bench_of(look: Look, name: str) -> str:
     else:
         time = look.time
         scale = f"unit: {time.unit}" if time.per_second is None else f"per_second: {time.per_second:.12g}"
-        wraps = "" if time.wraps is None else f", wraps: {time.wraps:.0f}"
+        wraps = "" if time.wraps is None or time.written else f", wraps: {time.wraps:.0f}"
         doubt = f" # {time.doubt}" if time.doubt else ""
         lines.append(f"    time: {{column: {_quoted(time.column)}, {scale}{wraps}}}{doubt}")
     lines.append(f"    sample_rate: {look.rate:.6g} Hz")
@@ -86,10 +89,11 @@ def bench_of(look: Look, name: str) -> str:
         lines += [f"    # {part}" for part in axes_note(look.motion.axes)]
     lines.append("    channels:")
     for one in look.channels:
-        counts = f", per_unit: {one.per_unit:.6g}" if one.counts else ""
+        counts = f", per_unit: {one.per_unit:.6g}" if one.counts or one.increments else ""
         known = one.noise > 0 and look.still  # the scatter of a motion is no noise
-        noise = f", noise: {one.noise:.3g} {'K' if one.unit == 'degC' else one.unit}" if known else ""
-        doubt = _DOUBTS["counts" if one.counts else one.source]
+        unit, size = _NOISE.get(one.unit, (one.unit, 1.0))
+        noise = f", noise: {size * one.noise:.3g} {unit}" if known else ""
+        doubt = _DOUBTS["counts" if one.counts else "increments" if one.increments else one.source]
         doubt += " # it never changes: the output is dead, or the column is wrong" if one.stands else ""
         lines.append(f"      {one.name}: {{column: {_quoted(one.column)}, unit: {one.unit}{counts}{noise}}}{doubt}")
     if look.sparse:

@@ -110,18 +110,19 @@ def _columns_of(array: str, shape: tuple[int, ...]) -> list[str]:
 
 def _part(array: NDArray[np.generic] | h5py.Dataset, column: str, begin: int, end: int) -> Array:
     """The rows from `begin` up to but not including `end` of one column of an array or dataset. If the column is in a dataset, only
-    these rows are read from the file."""
+    these rows are read from the file. Dates keep their type."""
     shape = array.shape
+    kind = None if array.dtype.kind == "M" else float
     if len(shape) == 1:
-        return np.asarray(array[begin:end], float)
+        return np.asarray(array[begin:end], kind)
     found = _COLUMN.fullmatch(column)
     number = 0 if found is None else int(found[2]) - 1
     rows_first = shape[0] >= shape[1]
-    return np.asarray(array[begin:end, number] if rows_first else array[number, begin:end], float)
+    return np.asarray(array[begin:end, number] if rows_first else array[number, begin:end], kind)
 
 
 def _is_table(array: object) -> bool:
-    return isinstance(array, np.ndarray) and array.dtype.kind in "fiub" and 1 <= array.ndim <= 2 and array.size > 0
+    return isinstance(array, np.ndarray) and array.dtype.kind in "fiubM" and 1 <= array.ndim <= 2 and array.size > 0
 
 
 class _HeldArrays(ArraysFile):

@@ -90,9 +90,14 @@ class SqliteFile(FormatFile[SqliteKeys]):
                 columns = dict(zip(self.wanted, zip(*rows, strict=True), strict=True))
                 yield (
                     first,
-                    HeldRows(len(rows), {name: self._numbers(name, column, first) for name, column in columns.items()}),
+                    HeldRows(len(rows), {name: self._values(name, column, first) for name, column in columns.items()}),
                 )
                 first += len(rows)
+
+    def _values(self, column: str, values: tuple[object, ...], first: int) -> NDArray[np.generic]:
+        if self.stamps.written and column in self.stamps.columns:
+            return np.array(values, dtype=object)
+        return self._numbers(column, values, first)
 
     def _numbers(self, column: str, values: tuple[object, ...], first: int) -> NDArray[np.float64]:
         try:

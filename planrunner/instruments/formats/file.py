@@ -15,6 +15,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.base.regular_files import RefusedFileError, open_regular
+from planrunner.instruments.formats import clock
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Record
 from planrunner.plan.span import EVERYTHING, Span
@@ -47,15 +48,16 @@ def few_columns(count: int, name: str) -> None:
 class TimeStamps:
     """Describes where the time of a row comes from.
 
-    `column`: name of the column with the time or with a counter; None if the rows are counted. `scale`: seconds per unit of the
-    column. `period`: time [s] between rows if the rows are counted. `wraps`: value at which the counter starts again from zero,
-    None if it never does.
+    `column`: name of the column with the time or with a counter; None if the rows are counted. `scale`: seconds per unit of the column.
+    `period`: time [s] between rows if the rows are counted. `wraps`: value at which the counter starts again from zero, None if it
+    never does. `written`: True if the column contains dates or times of day instead of numbers; the unit is then s.
     """
 
     column: str | None
     scale: float = 1.0
     period: float = math.nan
     wraps: float | None = None
+    written: bool = False
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -75,6 +77,10 @@ class SampleRows(Protocol):
 
     def numbers(self, column: str) -> Array:
         """The values (count,) of a column. A missing number is NaN. Raises `InstrumentError` for a value that is not a number."""
+
+    def times(self, column: str, where: str) -> Array:
+        """The times (count,) [s] in a column of dates or times of day; a missing time is NaN. `where`: the place of the rows, used in
+        messages. Raises `InstrumentError` for a value that is not a time."""
 
 
 @dataclass
@@ -202,13 +208,19 @@ class FormatFile(ABC, Generic[Keys]):
                     continue
                 if stamps.column is None:
                     time = np.arange(first - 1, first - 1 + rows.count, dtype=np.float64) * stamps.period
-                elif counter is None:
-                    time = rows.numbers(stamps.column) * stamps.scale
                 else:
-                    time = counter.unwrapped(rows.numbers(stamps.column)) * stamps.scale
+                    raw = self._stamped(rows, first)
+                    time = (raw if counter is None else counter.unwrapped(raw)) * stamps.scale
                 yield first, rows, time
         except self.faults() as error:
             raise self.unreadable(error) from None
+
+    def _stamped(self, rows: SampleRows, first: int) -> Array:
+        """The values (n,) of the column of the time. `first`: number of the first row."""
+        column = self.stamps.column or ""
+        if not self.stamps.written:
+            return rows.numbers(column)
+        return rows.times(column, f"{self.name}, rows {first} to {first + rows.count - 1}, column '{column}'")
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
         """Raises `InstrumentError` unless every time is present and later than the time of the previous row. `before`: time of the
@@ -243,4 +255,10 @@ class HeldRows:
     values: Mapping[str, NDArray[np.generic]]
 
     def numbers(self, column: str) -> Array:
-        return np.asarray(self.values[column], dtype=np.float64)
+        values = self.values[column]
+        if values.dtype.kind == "M":
+            raise InstrumentError(f"the column '{column}' contains dates, not numbers")
+        return np.asarray(values, dtype=np.float64)
+
+    def times(self, column: str, where: str) -> Array:
+        return clock.of_objects(self.values[column], where)

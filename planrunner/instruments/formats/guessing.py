@@ -6,10 +6,12 @@ recording should check and correct them.
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,35 +19,58 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.formats.choice import ENDINGS, Format, open_file
+from planrunner.instruments.formats.clock import DAY
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
-from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextKeys
+from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextFile, TextKeys
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.units import STANDARD_GRAVITY
 
 MOST_COLUMNS = 200
 """Columns that are looked at."""
-_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|inf|", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(\d{1,3}(?:,\d{3})+\.\d*|\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|inf|", re.IGNORECASE)
 _TIME = re.compile(
-    r"(?:^|[^a-z])(t|time|timestamp|stamp|clock|epoch|seconds|ticks?|zeit)(?:[^a-z]|$)|timestamp|time", re.IGNORECASE
+    r"(?:^|[^a-z])(t|time|timestamp|stamp|clock|epoch?|seconds|ticks?|zeit|sekunden|utc|sow|tow)(?:[^a-z]|$)|timestamp|time",
+    re.IGNORECASE,
 )
 _COUNT = re.compile(r"(?:^|[^a-z])(n|count|counter|index|samples?|row)(?:[^a-z]|$)", re.IGNORECASE)
 _UNITS = (
+    (re.compile(r"mrad[_ /]*(?:p|per)?[_ /]*s", re.IGNORECASE), "mrad/s"),
+    (re.compile(r"m(?:illi)?-?deg[_ /]*(?:p|per)?[_ /]*s|mdps|m°/s", re.IGNORECASE), "mdeg/s"),
     (re.compile(r"rad[_ /]*(?:p|per)?[_ /]*s", re.IGNORECASE), "rad/s"),
     (re.compile(r"deg[_ /]*(?:p|per)?[_ /]*s|dps|°/s", re.IGNORECASE), "deg/s"),
     (re.compile(r"deg[_ /]*(?:p|per)?[_ /]*h|dph|°/h", re.IGNORECASE), "deg/h"),
-    (re.compile(r"m[_ /]*(?:p|per)?[_ /]*s[\^]?2|mps2|m/s²|ms2", re.IGNORECASE), "m/s^2"),
+    (re.compile(r"m[_ /]*(?:p|per)?[_ /]*\(?s(?:\^?-?2|²|/s)|mps2|ms\^?-?2", re.IGNORECASE), "m/s^2"),
+    (re.compile(r"(?:^|[^a-z])[uµ]g(?:[^a-z]|$)", re.IGNORECASE), "ug"),
     (re.compile(r"(?:^|[^a-z])mg(?:[^a-z]|$)", re.IGNORECASE), "mg"),
     (re.compile(r"(?:^|[^a-z])gs?(?:[^a-z]|$)", re.IGNORECASE), "g"),
     (re.compile(r"celsius|deg_?c(?:[^a-z]|$)|°c", re.IGNORECASE), "degC"),
+    (re.compile(r"fahrenheit|deg_?f(?:[^a-z]|$)|°f", re.IGNORECASE), "degF"),
+    (re.compile(r"kelvin", re.IGNORECASE), "K"),
 )
+_OF_TEMPERATURE = (
+    (re.compile(r"[^a-z]c[^a-z]*$", re.IGNORECASE), "degC"),
+    (re.compile(r"[^a-z]f[^a-z]*$", re.IGNORECASE), "degF"),
+    (re.compile(r"[^a-z]k[^a-z]*$", re.IGNORECASE), "K"),
+)
+"""Units that a single letter at the end of a name states, if the name is one of a temperature."""
+_SENSED_IN = {
+    **dict.fromkeys(("rad/s", "mrad/s", "deg/s", "mdeg/s", "deg/h"), "gyro"),
+    **dict.fromkeys(("m/s^2", "mg", "ug"), "accel"),
+    **dict.fromkeys(("degC", "degF", "K"), "temperature"),
+}
 _TIME_UNITS = (
     (re.compile(r"nano|[_( \[]ns", re.IGNORECASE), "ns"),
     (re.compile(r"micro|[_( \[][uµ]s", re.IGNORECASE), "us"),
     (re.compile(r"milli|[_( \[]ms", re.IGNORECASE), "ms"),
-    (re.compile(r"second|[_( \[]s(?:[^a-z]|$)", re.IGNORECASE), "s"),
+    (re.compile(r"second|sekunde|[_( \[]s(?:[^a-z]|$)|(?:^|[^a-z])sow(?:[^a-z]|$)", re.IGNORECASE), "s"),
 )
 _COUNTERS = ((re.compile(r"SampleTimeFine"), 10_000.0),)  # Xsens MT Low-Level Communication Protocol: counts per second
-_WRAPS = (2.0**16, 2.0**24, 2.0**32)
+_WRAPS = (2.0**16, 2.0**24, 2.0**32, DAY, 1e3 * DAY, 7 * DAY, 7e3 * DAY)
+"""Values at which counters return to zero. Seconds and milliseconds of a day or of a GPS week do so, too."""
+_EPOCH = (0.94e9, 4.1e9)
+"""Seconds since 1970 in the years 2000 to 2099."""
+_DAYS = ((36_000.0, 73_000.0), (730_000.0, 767_000.0))
+"""Days since 1900 (Excel) and since the year 0 (MATLAB) in the years 2000 to 2099."""
 LONGEST_STEP = 5.0
 """Median steps in one step across the return of a counter to zero."""
 _STATED_RATE = re.compile(r"(?:rate|frequency)\D{0,12}?(\d+(?:[.,]\d+)?)\s*(k?)Hz", re.IGNORECASE)
@@ -63,24 +88,50 @@ GRAVITY_ALIKE = 0.12
 is off by a few per cent."""
 _GRAVITY_NAMED = 0.29  # the same for accelerometers known by name, in m/s^2 and g: no raw counts have such small values
 _SENSED = (
-    ("accel", re.compile(r"acc|specific_?force", re.IGNORECASE)),
-    ("gyro", re.compile(r"gyr|omega|ang(?:ular)?_?(?:vel|rate)", re.IGNORECASE)),
-    ("temperature", re.compile(r"temp|celsius", re.IGNORECASE)),
+    ("temperature", re.compile(r"temp(?!l)|celsius|fahrenheit|kelvin", re.IGNORECASE)),
+    ("accel", re.compile(r"acc(?!ur)|beschl|specific_?force", re.IGNORECASE)),
+    ("gyro", re.compile(r"gyr|omega|ang(?:ular)?_?(?:vel|rate)|(?:rotation|turn|dreh)_?rate", re.IGNORECASE)),
     ("gyro", re.compile(r"(?:^|[^a-z])[gw]_?[xyz](?:[^a-z]|$)", re.IGNORECASE)),
     ("accel", re.compile(r"(?:^|[^a-z])[af]_?[xyz](?:[^a-z]|$)", re.IGNORECASE)),
 )
+_VECTORS = (
+    ("gyro", re.compile(r"(?:^|[^a-z])[gw]$", re.IGNORECASE)),
+    ("accel", re.compile(r"(?:^|[^a-z])[af]$", re.IGNORECASE)),
+)
+_INCREMENTS = (
+    ("gyro", re.compile(r"(?:^|[^a-z])d(?:elta|el)?[_ -]?(?:theta|ang)", re.IGNORECASE)),
+    ("accel", re.compile(r"(?:^|[^a-z])d(?:elta|el)?[_ -]?v(?:el\w*|[xyz])?(?:[^a-z]|$)", re.IGNORECASE)),
+)
+"""Names of increments: angles and velocities that are integrated over one sample period."""
+_INTEGRATED = {
+    "gyro": ((re.compile(r"(?:^|[^a-z])rad", re.IGNORECASE), "rad/s"), (re.compile(r"deg|°", re.IGNORECASE), "deg/s")),
+    "accel": ((re.compile(r"m/s|mps", re.IGNORECASE), "m/s^2"),),
+}
+"""The unit of a sensor whose increments have the unit in the name."""
+_NO_SAMPLE = re.compile(
+    r"time|covar|varian|std|sigma|clip|(?:^|[^a-z])dt(?:[^a-z]|$)|abs|norm|magnitude|resultant|status|valid",
+    re.IGNORECASE,
+)
+"""Names of columns that belong to a sensor, but are not one of its outputs."""
 _AXIS = re.compile(r"(?:^|[^a-z])(?:[agfw]|acc\w*?|gyr\w*?)?_?([xyz])(?:[^a-z]|$)", re.IGNORECASE)
-_MATRIX = re.compile(r"\[([123])\]$")
+_CAPITAL = re.compile(r"[a-z]([XYZ])(?![a-z])")
+_MATRIX = re.compile(r"\[([0123])\]$")
+_UNIT_ALONE = re.compile(
+    r"[\[(]?\s*(?:[mµun]?s|min|h|#|-|[mu]?g|m?deg(?:/s|/h)?|m?dps|°/s|°/h|m?rad(?:/s)?|mm?/s(?:\^2|²|/s)|m/\(s\^2\)|m/s2"
+    r"|(?:°|deg_?)?[CFK]|m?V|[mµun]?T|u?Gauss|G|h?Pa|k?Hz|%|LSB|counts?|no_?units?|n/a)\s*[\])]?",
+    re.IGNORECASE,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class LikelyTime:
     """The column that probably contains the time.
 
-    `column`: name of the column. `unit`: unit of the values of the column; s if `per_second` is given. `rate`: sample rate, Hz.
-    `per_second`: counts per second if the column is a counter, otherwise None. `wraps`: value at which the counter returns to zero;
-    None if it never does. `sure`: True if the name of the column states the unit, or if this unit leads to a sample rate that the
-    file states. `line`: the line of the file from which `per_second` was guessed, otherwise empty."""
+    `column`: name of the column. `unit`: unit of the values of the column; s if `per_second` is given, `date_time` or `time_of_day`
+    for texts. `rate`: sample rate, Hz. `per_second`: counts per second if the column is a counter, otherwise None. `wraps`: value at
+    which the counter returns to zero; None if it never does. `sure`: True if the name of the column states the unit, or if this unit
+    leads to a sample rate that the file states. `line`: the line of the file from which `per_second` was guessed, otherwise empty.
+    `shared`: True if several rows share a time, so that rows must be counted."""
 
     column: str
     unit: str
@@ -89,6 +140,7 @@ class LikelyTime:
     wraps: float | None = None
     sure: bool = True
     line: str = ""
+    shared: bool = False
 
     @property
     def doubt(self) -> str:
@@ -102,9 +154,14 @@ class LikelyTime:
         )
 
     @property
+    def written(self) -> bool:
+        """True if the column contains dates or times of day as text."""
+        return self.unit in ("date_time", "time_of_day")
+
+    @property
     def scale(self) -> float:
         """Seconds per unit of the column."""
-        return _SCALES[self.unit] if self.per_second is None else 1 / self.per_second
+        return _ALL_SCALES[self.unit] if self.per_second is None else 1 / self.per_second
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,13 +182,30 @@ class Guess:
     """A guess about a column that may be a channel.
 
     `sensed`: gyro, accel, temperature, or empty if unknown. `axis`: x, y, z, or empty. `unit`: the unit that the name of the column
-    contains, or empty.
+    contains, or empty. `increments`: True if the column contains the integral over one sample period.
     """
 
     column: str
     sensed: str
     axis: str
     unit: str
+    increments: bool = False
+
+
+_REFUSED = (
+    ("a compressed file", b"\x1f\x8b", "unpack it first (gzip)"),
+    ("a compressed file", b"BZh", "unpack it first (bzip2)"),
+    ("a compressed file", b"\xfd7zXZ", "unpack it first (xz)"),
+    ("an archive or an Excel workbook", b"PK\x03\x04", "unpack it first, or save the sheet as a CSV file"),
+    ("an old Excel workbook", b"\xd0\xcf\x11\xe0", "save the sheet as a CSV file"),
+    ("a ROS bag", b"#ROSBAG", "write the topic of the IMU as CSV, such as with `rostopic echo -b FILE -p TOPIC`"),
+    ("a bag of ROS 2", b"\x89MCAP", "write the topic of the IMU as CSV"),
+    ("a TDMS file of LabVIEW", b"TDSm", "export its channels as text or as HDF5"),
+    ("a PDF file", b"%PDF", "ask for the numbers as a text file"),
+    ("a table in JSON", b"[{", "write it as CSV, one line for each sample"),
+    ("a list of JSON objects", b'{"', "write it as CSV, one line for each sample"),
+)
+"""Files that are recognised but not read: what they are, how they begin, and what to do."""
 
 
 def guessed_format(path: Path, name: str) -> Format | None:
@@ -142,6 +216,9 @@ def guessed_format(path: Path, name: str) -> Format | None:
         return None
     with open_samples(path, name) as file:
         start = file.read(MAX_HEADER)
+    for what, magic, advice in _REFUSED:
+        if start.startswith(magic):
+            raise InstrumentError(f"{name} is {what}: {advice}")
     if start.startswith((b"\xff\xfe", b"\xfe\xff")):
         keys = _text_keys(start.decode("utf-16", "ignore").lstrip("\ufeff"), "utf-16")
     elif b"\0" in start:
@@ -155,7 +232,11 @@ def guessed_format(path: Path, name: str) -> Format | None:
         except UnicodeDecodeError:
             keys = _text_keys(start.decode("latin-1"), "latin-1")
     if keys is None:
-        raise InstrumentError(f"{name} has no lines of numbers in its first {MAX_HEADER} bytes")
+        line = next((line for line in start.decode("latin-1").splitlines() if line.strip()), "").strip()[:_LONGEST_LINE]
+        message = f"{name} has no lines of numbers in its first {MAX_HEADER} bytes; its first line is '{line}'"
+        raise InstrumentError(
+            f"{message}. Write it as a table with one line for each sample, and only numbers after the header"
+        )
     return None if keys == TextKeys() and kind == "text" else Format(type="text", parameters=keys)
 
 
@@ -166,7 +247,7 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
     lines = start.splitlines()[:-1] or start.splitlines()
     best: tuple[int, int, TextKeys] | None = None
     for word, separator in SEPARATORS.items():
-        cells = [line.split() if word == "blanks" else line.strip().split(separator) for line in lines]
+        cells = [_cells(line, word, separator) for line in lines]
         widths = Counter(len(row) for row in cells[-50:])
         if not widths:
             continue
@@ -175,13 +256,14 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
         if width < 2 or first is None:
             continue
         rows = cells[first:]
+        if sum(_numeric(row) for row in rows if len(row) == width) < len(rows) / 2:
+            continue
         comma = separator != "," and any("," in cell for row in rows for cell in row)
-        header = first > 0 and len(cells[first - 1]) == width
-        names = () if header else tuple(f"column_{k + 1}" for k in range(width))
+        names = _names_above(cells[:first], width)
         keys = TextKeys(
             separator=word,
             decimal="comma" if comma else "point",
-            skip=first - 1 if header else first,
+            skip=first if names else first - 1,
             names=names,
             encoding=encoding,
         )
@@ -192,42 +274,128 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
 
 
 def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
-    """The index of the first line whose cells are mostly numbers."""
-    for index, row in enumerate(cells):
-        if (
-            len(row) == width
-            and sum(_NUMBER.fullmatch(cell.strip().strip('"')) is not None for cell in row) > width / 2
-        ):
-            return index
-    return None
+    """The index of the first line in which most cells are numbers, as in the three lines after it."""
+    fits = [len(row) == width and _numeric(row) for row in cells]
+    return next((index for index in range(len(fits)) if all(fits[index : index + 4])), None)
+
+
+def _cells(line: str, word: str, separator: str) -> list[str]:
+    """The cells of a line. `word`: the separator by its word in a bench file. `separator`: its character."""
+    if word == "blanks":
+        return line.split()
+    whole = line.strip(" \r\n") if word == "tab" else line.strip()
+    return next(csv.reader([whole], delimiter=separator), []) if '"' in line else whole.split(separator)
+
+
+def _numeric(row: Sequence[str]) -> bool:
+    """True if most cells of a line are numbers."""
+    return sum(_NUMBER.fullmatch(cell.strip().strip('"')) is not None for cell in row) > len(row) / 2
+
+
+def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
+    """The names (width,) of the columns, if the line before the first row does not state all of them; empty if it does.
+
+    A line of units follows the names in some files; the unit is then added to the name. The line of names may have more or fewer
+    cells than the rows, or begin with a comment sign. `lines`: the cells of the lines before the first row."""
+    numbered = tuple(f"column_{k + 1}" for k in range(width))
+    if not lines:
+        return numbered
+    held = [[cell.strip().strip('"').strip() for cell in line] for line in lines]
+    direct = len(held[-1]) == width
+    while held and not any(held[-1]):
+        held.pop()
+    if not held:
+        return numbered
+    units = [cell for cell in held[-1] if cell]
+    of_units = len(held) > 1 and all(_UNIT_ALONE.fullmatch(cell) for cell in units) and len(held[-2]) >= len(units)
+    names = held[-2] if of_units else held[-1]
+    if len(names) > 1 and re.fullmatch(r"[#%;]+|//+", names[0]):
+        names, direct = names[1:], False
+    if direct and not of_units:
+        return ()
+    if len(names) < width - 1 or len(names) < 2 or sum(bool(name) for name in names) < width / 2 or _numeric(names):
+        return numbered
+    found = [names[k] if k < len(names) and names[k] else numbered[k] for k in range(width)]
+    if of_units:
+        stated = [*held[-1], *[""] * width]
+        found = [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip(found, stated, strict=False)]
+    return tuple(found) if len(set(found)) == width else numbered
 
 
 def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]:
     """The numeric columns of a file. Columns whose number of rows differs from the most common number of rows are left out. Raises
     `InstrumentError` if there is no numeric column."""
     counts: dict[str, int] = {}
+    reason = ""
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()
     for column in dict.fromkeys(known[:MOST_COLUMNS]):
-        if known.count(column) > 1:
+        if known.count(column) > 1 or not column:
             continue
         file = open_file(path, name, TimeStamps(None, period=1.0), {column: column}, given)
         try:
             for _ in file.rows():
                 counts[column] = file.rows_about()
                 break
-        except InstrumentError:
-            continue
+        except InstrumentError as error:
+            reason = str(error)
     if not counts:
-        raise InstrumentError(f"{name} has no column of numbers")
+        raise InstrumentError(reason or f"{name} has no column of numbers")
     usual = max(set(counts.values()), key=list(counts.values()).count)
     return [column for column, count in counts.items() if count == usual]
 
 
-def opened(path: Path, name: str, columns: Sequence[str], given: Format | None) -> AnyFile:
-    """Opens a file with these columns as channels. Because the time of its rows is not known yet, they count as one second apart.
+def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, str]:
+    """For each column whose name says that it is a time or a channel, but that is not among the columns of `numbers`, the reason why
+    it cannot be read. Raises `InstrumentError` if the file cannot be read."""
+    known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
+    found: dict[str, str] = {}
+    for column in dict.fromkeys(known):
+        if column in numbers or not (guessed_channel(column).sensed or _TIME.search(column)):
+            continue
+        file = open_file(path, name, TimeStamps(None, period=1.0), {column: column}, given)
+        try:
+            next(file.all_rows(), None)
+        except InstrumentError as error:
+            found[column] = str(error)
+    return found
+
+
+def columns_of_times(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, Array]:
+    """The columns that contain dates or times of day as text, each with its first times [s]. `numbers`: the columns of numbers, which
+    are left out. Raises `InstrumentError` if the file cannot be read."""
+    known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
+    found: dict[str, Array] = {}
+    for column in dict.fromkeys(known):
+        if not column or column in numbers or known.count(column) > 1:
+            continue
+        file = open_file(path, name, TimeStamps(column, written=True), {}, given)
+        try:
+            _, found[column], _ = next(file.all_rows())
+        except (InstrumentError, StopIteration):
+            continue  # other texts, or no rows
+    return found
+
+
+def sensors_in_rows(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> tuple[str, tuple[str, ...]]:
+    """A column of a text file that states which sensor measured the row, and the names of these sensors; empty if there is none.
     Raises `InstrumentError` if the file cannot be read."""
-    file = open_file(path, name, TimeStamps(None, period=1.0), {column: column for column in columns}, given)
-    file.look()
+    file = open_file(path, name, TimeStamps(None, period=1.0), {}, given)
+    if not isinstance(file, TextFile):
+        return "", ()
+    for column in file.columns()[:MOST_COLUMNS]:
+        if column and column not in numbers:
+            words = file.words(column)
+            if {"accel", "gyro"} <= {guessed_channel(word).sensed for word in words}:
+                return column, words
+    return "", ()
+
+
+def opened(path: Path, name: str, columns: Sequence[str], given: Format | None, time: str | None = None) -> AnyFile:
+    """Opens a file with these columns as channels. `time`: a column of dates or times of day. Without it, the rows count as one second
+    apart, because the time is not known yet. Raises `InstrumentError` if the file cannot be read."""
+    stamps = TimeStamps(None, period=1.0) if time is None else TimeStamps(time, written=True)
+    file = open_file(path, name, stamps, {column: column for column in columns}, given)
+    file.about = file.rows_about()
     return file
 
 
@@ -251,31 +419,85 @@ def stated_rates(path: Path, name: str, given: Format | None) -> tuple[StatedRat
     return tuple(found)
 
 
-def guessed_time(first: Mapping[str, Array], stated: Sequence[StatedRate] = ()) -> LikelyTime | None:
-    """Guesses the column of the time from the first rows of all columns; None if no column looks like a time.
+def guessed_time(
+    first: Mapping[str, Array], written: Mapping[str, Array], stated: Sequence[StatedRate] = ()
+) -> LikelyTime | None:
+    """Guesses the column of the time from the first rows; None if no column looks like a time.
 
-    `stated`: the rates that the file states."""
-    for pattern in (_TIME, re.compile("")):
-        for column, values in first.items():
-            if pattern.pattern and not pattern.search(column):
-                continue
-            if not pattern.pattern and (_COUNT.search(column) or guessed_channel(column).sensed):
-                continue
-            if len(values) < 3 or not np.all(np.isfinite(values)):
-                continue
-            steps = np.diff(values)
-            wraps = wrap_of(steps[steps <= 0], float(np.median(steps)), float(values.min()), float(values.max()))
-            if wraps is not None:
-                steps = np.where(steps <= 0, steps + wraps, steps)
-            if not np.mean(steps > 0) > 0.99:
-                continue
-            step = float(np.median(_between_samples(first, steps)))
-            if step <= 0 or (not pattern.pattern and np.max(np.abs(steps / step - 1)) > 0.5):
-                continue
-            time = _time_of(column, step, wraps, stated, bool(np.all(values == np.round(values))))
-            if time is not None and (time.sure or pattern.pattern or wraps is None):
-                return time
+    Columns of numbers whose name is one of a time come first, then dates and times of day, then columns of numbers that increase
+    regularly. If there is none, a time that several rows share shows at least the sample rate. `first`: the columns of
+    numbers. `written`: the times [s] of the columns of texts. `stated`: the rates that the file states."""
+    named = {column: values for column, values in first.items() if _TIME.search(column)}
+    for column, values in named.items():
+        time = _number_time(column, values, first, stated)
+        if time is not None:
+            return time
+    for column, values in written.items():
+        step = _step(values, first, DAY)
+        if step is not None:
+            return _written_time(column, values, 1 / step)
+    for column, values in first.items():
+        if column in named or _COUNT.search(column) or guessed_channel(column).sensed:
+            continue
+        time = _number_time(column, values, first, stated, regular=True)
+        if time is not None and (time.sure or time.wraps is None):
+            return time
+    for column, values in written.items():
+        if (step := _mean_step(values)) is not None:
+            return replace(_written_time(column, values, 1 / step), shared=True)
+    for column, values in named.items():
+        if (step := _mean_step(values)) is not None:
+            time = _time_of(column, step, None, stated, values)
+            return None if time is None else replace(time, shared=True)
     return None
+
+
+def _written_time(column: str, values: Array, rate: float) -> LikelyTime:
+    """Describes a column of dates or times of day. `values`: its first times, s. `rate`: sample rate, Hz."""
+    of_day = float(np.nanmax(values)) < 2 * DAY
+    return LikelyTime(column, "time_of_day" if of_day else "date_time", rate, wraps=DAY if of_day else None)
+
+
+def _number_time(
+    column: str, values: Array, first: Mapping[str, Array], stated: Sequence[StatedRate], *, regular: bool = False
+) -> LikelyTime | None:
+    """Describes the time in a column of numbers; None if the column does not look like a time. `regular`: only a column with equal
+    steps counts."""
+    if len(values) < 3 or not np.all(np.isfinite(values)):
+        return None
+    steps = np.diff(values)
+    wraps = wrap_of(steps[steps <= 0], float(np.median(steps)), float(values.min()), float(values.max()))
+    step = _step(values, first, wraps)
+    if step is None:
+        return None
+    if regular:
+        steps = np.where(steps <= 0, steps + (wraps or 0.0), steps)
+        if np.max(np.abs(steps / step - 1)) > 0.5:
+            return None
+    return _time_of(column, step, wraps, stated, values)
+
+
+def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> float | None:
+    """The median step of a time between samples; None if the time does not increase. `wraps`: value at which it returns to zero."""
+    if len(values) < 3 or not np.all(np.isfinite(values)):
+        return None
+    steps = np.diff(values)
+    if wraps is not None:
+        steps = np.where(steps <= 0, steps + wraps, steps)
+    if not np.mean((steps > 0) & (steps < (wraps or np.inf))) > 0.99:
+        return None
+    step = float(np.median(_between_samples(first, steps)))
+    return step if step > 0 else None
+
+
+def _mean_step(values: Array) -> float | None:
+    """The mean step per row of a time that several rows share; None if the time decreases, or changes less than four times."""
+    if not np.all(np.isfinite(values)) or np.any(np.diff(values) < 0):
+        return None
+    changes = np.flatnonzero(np.diff(values) > 0) + 1
+    if len(changes) < 4:
+        return None
+    return float(values[changes[-1]] - values[changes[0]]) / float(changes[-1] - changes[0])
 
 
 def wrap_of(backwards: Array, step: float, least: float, most: float) -> float | None:
@@ -303,28 +525,41 @@ def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
 
 
 _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_ALL_SCALES = {**_SCALES, "days": DAY, "date_time": 1.0, "time_of_day": 1.0}
+_USUAL_RATES = (1.9, 50_000.0)
+"""Hz."""
 
 
 def _time_of(
-    column: str, step: float, wraps: float | None, stated: Sequence[StatedRate], whole: bool
+    column: str, step: float, wraps: float | None, stated: Sequence[StatedRate], values: Array
 ) -> LikelyTime | None:
     """Describes the time in a column; None if no unit of time leads to a usual sample rate.
 
-    `step`: median step of the column. `whole`: True if the values of the column are whole numbers. If a unit leads to a stated
-    rate, the unit counts as sure. Only a column of whole numbers can be a counter of unknown frequency. Such a column counts as one
-    if the file states the rate of its samples, and if each unit of time leads to a very different rate."""
+    `step`: median step of the column. `values`: first values of the column. If a unit leads to a stated rate, or to a date in this
+    century, the unit counts as sure. Only a column of whole numbers can be a counter of unknown frequency. Such a column counts as
+    one if the file states the rate of its samples, and if each unit of time leads to a very different rate."""
+    whole, level = bool(np.all(values == np.round(values))), float(np.median(values))
+    rates = {unit: 1 / (step * scale) for unit, scale in _SCALES.items()}
+    usual = {unit: rate for unit, rate in rates.items() if _USUAL_RATES[0] < rate < _USUAL_RATES[1]}
+    for one in stated:
+        for pattern, per_second in _COUNTERS:
+            if pattern.search(column) and abs(per_second / step / one.rate - 1) < _SAME_RATE:
+                return LikelyTime(column, "s", per_second / step, per_second, wraps)
+        for unit, rate in rates.items():
+            if abs(rate / one.rate - 1) < _SAME_RATE:
+                return LikelyTime(column, unit, rate, None, wraps)
     for pattern, per_second in _COUNTERS:
-        if pattern.search(column):
+        if pattern.search(column) and _USUAL_RATES[0] < per_second / step < _USUAL_RATES[1]:
             return LikelyTime(column, "s", per_second / step, per_second, wraps)
     for pattern, unit in _TIME_UNITS:
         if pattern.search(column):
             return LikelyTime(column, unit, 1 / (step * _SCALES[unit]), None, wraps)
-    rates = {unit: 1 / (step * scale) for unit, scale in _SCALES.items()}
-    for one in stated:
-        for unit, rate in rates.items():
-            if abs(rate / one.rate - 1) < _SAME_RATE:
-                return LikelyTime(column, unit, rate, None, wraps)
-    usual = {unit: rate for unit, rate in rates.items() if 1.9 < rate < 50_000}
+    in_days = 1 / (step * DAY)
+    if any(low < level < high for low, high in _DAYS) and _USUAL_RATES[0] < in_days < _USUAL_RATES[1]:
+        return LikelyTime(column, "days", in_days)
+    for unit, rate in usual.items():
+        if _EPOCH[0] < level * _SCALES[unit] < _EPOCH[1]:
+            return LikelyTime(column, unit, rate)
     samples = next((one for one in stated if one.of_samples), None)
     if samples is not None and whole:
         own = samples.rate
@@ -337,30 +572,40 @@ def _time_of(
     return None
 
 
-def guessed_channel(column: str) -> Guess:
-    """Guesses the meaning of a column from its name."""
+def guessed_channels(columns: Sequence[str]) -> list[Guess]:
+    """Guesses the meaning of columns from their names. If a vector has an element 0, its elements are counted from 0."""
+    from_zero = {column[:-3] for column in columns if column.endswith("[0]")}
+    return [guessed_channel(column, 0 if _MATRIX.sub("", column) in from_zero else 1) for column in columns]
+
+
+def guessed_channel(column: str, first: int = 1) -> Guess:
+    """Guesses the meaning of a column from its name. `first`: number of the first element of a vector."""
+    matrix, axis = _MATRIX.search(column), _AXIS.search(column) or _CAPITAL.search(column)
+    index = int(matrix[1]) - first if matrix else -1
+    letter = "xyz"[index] if 0 <= index < 3 else axis[1].lower() if axis else ""
+    stem = _MATRIX.sub("", column)
+    increments = next((sensed for sensed, pattern in _INCREMENTS if pattern.search(stem)), "")
+    if increments:
+        unit = next((unit for pattern, unit in _INTEGRATED[increments] if pattern.search(column)), "")
+        return Guess(column, increments, letter, unit, increments=True)
+    if _NO_SAMPLE.search(stem):
+        return Guess(column, "", letter, "")
     unit = next((unit for pattern, unit in _UNITS if pattern.search(column)), "")
-    sensed = next((sensed for sensed, pattern in _SENSED if pattern.search(_MATRIX.sub("", column))), "")
-    by_unit = {
-        "rad/s": "gyro",
-        "deg/s": "gyro",
-        "deg/h": "gyro",
-        "m/s^2": "accel",
-        "mg": "accel",
-        "degC": "temperature",
-    }
-    sensed = by_unit.get(unit, sensed)
+    sensed = next((sensed for sensed, pattern in _SENSED if pattern.search(stem)), "")
+    if matrix and not sensed:
+        sensed = next((sensed for sensed, pattern in _VECTORS if pattern.search(stem)), "")
+    if sensed == "temperature" and _SENSED_IN.get(unit) != "temperature":
+        unit = next((unit for pattern, unit in _OF_TEMPERATURE if pattern.search(column)), "")
+    sensed = _SENSED_IN.get(unit, sensed)
     if unit == "g" and (sensed != "accel" or column.lower() in ("g", "gs")):
         unit = ""  # the letter of a gyro, not a unit
-    matrix, axis = _MATRIX.search(column), _AXIS.search(column)
-    letter = "xyz"[int(matrix[1]) - 1] if matrix else axis[1].lower() if axis else ""
     return Guess(column, sensed, letter, unit)
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
     """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. `level`: for a gyro, a large
-    absolute value of the column; for an accelerometer, the length of the mean vector at rest. `accel_unit`: for a gyro, the unit of
-    the accelerometers."""
+    absolute value of the column; for an accelerometer, the length of the mean vector at rest; for a thermometer, the usual value.
+    `accel_unit`: for a gyro, the unit of the accelerometers."""
     if sensed == "accel":
         lengths = (
             ("m/s^2", STANDARD_GRAVITY, _GRAVITY_NAMED),
@@ -373,4 +618,6 @@ def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
         return ""
     if sensed == "gyro":
         return "rad/s" if accel_unit == "m/s^2" and level < 40 else "deg/s"
-    return {"temperature": "degC"}.get(sensed, "")
+    if sensed == "temperature":
+        return "K" if 220 < level < 400 else "degC"  # of an instrument that works at less than 127 degC
+    return ""

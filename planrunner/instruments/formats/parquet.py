@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import TYPE_CHECKING, BinaryIO
 
 from planrunner.instruments.formats import file as format_file
@@ -37,22 +37,25 @@ def check_directory(file: BinaryIO, name: str) -> None:
     file.seek(0)
 
 
-def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str]) -> None:
-    """Checks the columns of a file: their number, the types of the `wanted` columns, and their size in a row group. Raises
-    `InstrumentError` if a check fails."""
+def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str], written: Collection[str] = ()) -> None:
+    """Checks the columns of a file: their number, the types of the `wanted` columns, and their size in a row group. `written`: the
+    columns that may contain dates or times of day. Raises `InstrumentError` if a check fails."""
     from pyarrow import types
 
     few_columns(file.metadata.num_columns, name)
     schema = file.schema_arrow
     for column in wanted:
-        for index in schema.get_all_field_indices(column):
+        for index in () if column in written else schema.get_all_field_indices(column):
             kind = schema.field(index).type
             if not any(
                 fits(kind) for fits in (types.is_integer, types.is_floating, types.is_decimal, types.is_boolean)
             ):
                 what = "text" if types.is_string(kind) or types.is_large_string(kind) else f"values of the type {kind}"
                 message = f"column '{column}' holds {what}, not numbers"
-                raise InstrumentError(f"{name}: {message}; write it again with a column of float64")
+                hint = "write it again with a column of float64"
+                if types.is_timestamp(kind) or types.is_time(kind):
+                    hint = f"write `time: {{column: {column}, unit: date_time}}` if it is the time of the recording"
+                raise InstrumentError(f"{name}: {message}; {hint}")
     read = frozenset(wanted)
     for number in range(file.num_row_groups):
         group = file.metadata.row_group(number)
@@ -92,7 +95,7 @@ class ParquetFile(FormatFile[NoKeys]):
         with open_samples(self.path, self.name) as opened:
             check_directory(opened, self.name)
             with pq.ParquetFile(opened, buffer_size=1 << 20, pre_buffer=False) as file:
-                check_parquet(file, self.name, self.wanted)
+                check_parquet(file, self.name, self.wanted, self.stamps.columns if self.stamps.written else ())
                 yield file
 
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:

@@ -39,6 +39,7 @@ DECIMALS = {"point": ".", "comma": ","}
 MOST_WRONG = 0.1
 """Share of lines with a wrong number of columns from which the separator must be wrong."""
 _MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:[,.' ’]\d{3})+(?:[.,]\d*)?")
 _BLANKS = re.compile(rb"[ \t]+")
 _EDGES = re.compile(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)")
 
@@ -105,6 +106,18 @@ class TextFile(FormatFile[TextKeys]):
         with self._opened(None) as reader:
             return list(reader.schema.names)
 
+    def words(self, column: str) -> tuple[str, ...]:
+        """The different texts in the first rows of a column, at most 20. Raises `InstrumentError` if the file cannot be read."""
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        with self._opened(None) as reader:
+            first = reader.read_next_batch().column(column)
+        if not pa.types.is_string(first.type):
+            return ()
+        found = pc.unique(first).drop_null()
+        return tuple(map(str, found.to_pylist())) if len(found) <= 20 else ()
+
     def rows_about(self) -> int:
         with open_samples(self.path, self.name) as file:
             start = file.read(MAX_HEADER)
@@ -168,6 +181,8 @@ class TextFile(FormatFile[TextKeys]):
 
         layout = self.parameters
         types = {} if wanted is None else dict.fromkeys(wanted, pa.float64())
+        if self.stamps.written:
+            types |= dict.fromkeys(types.keys() & self.stamps.columns, pa.string())
         convert = arrow_csv.ConvertOptions(
             column_types=types, include_columns=wanted, strings_can_be_null=True, decimal_point=layout.point
         )
@@ -184,7 +199,8 @@ class TextFile(FormatFile[TextKeys]):
                 with arrow_csv.open_csv(text, options, parse, convert) as reader:
                     yield reader
         except (pa.ArrowInvalid, pa.ArrowKeyError, OSError, UnicodeDecodeError) as error:
-            raise self._not_numbers(wanted or []) or self.unreadable(error) from None
+            numbers = [column for column in wanted or [] if not (self.stamps.written and column in self.stamps.columns)]
+            raise self._not_numbers(numbers) or self.unreadable(error) from None
 
     def _text(self, file: BinaryIO) -> BinaryIO | Blanks:
         """Checks the first line; returns the text in the form in which it is parsed."""
@@ -211,7 +227,10 @@ class TextFile(FormatFile[TextKeys]):
                             cell = row.get(column) or ""
                             if not _is_number(cell, layout.point):
                                 place = f"{self.name}, line {reader.line_num + layout.skip}: '{cell[:40]}' in column '{column}'"
-                                return InstrumentError(f"{place} is not a number; correct it, or leave it empty")
+                                hint = "correct it, or leave it empty"
+                                if _THOUSANDS.fullmatch(cell.strip()):
+                                    hint = "write numbers without thousands separators"
+                                return InstrumentError(f"{place} is not a number; {hint}")
                 except csv.Error:
                     message = f"a cell is wider than {csv.field_size_limit()} characters"
                     line = reader.line_num + layout.skip + 1

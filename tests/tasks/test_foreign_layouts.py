@@ -1,0 +1,364 @@
+"""`planrunner new --from-recording` for files as other loggers and programs write them. The motion is known, and so is the noise: if
+the units are right, the noise that the command finds is 0.002 rad/s and 0.01 m/s^2."""
+
+from __future__ import annotations
+
+import functools
+import gzip
+import itertools
+import json
+import sqlite3
+from collections.abc import Callable, Iterable
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from numpy.typing import NDArray
+from scipy.io import savemat
+from scipy.spatial.transform import Rotation
+
+from planrunner.cli import main
+
+Array = NDArray[np.float64]
+G = 9.80665
+DEG = np.degrees(1.0)
+RATE = 50.0
+NOON = datetime(2026, 3, 4, 12, 0, 0, 5000)
+GYRO_NOISE, ACCEL_NOISE = 0.002, 0.01
+IN_RAD = {"rad/s": 1.0, "deg/s": 1 / DEG, "mdeg/s": 1e-3 / DEG}
+IN_M = {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G}
+
+
+@functools.cache
+def turned() -> tuple[Array, Array, Array]:
+    """Time [s], gyro [rad/s] and accelerometer [m/s^2] of a unit that rests 4 s in each of 11 attitudes and turns between them."""
+    draw = np.random.default_rng(3)
+    attitudes = Rotation.random(11, random_state=5)
+    rest, turn = round(4 * RATE), round(1.4 * RATE)
+    s = (np.arange(turn) + 0.5) / turn
+    attitude, omega = [], []
+    for here, there in itertools.pairwise(attitudes):
+        way = (here.inv() * there).as_rotvec()
+        moving = (here * Rotation.from_rotvec(np.outer(s * s * (3 - 2 * s), way))).as_quat()
+        attitude += [np.tile(here.as_quat(), (rest, 1)), moving]
+        omega += [np.zeros((rest, 3)), np.outer(6 * s * (1 - s) * RATE / turn, way)]
+    gyro = np.concatenate(omega) + np.radians([0.3, -0.2, 0.1])
+    accel = Rotation.from_quat(np.concatenate(attitude)).inv().apply([0, 0, G]) + np.array([0.1, -0.05, 0.08])
+    gyro += draw.normal(0, GYRO_NOISE, gyro.shape)
+    return np.arange(len(gyro)) / RATE, gyro, accel + draw.normal(0, ACCEL_NOISE, accel.shape)
+
+
+def rows(*columns: Array, separator: str = ",", form: str = "%.7f") -> list[str]:
+    return [separator.join(form % x for x in row) for row in np.column_stack(columns).tolist()]
+
+
+def text(file: Path, header: str, lines: Iterable[str], encoding: str = "utf-8") -> Path:
+    file.write_bytes("\n".join([header, *lines, ""]).encode(encoding))
+    return file
+
+
+Write = Callable[[Path], Path]
+TIME, GYRO, ACCEL = turned()
+IN_DPS_G = "gx_dps,gy_dps,gz_dps,ax_g,ay_g,az_g"
+
+
+def stamped(stamp: Callable[[float], str], header: str = "timestamp", name: str = "r.csv") -> Write:
+    """Writes a text whose first columns are stamps."""
+
+    def write(folder: Path) -> Path:
+        lines = [f"{stamp(t)},{row}" for t, row in zip(TIME.tolist(), rows(GYRO * DEG, ACCEL / G), strict=True)]
+        return text(folder / name, f"{header},{IN_DPS_G}", lines)
+
+    return write
+
+
+def at(form: str, later: timedelta = timedelta(), digits: int = 3) -> Callable[[float], str]:
+    def stamp(seconds: float) -> str:
+        now = NOON + later + timedelta(microseconds=round(1e6 * seconds))
+        return now.strftime(form).replace("{f}", f"{now.microsecond:06d}"[:digits])
+
+    return stamp
+
+
+def vectornav(folder: Path) -> Path:
+    lines = []
+    for v, g in zip(ACCEL.tolist(), GYRO.tolist(), strict=True):
+        fields = [*(f"{x:+08.4f}" for x in v), *(f"{x:+010.6f}" for x in g)]
+        body = f"VNIMU,+00.2915,-00.1223,+00.6711,{','.join(fields)},+24.1,+101.325"
+        lines.append(f"${body}*{functools.reduce(lambda a, b: a ^ b, body.encode()):02X}")
+    return text(folder / "r.txt", lines[0], lines[1:])
+
+
+def sbg(folder: Path) -> Path:
+    names = "timestamp\taccelX\taccelY\taccelZ\tgyroX\tgyroY\tgyroZ\ttemperature"
+    units = "(us)\t(m/s^2)\t(m/s^2)\t(m/s^2)\t(deg/s)\t(deg/s)\t(deg/s)\t(°C)"
+    warm = np.full_like(TIME, 31.2)
+    return text(folder / "r.txt", f"{names}\n{units}", rows(1e6 * TIME, ACCEL, GYRO * DEG, warm, separator="\t"))
+
+
+def excel(folder: Path) -> Path:
+    head = "sep=;\r\nTime;Gyro X;Gyro Y;Gyro Z;Acc X;Acc Y;Acc Z;Remark\r\ns;°/s;°/s;°/s;mg;mg;mg;\r"
+    lines = rows(TIME, GYRO * DEG, 1000 * ACCEL / G, separator=";")
+    return text(
+        folder / "r.csv",
+        head,
+        [f"{line.replace('.', ',')};{'start' * (k == 0)}\r" for k, line in enumerate(lines)],
+        "utf-8-sig",
+    )
+
+
+def shimmer(folder: Path) -> Path:
+    names = ["Timestamp_Unix_CAL", *(f"{one}_{x}_CAL" for one in ("Accel_LN", "Gyro") for x in "XYZ")]
+    units = ["ms", *["m/(s^2)"] * 3, *["deg/s"] * 3]
+    head = ["sep=\t", "\t".join(f"Shimmer_5F_{name}" for name in names) + "\t", "\t".join(units) + "\t"]
+    lines = rows(1.58e12 + 1000 * TIME, ACCEL, GYRO * DEG, separator="\t")
+    return text(folder / "r.csv", "\n".join(head), [f"{line}\t" for line in lines])
+
+
+def euroc(folder: Path) -> Path:
+    names = [f"{one}_RS_S_{x} [{unit}]" for one, unit in (("w", "rad s^-1"), ("a", "m s^-2")) for x in "xyz"]
+    lines = [f"{1403636579758555392 + 20_000_000 * k},{row}" for k, row in enumerate(rows(GYRO, ACCEL))]
+    return text(folder / "r.csv", f"#timestamp [ns],{','.join(names)}", lines)
+
+
+def ros(folder: Path) -> Path:
+    vectors = [f"field.{one}" for one in ("angular_velocity", "linear_acceleration")]
+    names = [name for one in vectors for name in (*(f"{one}.{x}" for x in "xyz"), f"{one}_covariance0")]
+    lines = [
+        f"{1556000000000000000 + 20_000_000 * k},{k},imu_link,{g},0.0,{a},0.0"
+        for k, (g, a) in enumerate(zip(rows(GYRO), rows(ACCEL), strict=True))
+    ]
+    return text(folder / "r.csv", f"%time,field.header.seq,field.header.frame_id,{','.join(names)}", lines)
+
+
+def px4(folder: Path) -> Path:
+    names = ["timestamp", *(f"gyro_rad[{k}]" for k in range(3)), "gyro_integral_dt", "accelerometer_timestamp_relative"]
+    names += [*(f"accelerometer_m_s2[{k}]" for k in range(3)), "accelerometer_integral_dt", "accelerometer_clipping"]
+    lines = [
+        f"{98000000 + 20_000 * k},{g},5000,0,{a},5000,0"
+        for k, (g, a) in enumerate(zip(rows(GYRO), rows(ACCEL), strict=True))
+    ]
+    return text(folder / "r.csv", ",".join(names), lines)
+
+
+def ios(folder: Path) -> Path:
+    names = ["loggingTime(txt)", "loggingSample(N)", "accelerometerTimestamp_sinceReboot(s)"]
+    names += [f"accelerometerAcceleration{x}(G)" for x in "XYZ"]
+    names += ["gyroTimestamp_sinceReboot(s)", *(f"gyroRotation{x}(rad/s)" for x in "XYZ")]
+    stamp = at("%Y-%m-%dT%H:%M:%S.{f}+01:00")
+    lines = [
+        f"{stamp(t)},{k},{81234.5 + t:.6f},{a},{81234.503 + t:.6f},{g}"
+        for k, (t, a, g) in enumerate(zip(TIME.tolist(), rows(-ACCEL / G), rows(GYRO), strict=True))
+    ]
+    return text(folder / "r.csv", ",".join(names), lines)
+
+
+def android(folder: Path) -> Path:
+    names = ["seconds_elapsed", *(f"rotationRate{x}" for x in "XYZ"), *(f"acceleration{x}" for x in "XYZ")]
+    return text(folder / "r.csv", ",".join(names), rows(TIME, GYRO, ACCEL))
+
+
+def labview(folder: Path) -> Path:
+    head = "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\n***End_of_Header***\t\n\nChannels\t6\t\t\t\t\t\n"
+    head += "".join(
+        "\t".join([name, *[value] * 6]) + "\n" for name, value in (("Samples", "2640"), ("Time", "12:00:00"))
+    )
+    head += "".join("\t".join([name, *[value] * 6]) + "\n" for name, value in (("X0", "0.0"), ("Delta_X", "0.02")))
+    head += "***End_of_Header***\t\t\t\t\t\t\nX_Value\tGyro X\tGyro Y\tGyro Z\tAccel X\tAccel Y\tAccel Z\tComment"
+    return text(folder / "r.lvm", head, rows(TIME, GYRO * DEG, ACCEL / G, separator="\t"))
+
+
+def movella(folder: Path) -> Path:
+    head = "DeviceTag:,Dot 1\nOutputRate:,50Hz\nStartTime:,2021-05-04_11:10:11_229\n\nPacketCounter,SampleTimeFine,"
+    head += "Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z,"
+    lines = [f"{k},{123456 + 20_000 * k},{row}," for k, row in enumerate(rows(ACCEL, GYRO * DEG))]
+    return text(folder / "r.csv", head, lines)
+
+
+def in_milli_degrees(folder: Path) -> Path:
+    names = [*(f"A_{x} [mg]" for x in "XYZ"), *(f"G_{x} [mdps]" for x in "XYZ")]
+    lines = rows(1e6 * TIME, 1000 * ACCEL / G, 1000 * GYRO * DEG, separator="\t", form="%.1f")
+    return text(folder / "r.txt", "\t".join(["T [us]", *names]), lines)
+
+
+def increments(folder: Path) -> Path:
+    names = [*(f"dtheta_{x}" for x in "xyz"), *(f"dv_{x}" for x in "xyz")]
+    return text(folder / "r.csv", ",".join(["time_s", *names]), rows(TIME, GYRO / RATE, ACCEL / RATE, form="%.9f"))
+
+
+def named_increments(folder: Path) -> Path:
+    names = [*(f"Delta Theta {x} (deg)" for x in "XYZ"), *(f"Delta Velocity {x} (m/s)" for x in "XYZ")]
+    return text(
+        folder / "r.csv", ",".join(["Time (s)", *names]), rows(TIME, GYRO * DEG / RATE, ACCEL / RATE, form="%.9f")
+    )
+
+
+def nameless_with_a_magnetometer(folder: Path) -> Path:
+    """The field turns with the sensor, as gravity does."""
+    field = ACCEL[:, [1, 2, 0]] * 4.5
+    lines = rows(TIME, ACCEL, field, GYRO * DEG, separator=" ")
+    return text(folder / "r.txt", lines[0], lines[1:])
+
+
+def commented_names(folder: Path) -> Path:
+    np.savetxt(folder / "r.txt", np.column_stack([TIME, GYRO, ACCEL]), header="t wx wy wz ax ay az", fmt="%.7f")
+    return folder / "r.txt"
+
+
+def shared_times(folder: Path) -> Path:
+    """The clock has a resolution of 40 ms, so two rows share a time."""
+    return text(
+        folder / "r.csv", f"time_s,{IN_DPS_G}", rows(np.floor(TIME / 0.04 + 1e-9) * 0.04, GYRO * DEG, ACCEL / G)
+    )
+
+
+def parquet(column: pa.Array, name: str) -> Write:
+    def write(folder: Path) -> Path:
+        table = {name: column}
+        for k, axis in enumerate("xyz"):
+            table |= {f"gyro_{axis}_dps": GYRO[:, k] * DEG, f"acc_{axis}_g": ACCEL[:, k] / G}
+        pq.write_table(pa.table(table), folder / "r.parquet")
+        return folder / "r.parquet"
+
+    return write
+
+
+def numpy_dates(folder: Path) -> Path:
+    table = np.zeros(len(TIME), [("time", "M8[us]"), ("gyro", "f8", 3), ("accel", "f8", 3)])
+    table["time"] = np.datetime64(NOON) + (1e6 * TIME).round().astype("timedelta64[us]")
+    table["gyro"], table["accel"] = GYRO, ACCEL
+    np.save(folder / "r.npy", table)
+    return folder / "r.npy"
+
+
+def matlab_days(folder: Path) -> Path:
+    savemat(folder / "r.mat", {"imu": {"t": 740045.5 + TIME / 86400, "omega": GYRO, "f": ACCEL, "fs": RATE}})
+    return folder / "r.mat"
+
+
+def sqlite(folder: Path) -> Path:
+    connection = sqlite3.connect(folder / "r.sqlite")
+    connection.execute("CREATE TABLE imu (ts TEXT, gx REAL, gy REAL, gz REAL, ax REAL, ay REAL, az REAL)")
+    stamp = at("%Y-%m-%dT%H:%M:%S.{f}")
+    table = [(stamp(t), *g, *a) for t, g, a in zip(TIME.tolist(), GYRO.tolist(), ACCEL.tolist(), strict=True)]
+    connection.executemany("INSERT INTO imu VALUES (?, ?, ?, ?, ?, ?, ?)", table)
+    connection.commit()
+    connection.close()
+    return folder / "r.sqlite"
+
+
+NANOSECONDS = 1772625600005000000 + 20_000_000 * np.arange(len(TIME))
+DATE, OF_DAY = "date_time", "time_of_day"
+CASES: dict[str, tuple[Write, str | None, str, str]] = {
+    "vectornav": (vectornav, None, "rad/s", "m/s^2"),
+    "sbg": (sbg, "us", "deg/s", "m/s^2"),
+    "excel": (excel, "s", "deg/s", "mg"),
+    "shimmer": (shimmer, "ms", "deg/s", "m/s^2"),
+    "euroc": (euroc, "ns", "rad/s", "m/s^2"),
+    "ros": (ros, "ns", "rad/s", "m/s^2"),
+    "px4": (px4, "us", "rad/s", "m/s^2"),
+    "ios": (ios, "s", "rad/s", "g"),
+    "android": (android, "s", "rad/s", "m/s^2"),
+    "labview": (labview, "s", "deg/s", "g"),
+    "movella": (movella, "us", "deg/s", "m/s^2"),
+    "mdps": (in_milli_degrees, "us", "mdeg/s", "mg"),
+    "increments": (increments, "s", "rad/s", "m/s^2"),
+    "named increments": (named_increments, "s", "deg/s", "m/s^2"),
+    "magnetometer": (nameless_with_a_magnetometer, "s", "deg/s", "m/s^2"),
+    "savetxt": (commented_names, "s", "rad/s", "m/s^2"),
+    "shared times": (shared_times, None, "deg/s", "g"),
+    "iso": (stamped(at("%Y-%m-%dT%H:%M:%S.{f}Z")), DATE, "deg/s", "g"),
+    "iso with offset": (stamped(at("%Y-%m-%d %H:%M:%S.{f}+0100", digits=6)), DATE, "deg/s", "g"),
+    "german date": (stamped(at("%d.%m.%Y %H:%M:%S.{f}"), "Datum"), DATE, "deg/s", "g"),
+    "am and pm": (stamped(at("%m/%d/%Y %I:%M:%S.{f} %p")), DATE, "deg/s", "g"),
+    "midnight": (
+        stamped(at("%H:%M:%S.{f}", timedelta(hours=11, minutes=59, seconds=40)), "Time"),
+        OF_DAY,
+        "deg/s",
+        "g",
+    ),
+    "date and time": (stamped(at("%d.%m.%Y,%H:%M:%S.{f}"), "Date,Time"), OF_DAY, "deg/s", "g"),
+    "whole seconds": (stamped(at("%H:%M:%S"), "Time"), None, "deg/s", "g"),
+    "epoch in ms": (stamped(lambda t: f"{1772625600005 + round(1000 * t)}"), "ms", "deg/s", "g"),
+    "datenum": (stamped(lambda t: f"{740045.5 + t / 86400:.11f}"), "days", "deg/s", "g"),
+    "excel's days": (stamped(lambda t: f"{46085.5 + t / 86400:.11f}"), "days", "deg/s", "g"),
+    "gps": (stamped(lambda t: f"2408,{(604790 + t) % 604800:.3f}", "GPS_Week,GPS_SOW"), "s", "deg/s", "g"),
+    "parquet": (parquet(pa.array(NANOSECONDS.astype("M8[ns]")), "timestamp"), DATE, "deg/s", "g"),
+    "parquet in ns": (parquet(pa.array(NANOSECONDS), "timestamp"), "ns", "deg/s", "g"),
+    "numpy": (numpy_dates, DATE, "rad/s", "m/s^2"),
+    "matlab": (matlab_days, "days", "rad/s", "m/s^2"),
+    "sqlite": (sqlite, DATE, "rad/s", "m/s^2"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_time_units_and_axes_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+    write, time, gyro, accel = CASES[case]
+    file, plan = write(tmp_path), tmp_path / "begun.yaml"
+    more = ["--sample-rate", f"{RATE} Hz"] if case == "vectornav" else []
+    assert main(["new", "--from-recording", str(file), str(plan), *more, "--json"]) == 0, capsys.readouterr().err
+    said = json.loads(capsys.readouterr().out)
+    assert (said["time"] or {"unit": None})["unit"] == time
+    assert said["sample_rate_hz"] == pytest.approx(RATE, rel=2e-3)
+    assert said["rows"] == len(TIME)
+    units = {one["channel"]: one["unit"] for one in said["channels"] if not one["channel"].startswith("temp")}
+    assert units == {**{f"gyro_{x}": gyro for x in "xyz"}, **{f"accel_{x}": accel for x in "xyz"}}
+    for one in said["channels"]:
+        if one["channel"] in units:
+            noise = GYRO_NOISE / IN_RAD[gyro] if one["channel"].startswith("gyro") else ACCEL_NOISE / IN_M[accel]
+            assert one["noise"] == pytest.approx(noise, rel=0.2), one["channel"]
+    assert main(["check", str(plan), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+
+
+def words(folder: Path) -> Path:
+    lines = rows(TIME, GYRO * DEG, ACCEL / G)
+    lines[700] = f"{TIME[700]:.6f},ERR,ERR,ERR,---,---,---"
+    return text(folder / "r.csv", f"time_s,{IN_DPS_G}", lines)
+
+
+def thousands(folder: Path) -> Path:
+    table = np.column_stack([85_000 + 1000 * TIME, GYRO * DEG, 1000 * ACCEL / G])
+    return text(
+        folder / "r.csv", f"time_ms,{IN_DPS_G}", (",".join(f'"{x:,.3f}"' for x in row) for row in table.tolist())
+    )
+
+
+def one_sensor_a_row(folder: Path) -> Path:
+    lines = [
+        f"{int(1e9 * t)},{name},{row}"
+        for t, *pair in zip(TIME.tolist(), rows(GYRO), rows(ACCEL), strict=True)
+        for name, row in zip(("gyroscope", "accelerometer"), pair, strict=True)
+    ]
+    return text(folder / "r.csv", "timestamp,sensor,x,y,z", lines)
+
+
+def written(content: bytes) -> Write:
+    def write(folder: Path) -> Path:
+        (folder / "r.log").write_bytes(content)
+        return folder / "r.log"
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (words, "line 702: 'ERR' in column 'gx_dps' is not a number; correct it, or leave it empty"),
+        (thousands, "'85,000.000' in column 'time_ms' is not a number; write numbers without thousands separators"),
+        (one_sensor_a_row, "belongs to one sensor, which the column 'sensor' states: gyroscope, accelerometer"),
+        (written(gzip.compress(b"t,gx\n")), "is a compressed file: unpack it first"),
+        (written(b"PK\x03\x04" + bytes(200)), "is an archive or an Excel workbook"),
+        (written(b"#ROSBAG V2.0\n" + bytes(200)), "is a ROS bag"),
+        (written(b'{"t": 0.0, "gx": 1}\n' * 50), "is a list of JSON objects"),
+        (written(b"t=0.0 gx=1\n" * 50), "its first line is 't=0.0 gx=1'"),
+    ],
+)
+def test_what_is_not_read_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], write: Write, message: str
+) -> None:
+    assert main(["new", "--from-recording", str(write(tmp_path)), str(tmp_path / "begun.yaml")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "begun.yaml").exists()
