@@ -25,7 +25,6 @@ from planrunner.gap.evidence.spectrum import UPPER, SpectralBasis, Spectrum
 from planrunner.plan.schedule import Rest
 
 CARRIED = 4.0  # coefficients' worth of the next higher band that every band of a common spectrum counts in addition
-OWN = 16.0  # the same for the spectrum of one segment
 _ROUNDS = 2  # alternations of levels and spectra
 _LEAKAGE_ROUNDS = 10  # steps that remove the leakage of the cosine transform from a spectrum
 _KEPT = 0.3  # share of a density that they leave at least, because noise that is not stationary leaks differently
@@ -33,6 +32,10 @@ _WINDOWS = 16  # of a segment, whose median energy is its level, so that a burst
 _EFFICIENCY = 2 / np.pi  # of a median, relative to a mean
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
 _OF_MEDIAN = 0.368  # efficiency of the median of squares of normal values as an estimate of their variance
+_COUNTED = 2.0  # coefficients of a band with which the variance of a segment in this band can be measured
+_SEGMENTS = 4  # segments with such a band from which the scatter between segments can be measured
+_VARIOUS = 4.0  # degrees of freedom of the scatter between segments, at least
+_SAME = 1e3  # degrees of freedom from which on the segments count as alike
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
 )
@@ -78,8 +81,10 @@ class NoiseWithin:
 
         The covariance of two coefficients with the vectors u and v of the basis is ∫ S(f)·U*(f)·V(f) df for stationary noise. It is
         not zero if the noise is strong at high frequencies: at both ends of a segment, the vectors of all even orders, and of all odd
-        orders, are alike. The variance of a coefficient of the cosine transform is at least the measured spectrum at its frequency.
-        Means count as independent of the other coefficients, because slow noise determines them.
+        orders, are alike. The variance of a coefficient of the cosine transform, or of a harmonic, is at least the spectrum of the
+        cosine transform at its frequency. A harmonic that begins or ends within a period picks up more noise of high frequencies
+        than a vector of the cosine transform does. Means count as independent of the other coefficients, because slow noise
+        determines them.
         """
         size = [len(basis.frequency) for basis in spectrum.bases]
         found = [Blocks.diagonal(size, self.level[:, channel]) for channel in range(self.level.shape[1])]
@@ -87,7 +92,7 @@ class NoiseWithin:
         known: dict[tuple[int, int], Array] = {}
         for index, basis in enumerate(spectrum.bases if len(coloured) else ()):
             key = id(basis), int(self.moving[index])
-            if key not in known or self.differing.any():
+            if key not in known or self.differing.any() or (self.own[index] != 1.0).any():
                 half = observed.sample_rate / int(observed.bin_size[index]) / 2
                 known[key] = self._covariance(index, basis, half)
             for channel in coloured.tolist():
@@ -110,9 +115,9 @@ class NoiseWithin:
         density = self._of_kind(self.density, kind, segment, frequency)
         found = np.array([((waves.conj().T * own) @ waves).real for own in density.T])
         found[:, 0] = found[:, :, 0] = 0.0
-        orders = np.flatnonzero(basis.harmonic == 0)
-        seen = self._of_kind(self.spectrum, kind, segment, basis.frequency[orders])
-        found[:, orders, orders] = np.maximum(found[:, orders, orders], seen.T)
+        periodic = np.flatnonzero(basis.harmonic >= 0)
+        seen = self._of_kind(self.spectrum, kind, segment, basis.frequency[periodic])
+        found[:, periodic, periodic] = np.maximum(found[:, periodic, periodic], seen.T)
         at_rest = self.coloured[0] & (self.moving == 0).any()
         harmonics = np.flatnonzero(basis.harmonic > 0)
         if kind and at_rest.any() and len(harmonics):
@@ -176,9 +181,12 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
         level[:, channel] = each if differing[channel] else 1.0
     predicted = level[:, None] * spectra[moving]
     own = np.ones_like(predicted)
-    for channel in np.flatnonzero(differing).tolist():
-        for index, (seen, size) in enumerate(zip(energy[:, :, channel] / predicted[:, :, channel], count, strict=True)):
-            own[index, :, channel] = _carried(seen, size, 1.0, OWN)
+    for kind, channel in np.argwhere(coloured | differing).tolist():
+        here = np.flatnonzero(moving == kind)
+        for band in range(len(centre)):
+            own[here, band, channel] = moderated(
+                energy[here, band, channel] / predicted[here, band, channel], count[here, band]
+            )
     turns = np.pi * np.array([spectrum.edges[:-1][used], spectrum.edges[1:][used], centre]) / (observed.sample_rate / 2)
     density = spectra.copy()
     for state in np.unique(moving).tolist():
@@ -254,6 +262,32 @@ def _carried(energy: Array, count: Array, above: float, carried: float) -> Array
         above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)
         out[band] = above
     return out
+
+
+def moderated(energy: Array, count: Array) -> Array:
+    """Variances (S,) of one band in S segments, as a compromise between the energy of each segment and that of the other segments.
+
+    The variances of the segments are assumed to scatter as the inverse of a χ² variable, whose degrees of freedom follow from the
+    scatter of the energies (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). If the energies scatter no more than those of one and the
+    same variance, the result is 1. energy: (S,), relative to the common variance; count: (S,), number of coefficients. The result is
+    the variance of the predictive Student's t distribution of a further coefficient.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import digamma, polygamma
+
+    seen = (count >= _COUNTED) & (energy > 0)
+    if seen.sum() < _SEGMENTS:
+        return np.ones(len(energy))
+    half = count[seen] / 2
+    logs = np.log(energy[seen] / count[seen]) - digamma(half) + np.log(half)
+    excess = float(logs.var(ddof=1) - polygamma(1, half).mean())
+    if excess <= polygamma(1, _SAME / 2):
+        return np.ones(len(energy))
+    prior = _VARIOUS
+    if excess < polygamma(1, _VARIOUS / 2):
+        prior = float(brentq(lambda freedom: polygamma(1, freedom / 2) - excess, _VARIOUS, _SAME))
+    common = float(np.exp(logs.mean() + digamma(prior / 2) - np.log(prior / 2)))
+    return np.asarray((prior * common + np.where(seen, energy, 0.0)) / (prior + np.where(seen, count, 0.0) - 2))
 
 
 def _better(ratio: Array, count: Array) -> bool:
