@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.noise_within import moderated
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.plan.schedule import Rest, Spin
 from tests.gap.test_noise_as_it_is import noisy
@@ -45,3 +47,45 @@ def test_a_line_of_the_noise_at_a_harmonic_of_the_motion_counts() -> None:
     found = np.column_stack([own.variances for own in blocks])[at]
     assert at.sum() == 6
     assert found.mean() > 0.3 * expected
+
+
+def test_slow_vibration_that_differs_between_segments_counts_where_it_acts() -> None:
+    """Differenced noise, as of rounded increments, hides a vibration about 2 Hz whose strength differs from segment to segment. The
+    level of the samples shows nothing of it."""
+
+    def noise(observed: Observed, draw: np.random.Generator) -> Array:
+        fast = np.diff(draw.standard_normal((len(observed.values) + 1, 6)), axis=0) / np.sqrt(2)
+        steps = np.exp(
+            -2 * np.pi * 0.3 / observed.sample_rate + 2j * np.pi * 2.0 * np.arange(400) / observed.sample_rate
+        )
+        shape = (np.abs(steps[0]) ** np.arange(400) * np.cos(np.angle(steps[1]) * np.arange(400)))[:, None]
+        slow = np.column_stack(
+            [np.convolve(column, shape[:, 0], "same") for column in draw.standard_normal(fast.shape).T]
+        )
+        strength = np.exp(draw.normal(0.0, 1.0, (len(observed), 1)))[observed.owner]
+        return np.asarray(fast + 0.05 * strength * slow / slow.std())
+
+    ratios = []
+    for seed in range(3):
+        weighing = Weighing(noisy(noise, seed=seed + 1))
+        variance = np.column_stack(
+            [own.variances for own in weighing.noise.of_coefficients(weighing.observed, weighing.spectrum)]
+        )
+        at = (weighing.spectrum.harmonic > 0) & (np.abs(weighing.spectrum.frequency - 2.0) < 1.0)
+        ratios.append((weighing.spectrum.values[at] / weighing.white) ** 2 / variance[at])
+    assert all(ratio.size for ratio in ratios)
+    found = np.concatenate([ratio.ravel() for ratio in ratios])
+    assert 0.7 < found.mean() < 1.35
+
+
+def test_a_variance_is_moderated_by_those_of_the_other_segments() -> None:
+    """A further normal value of each segment has the stated variance, whether the segments scatter or not."""
+    draw = np.random.default_rng(11)
+    for freedom in (6.0, 1e9):
+        variance = freedom / draw.chisquare(freedom, (400, 30))
+        energy = variance * draw.chisquare(8.0, variance.shape)
+        stated = np.array([moderated(row, np.full(30, 8.0)) for row in energy])
+        further = draw.standard_normal(variance.shape) ** 2 * variance
+        high = energy > np.quantile(energy, 0.9)
+        assert np.mean(further / stated) == pytest.approx(1.0, abs=0.08)
+        assert np.mean(further[high]) / np.mean(stated[high]) == pytest.approx(1.0, abs=0.25)
