@@ -33,8 +33,8 @@ MOST_RESULTS = 2**27
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """The state of a run from which an analysis is made: the first `events` events of the journal, where `head` is the digest of
-    the last of them, and the digest of the seal if the run had one."""
+    """The state of a run from which an analysis is made: the first `events` events of the journal, the digest `head` of the last of
+    these events, and the digest of the seal if the run had one."""
 
     events: int
     head: str
@@ -43,7 +43,7 @@ class Basis:
 
 @dataclass(frozen=True)
 class StoredAnalysis:
-    """A stored analysis: its number, its folder, its list of digests, and the digest of the list itself."""
+    """A stored analysis: its number, its folder, its list of digests, and the digest of this list."""
 
     run: GuardedFolder
     number: int
@@ -76,7 +76,8 @@ class StoredAnalysis:
         return data
 
     def read_json(self, name: str, schema: str, version_key: str, newest: int) -> JsonObject:
-        """Reads a JSON file of the analysis and checks its digest and its schema. Raises `IntegrityError`."""
+        """Reads a JSON file of the analysis and checks its digest and its schema. Raises `IntegrityError` if the file is missing,
+        was changed, or does not match its schema."""
         return formats.parse_json(self.read(name), self.path / name, schema, version_key, newest)
 
     def check(self) -> Iterator[IntegrityError]:
@@ -143,7 +144,7 @@ def _is_number(name: str) -> bool:
 
 def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
     """Reads an analysis with its list of digests. The list is checked against its schema and its own digest; the files are not
-    checked. Raises `IntegrityError`."""
+    checked. Raises `IntegrityError` if the list is missing, was changed, or does not match its schema."""
     path = run.path / FOLDER / str(number) / DIGESTS
     try:
         data = run.folder(FOLDER).folder(str(number)).read(DIGESTS, MOST_DIGESTS)

@@ -48,7 +48,7 @@ def digested(value: JsonObject) -> bytes:
 
 def require_own_digest(data: bytes, value: JsonObject, path: Path) -> None:
     """Checks the digest in a file whose text was made by `digested`. A file of an earlier format, without `digest`, passes. Raises
-    `IntegrityError`."""
+    `IntegrityError` if the digest is wrong."""
     if "digest" in value and digested({key: item for key, item in value.items() if key != "digest"}) != data:
         raise IntegrityError(f"{path}: changed after it was written: it does not match its own digest; {FROM_BACKUP}")
 
@@ -102,7 +102,7 @@ def _check_of(name: str) -> Check:
 
 def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> JsonObject:
     """The content of a JSON file of a run folder, checked against its schema. `path`: path of the file, for messages. Raises
-    `IntegrityError`."""
+    `IntegrityError` if the content does not match the schema."""
     try:
         value = from_bytes(data)
     except ValueError as error:

@@ -122,14 +122,14 @@ class Journal:
 
 
 class JournalScan:
-    """Reads a journal and checks the chain of its lines. Iterate once over the events; `head`, `count`, `size`, `torn`, `heads` and
-    `digests` are known afterwards.
+    """Reads a journal and checks the chain of its lines.
 
-    `size`: number of bytes in complete lines. `torn`: number of bytes in an incomplete last line. `marks`: numbers of events after
-    which a state of the chain is to be stored. After each of these numbers of events, `heads` receives the head of the chain, and
-    `digests` the SHA-256 of the file up to this event; both are also stored before each event `reopened`. `times`: maps each mark
-    to the time of the event there. `name`: name of the file, for messages. Raises `IntegrityError` if the chain is broken, and
-    `OSError`.
+    Iterate once over the events; afterwards, `head`, `count`, `size`, `torn`, `heads` and `digests` are known. `size`: number of
+    bytes in complete lines. `torn`: number of bytes in an incomplete last line. `marks`: numbers of events after which the state of
+    the chain is to be stored. After each of these numbers of events, `heads` receives the head of the chain, and `digests` the
+    SHA-256 of the file up to this event. Both are also stored before each event `reopened`. `times`: maps each number in `marks` to
+    the time of the event with this number. `name`: name of the file, for messages. Raises `IntegrityError` if the chain is broken,
+    and `OSError` if the file cannot be read.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = (), name: str = NAME):
@@ -209,8 +209,8 @@ class JournalScan:
 
 
 def _two_lines(line: bytes) -> bool:
-    """Whether zero bytes are followed by a line end and preceded by a complete line. The preceding line was then acknowledged, so
-    this is not the trace of an interrupted write."""
+    """Returns True if zero bytes are followed by a line end and preceded by a complete line. The preceding line was then
+    acknowledged, so the zero bytes are not the trace of an interrupted write."""
     first, zeros, _ = line.partition(b"\0")
     if not zeros or not line.endswith(b"\n"):
         return False

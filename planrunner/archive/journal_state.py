@@ -58,14 +58,14 @@ class JournalState:
     """The state of a run according to its journal.
 
     `clock`, `states`: time and states that were stored with the last acknowledged segment, and from which the run can be resumed.
-    `open`: the segment during which the process ended; None if it ended between segments. `earlier_seals`: maps the SHA-256 of each
-    seal that the run had when it was reopened to the number of events at that time. `turning_times`: number and time of the first
-    and of the last event, and of the two events at each place where the time goes back. `planned`: number of segments in the
-    schedule; 0 if the run never started. `stamped`, `unstamped`: the events about time stamps that were obtained, and about those
-    that were not. `unstamped_ends`: numbers of the events `finished` at which a part of the journal had neither a time stamp nor an
-    event that explains why it has none. `renewals`: the time of each event that reopened the run with further approvals, and the
-    entries of these approvals. `standards`: for each event that reopened the run on a bench with a check standard, its time and the
-    state of the check standard at that time.
+    `open`: the segment during which the process ended; None if the process ended between segments. `earlier_seals`: maps the
+    SHA-256 of each seal that the run had when it was reopened to the number of events at that time. `turning_times`: number and
+    time of the first event, of the last event, and of the two events on either side of each step back in time. `planned`: number of
+    segments in the schedule; 0 if the run never started. `stamped`, `unstamped`: the events about time stamps that were obtained,
+    and about those that were not. `unstamped_ends`: numbers of the events `finished` at which a part of the journal had neither a
+    time stamp nor an event that explains why it has none. `renewals`: the time of each event that reopened the run with further
+    approvals, and the entries of these approvals. `standards`: for each event that reopened the run on a bench with a check
+    standard, its time and the state of the check standard at that time.
     """
 
     created: JsonObject = field(default_factory=dict)
@@ -190,7 +190,7 @@ class JournalState:
 
 def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[JournalState, JournalScan]:
     """Reads a journal; returns the state that it describes, and the scan, which has the journal's head and size. `marks`: numbers
-    of events after which the scan stores the head of the chain. Raises `IntegrityError`."""
+    of events after which the scan stores the head of the chain. Raises `IntegrityError` if the journal was changed."""
     scan = JournalScan(folder, marks)
     state, path = JournalState(), scan.path
     try:

@@ -93,7 +93,7 @@ def _subproof(m: int, leaves: Hashes, *, whole: bool) -> list[bytes]:
 
 
 def require_inclusion(leaf: bytes, index: int, size: int, path: Hashes, root: bytes) -> None:
-    """Verifies an inclusion proof (2.1.3.2). `leaf`: hash of the leaf. Raises `ProofError`."""
+    """Verifies an inclusion proof (2.1.3.2). `leaf`: hash of the leaf. Raises `ProofError` if the proof does not fit the tree."""
     if not 0 <= index < size:
         raise ProofError(f"a tree of size {size} has no leaf {index}")
     fn, sn, r = index, size - 1, leaf
@@ -115,7 +115,7 @@ def require_inclusion(leaf: bytes, index: int, size: int, path: Hashes, root: by
 
 def require_consistency(first: int, second: int, first_hash: bytes, second_hash: bytes, path: Hashes) -> None:
     """Verifies that the tree of size `second` was made by appending leaves to the tree of size `first` (2.1.4.2). Raises
-    `ProofError`."""
+    `ProofError` if the proof does not fit the trees."""
     if not 0 <= first <= second:
         raise ProofError("the second tree is smaller than the first")
     if first in (0, second):

@@ -24,19 +24,19 @@ BATCHES = 32
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Statistics of one segment, computed in one pass over its samples. In the arrays, k is the number of `channels`; values are in
-    the channels' units.
+    """Statistics of one segment, computed in one pass over its samples. The arrays describe k = `len(channels)` channels, in the
+    units of the channels.
 
     `count`: number of samples; a row with a NaN in any channel is left out, and `rejected` counts these rows. `mean`, `minimum`,
-    `maximum`: of the samples of each channel, (k,). `covariance`: array of shape (k, k), covariance of the samples of each pair of
-    channels. `standard_error`: array of shape (k,), standard errors of the means, computed from the scatter of `batches`
-    consecutive batch means; this allows for noise that is correlated within a batch. If a known motion changes the output within
-    the segment (its course), `covariance` and `standard_error` describe the differences from this course. `start`, `end`: times of
-    the first and of the last sample, s. `largest_gap`: longest time between consecutive samples, s. `course`: array of shape (p,
-    batches), means over each batch of the p functions in the fitted course, scaled so that the sum of their squares is the number
-    of degrees of freedom that the fit takes from the scatter of the batch means (for uncorrelated samples). `mean_covariance`:
-    array of shape (k, k), covariance matrix of the channels' means, from the same batch means as `standard_error`; shape (0, 0) if
-    it is unknown.
+    `maximum`: arrays of shape (k,), mean, smallest and largest sample of each channel. `covariance`: array of shape (k, k),
+    covariance of the samples of each pair of channels. `standard_error`: array of shape (k,), standard errors of the means,
+    computed from the scatter of `batches` consecutive batch means; this allows for noise that is correlated within a batch. If a
+    known motion changes the output within the segment, a periodic signal (`course`) is fitted to the output, and `covariance` and
+    `standard_error` describe the differences from the fitted signal. `start`, `end`: times of the first and of the last sample, s.
+    `largest_gap`: longest time between consecutive samples, s. `course`: array of shape (p, batches), averages over each batch of
+    the p functions of the periodic signal. They are scaled so that the sum of their squares is the number of degrees of freedom
+    that the fit takes from the scatter of the batch means (for uncorrelated samples). `mean_covariance`: array of shape (k, k),
+    covariance matrix of the channels' means, from the same batch means as `standard_error`; shape (0, 0) if it is unknown.
     """
 
     channels: tuple[str, ...]
@@ -75,7 +75,7 @@ class Statistics:
         return self.end - self.start + self.period if self.count > 1 else 0.0
 
     def of(self, channel: str) -> int:
-        """The index of a channel. Raises KeyError."""
+        """The index of a channel. Raises KeyError if the segment does not have the channel."""
         try:
             return self.channels.index(channel)
         except ValueError:
@@ -108,8 +108,7 @@ class Find:
     0. `rows`: number of rows. `time`: time of the first row, s. `seconds`: duration of the faulty or suspect samples. `size`:
     largest distance from the surrounding samples, in the channel's unit; for a stuck or clipped stretch, the value of its samples;
     for lost samples, their number. `noise`: standard deviation of the surrounding samples in the channel's unit; NaN if unknown.
-    `before`, `after`: levels of the signal before and after these samples, in the channel's unit. `count`: number of findings that
-    this one represents. `bad`: True if the screening excludes the samples.
+    `before`, `after`: levels of the signal before and after these samples, in the channel's unit. `count`: number of findings that this finding represents. `bad`: True if the screening excludes the samples.
     """
 
     kind: FindKind
@@ -130,10 +129,10 @@ class Find:
 class RecordedSegment:
     """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block.
 
-    `expected`: True if the segment was not recorded. Its statistics are then predicted from the schedule: with the declared noise
-    in the scatter, but means without noise. `finds`: findings of the screening; None if the segment has not been screened. `share`:
-    the fraction of the segment's samples that is used. `summary`: True if only the statistics were recorded, so that there are no
-    samples to read.
+    `expected`: True if the segment was not recorded. The statistics of the segment are then predicted from the schedule: the
+    scatter contains the declared noise, but the means contain no noise. `finds`: findings of the screening; None if the segment has
+    not been screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were
+    recorded, so that there are no samples to read.
     """
 
     segment: Segment

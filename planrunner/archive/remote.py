@@ -187,8 +187,8 @@ def _copy_files(
     place: _Place,
     but: set[str] | None = None,
 ) -> None:
-    """Makes a local folder contain exactly the wanted files. `wanted`: maps the place of each file in the local folder to the
-    remote file. `but`: entries of the local folder that are left as they are."""
+    """Makes a local folder contain exactly the wanted files. `wanted`: maps the path of each file in the local folder to the remote
+    file. `but`: entries of the local folder that are left as they are."""
     below: dict[str, dict[_Place, _RemoteFile]] = {}
     own: dict[str, _RemoteFile] = {}
     for parts, file in wanted.items():
@@ -354,7 +354,7 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
 
 
 def _content(folder: GuardedFolder) -> Iterator[tuple[str, bytes]]:
-    """The files of a run, each with its place in the remote run. The seal comes last."""
+    """The files of a run, each with its path in the remote run. The seal comes last."""
     entries = folder.entries()
     for name, entry in entries.items():
         if entry.kind == "file" and name in FILES and name not in _LOCAL and name != seals.NAME:

@@ -219,8 +219,8 @@ class RunWriter:
     ) -> RunWriter:
         """Continues an interrupted run: removes an incomplete last line and settles the segment in progress.
 
-        `run`: path of the run folder; or what `examine` returned for it, with samples and under the given lock, so that nothing is
-        verified twice.
+        `run`: path of the run folder. Instead of the path, `run` may be what `examine` returned for the folder, with samples and
+        under the given lock, so that nothing is verified twice.
 
         `reason`: reason for reopening a finished, sealed run; required for such a run. `lock`: lock of the folder, if the caller
         already holds it; the writer then becomes responsible for it. `bench`: a bench file that replaces the one in the folder; the
@@ -279,7 +279,7 @@ class RunWriter:
 
     @property
     def next_segment(self) -> int:
-        """Index of the first segment that was not acknowledged when the folder was opened; 0 for a new run."""
+        """Index of the first segment that had not been acknowledged when the folder was opened; 0 for a new run."""
         return self._point.next_segment
 
     @property

@@ -50,9 +50,9 @@ LogEvent = Literal["created", "begun", "sealed", "retired"]
 class LogEntry:
     """One entry of the log.
 
-    `seq`: number of the entry, 1, 2, 3 …. `at`: time of the entry, UTC. `events`, `head`: number of events in the journal at that
-    time, and SHA-256 of the last of these events. `seal`: SHA-256 of seal.json, for a sealed run. `why`: reason for removing the
-    run from the archive.
+    `seq`: number of the entry, counted from 1. `at`: time of the entry in UTC. `events`: number of events in the journal at that
+    time. `head`: SHA-256 of the last of these events. `seal`: SHA-256 of seal.json, for a sealed run. `why`: reason for removing
+    the run from the archive.
     """
 
     seq: int
@@ -111,7 +111,7 @@ class TreeHead:
 
 
 def parse_head(data: bytes, path: Path) -> TreeHead:
-    """Reads the tree head in a file. Raises `IntegrityError`."""
+    """Reads the tree head in a file. Raises `IntegrityError` if the file does not contain a tree head."""
     value = formats.parse_json(data, path, "tree-head", "planrunner_tree_head", formats.HEAD_FORMAT)
     formats.require_own_digest(data, value, path)
     return TreeHead.from_json(value)
@@ -196,7 +196,8 @@ class RunLog:
         return self.folder.path
 
     def read(self) -> LogContent:
-        """Reads all entries and the stored head. Raises `IntegrityError` if they were changed, and `OSError`."""
+        """Reads all entries and the stored head. Raises `IntegrityError` if entries or head were changed, and `OSError` if they
+        cannot be read."""
         try:  # the head first: entries can then only be more than it counts
             stored = parse_head(self.folder.read(HEAD, MOST_HEAD), self.path / HEAD)
         except FileNotFoundError:
@@ -221,7 +222,8 @@ class RunLog:
     def append(
         self, event: LogEvent, run: str, *, events: int = 0, head: str = "", seal: str = "", why: str = ""
     ) -> TreeHead:
-        """Adds an entry and replaces the tree head. Raises `IntegrityError` for a log that was changed, and `OSError`."""
+        """Adds an entry and replaces the tree head. Raises `IntegrityError` for a log that was changed, and `OSError` if the log
+        cannot be written."""
         with self.locked():
             content = self.read()
             require_growth(content, self.path)
@@ -271,8 +273,8 @@ def require_growth(content: LogContent, path: Path) -> None:
 
 
 def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tuple[str, str]]:
-    """Contradictions between the log and a tree head that was noted earlier, each as code and message. `named`: the words by which
-    messages refer to this head."""
+    """Contradictions between the log and a tree head that was noted earlier, each as code and message. `named`: the words with
+    which messages refer to this tree head."""
     if head.size > len(content.entries):
         yield "log-cut", f"the log was cut: {named} counts {head.size} entries, the log has {len(content.entries)}"
     elif content.root(head.size) != head.root:

@@ -186,7 +186,7 @@ class RunReader:
 
     def check_digests(self) -> int:
         """Checks everything in the folder as it is now, including samples, against its digests; returns the number of recorded
-        files. Raises `IntegrityError`."""
+        files. Raises `IntegrityError` if anything differs from its digest."""
         found = examine(self.folder, samples="contents")
         found.require_whole()
         assert found.state is not None

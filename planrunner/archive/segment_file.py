@@ -429,12 +429,14 @@ def rows_of(data: bytes) -> int:
 
 
 def check_part(folder: GuardedFolder, part: Part) -> None:
-    """Checks a part against the journal without decoding its samples. Raises `IntegrityError`."""
+    """Checks a part against the journal without decoding its samples. Raises `IntegrityError` if the part does not agree with the
+    journal."""
     SegmentData(folder, part)
 
 
 def _checked_bytes(folder: GuardedFolder, part: Part) -> bytes:
-    """Reads the bytes of a part and checks them against the digest in the journal. Raises `IntegrityError`."""
+    """Reads the bytes of a part and checks them against the digest in the journal. Raises `IntegrityError` if the bytes do not have
+    this digest."""
     path = folder.path / part.file
     try:
         data = folder.folder(FOLDER).read(part.file.removeprefix(f"{FOLDER}/"), MOST_BYTES)

@@ -6,10 +6,10 @@ formulae and a pairwise algorithm for computing sample variances" (1979). The st
 scatter of consecutive batch means (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which allows for noise that is
 correlated over less than a batch.
 
-If the table turns or rocks during a segment, the sensor measures the Earth's rate, gravity and its own motion. The periodic signal
-that this causes in the samples is called the course of the motion. The scatter is computed from the differences from the course. The
-course is fitted to short means, of which a batch contains many. The fitted course is then subtracted from the batch means, and its
-contribution is subtracted from the covariance.
+If the table turns or rocks during a segment, the sensor measures the Earth's rate, gravity and its own motion, which cause a
+periodic signal in the samples. This signal is called the course of the motion. The scatter is computed from the differences from
+the course. The course is fitted to averages over a few consecutive samples, of which a batch contains many. The fitted course is
+then subtracted from the batch means, and its contribution is subtracted from the covariance.
 
 The course repeats with the period of the motion. An output that is linear in the sensed quantity contains the fundamental; a
 second-order effect adds twice its frequency. The amplitude and phase of the fundamental may change linearly over the segment,
@@ -43,10 +43,11 @@ _PER_COLUMN = 4  # times as many means as columns that a fit needs
 class MotionCourse:
     """The course of a motion, that is, the periodic signal that the motion causes in the samples.
 
-    `columns`: array of shape (c, p), values of the p functions that make up the course, each as a mean over c short intervals.
-    Weighted by the number of samples in each interval, the columns are orthonormal and have zero mean. `samples`: array of shape
-    (c,), number of samples in each interval; zero while the table is not in its steady motion. `products`: array of shape (p, p),
-    inner products of the p functions over single samples; unlike the means, single samples do not attenuate the functions."""
+    `columns`: array of shape (c, p), values of the p functions that make up the periodic signal, each averaged over c short
+    intervals. Weighted by the number of samples in each interval, the columns are orthonormal and have zero mean. `samples`: array
+    of shape (c,), number of samples in each interval; zero while the table is not in its steady motion. `products`: array of shape
+    (p, p), inner products of the p functions at single samples; unlike the averages over intervals, single samples do not attenuate
+    the functions."""
 
     columns: Array
     samples: Array
@@ -59,10 +60,11 @@ def follows_course(motion: Motion) -> bool:
 
 
 def course_of(motion: Motion, time: Array, samples: Array, interval: float) -> MotionCourse | None:
-    """The course of a periodic motion in short means of consecutive samples; None if there are too few short means.
+    """The periodic signal that a motion causes in averages over a few consecutive samples. Returns None if there are too few such
+    averages.
 
-    `time`: array of shape (c,) in s, middle of the interval of each short mean, counted from the segment's first sample. `samples`:
-    array of shape (c,), number of samples in each mean. `interval`: time between samples, s.
+    `time`: array of shape (c,) in s, middle of the interval of each average, counted from the segment's first sample. `samples`:
+    array of shape (c,), number of samples in each average. `interval`: time between samples, s.
     """
     if isinstance(motion, Rock):
         since = time - motion.steady
@@ -303,7 +305,7 @@ class _Gathered:
         )
 
     def _course(self) -> MotionCourse | None:
-        """The course that the motion causes, determined from the short means."""
+        """The periodic signal that the motion causes, determined from averages over a few samples."""
         if not self.follows or self.count < 3:
             return None
         interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)

@@ -47,7 +47,7 @@ def summarised(
     readings: Mapping[str, float] | None = None,
 ) -> RecordedSegment:
     """Makes a segment from its summary. `blocks`: blocks that contain the single row of the summary. `where`: name of the run or of
-    the file, for messages. Raises `IntegrityError`."""
+    the file, for messages. Raises `IntegrityError` if the blocks do not contain exactly the row of a summary."""
     rows = [block for block in blocks if len(block.time)]
     named = {*summary.deviations, *summary.deviations.values(), summary.count, summary.seconds}
     if len(rows) != 1 or len(rows[0].time) != 1 or set(rows[0].channels) != named:

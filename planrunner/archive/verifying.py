@@ -112,8 +112,8 @@ class Examined:
     """The verified part of a run folder. `findings`: errors, warnings and notes.
 
     `seal_digest`: SHA-256 of seal.json. `sealed_before`: True if the contents show that the run was sealed at some time. `state`,
-    `scan`: None if the journal cannot be read; in that case nothing is verified. `unknown`: entries of the folder that planrunner
-    did not write.
+    `scan`: state and scan of the journal; None if the journal cannot be read. In that case nothing is verified. `unknown`: entries
+    of the folder that planrunner did not write.
     """
 
     folder: GuardedFolder
@@ -235,7 +235,7 @@ def _read_seal(found: Examined, standing: RecordedEntries) -> None:
 
 
 def _read_analyses(found: Examined, standing: RecordedEntries) -> None:
-    """The existing analyses, each with the faults of its files."""
+    """The existing analyses, each together with the faults of its files."""
     if stored.FOLDER not in standing:
         return
     path = found.folder.path / stored.FOLDER

@@ -34,7 +34,7 @@ class Calibration(Record):
 
     @property
     def words(self) -> str:
-        """Names the certificate and the laboratory, as the source of a stated uncertainty."""
+        """Names the certificate and the laboratory; budgets show this text as the source of a stated uncertainty."""
         return self.certificate + (f" ({self.laboratory})" if self.laboratory else "")
 
 
@@ -89,7 +89,7 @@ def parsed_day(text: str | None) -> date | None:
 
 
 class Laboratory(Record):
-    """The laboratory that is responsible for measurements on this bench; needed for certificates."""
+    """The laboratory that is responsible for measurements on this bench; certificates need this record."""
 
     name: str = key(Text(LINE, "a name"), "Name of the laboratory.", "Inertial calibration laboratory")
     address: str = key(Text(LINE, "an address"), "Its address.", "1 Example Street, 00000 Example Town")

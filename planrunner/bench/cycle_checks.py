@@ -32,7 +32,7 @@ def check_cycle(
 ) -> tuple[float, float]:
     """Adds findings about a cycle of the table that begins at the first of `starts` [rad], the possible joint angles. Also checks
     whether the cycle exceeds a limit if it begins at another of these angles. Returns the angle [rad] at which the joint rests
-    after the dwell, and the time [s] to come to rest, both for a beginning at the first angle."""
+    after the dwell, and the time [s] to come to rest. Both values are for a cycle that begins at the first angle."""
     start = starts[0]
     excess = next(filter(None, (cycle_excess(axis, begin, motion) for begin in starts)), [])
     for one in excess:
@@ -85,7 +85,7 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
 
 
 def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
-    """Adds a warning about stops whose total time in a cycle is longer than that of the stops on the opposite side."""
+    """Adds a warning about stops whose total time in a cycle is longer than the total time of the stops on the opposite side."""
     angles = {name: round(math.degrees(angle) % 360, 6) % 360 for name, angle in motion.positions.items()}
     names: dict[float, str] = {}
     held: dict[float, float] = {}

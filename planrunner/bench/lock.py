@@ -66,7 +66,7 @@ def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[Non
 
 @contextmanager
 def watchdog_lock(bench: Bench, shown: str) -> Iterator[None]:
-    """Locks the bench's real instruments against every other run while the watchdog of this run exists. Raises `InputError` if
+    """Locks the bench's real instruments against every other run, while the watchdog of this run exists. Raises `InputError` if
     another process holds one of these locks."""
     with ExitStack() as stack:
         _hold_all(
@@ -80,7 +80,8 @@ class InUseError(InputError):
 
 
 def lock_folder() -> Path:
-    """The folder for locks on this computer. Raises `OSError` and `UntrustedFolderError`."""
+    """The folder for locks on this computer. Raises `OSError` if the folder cannot be created, and `UntrustedFolderError` if other
+    users could change it."""
     named = os.environ.get(FOLDER)
     if named:
         return _named(Path(named))
@@ -97,8 +98,8 @@ def lock_folder() -> Path:
 
 
 def _named(folder: Path) -> Path:
-    """The lock folder that an environment variable names. If it does not exist, it is created: by an administrator for all users,
-    by any other user for this user alone."""
+    """The folder for locks that an environment variable names. If it does not exist, it is created: by an administrator for all
+    users, by any other user for this user alone."""
     if not folder.is_absolute():
         raise UntrustedFolderError(f"{folder} is a different folder for each process: give its absolute path")
     try:

@@ -1,7 +1,7 @@
 """The bench as data: its site and instruments, each key with a description and an example.
 
-These records are the single source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`. An instrument's own keys
-are declared by its driver.
+The code that reads bench files, the JSON Schema in `schemas/` and the key reference in `docs/` are all derived from these records.
+The keys of one instrument are declared by its driver.
 """
 
 from __future__ import annotations
@@ -278,8 +278,8 @@ class BenchModels:
 
     `replays`: the sensor plays back a recording, so orientations, rates and temperatures come from the recording and need no table
     or chamber. `measures`: True if at least one instrument has live readings. `counts`: True if the sensor counts its lost and
-    corrupt frames. With simulated time, `measures` and `counts` are True. `origin`: whether the samples are simulated, played back
-    or measured.
+    corrupt frames. On a bench with simulated time, `measures` and `counts` are True. `origin`: whether the samples are simulated,
+    played back or measured.
     """
 
     site: Site

@@ -32,9 +32,9 @@ WHOLE_TURN_TOLERANCE = 100e-6
 class Hold:
     """States how long a motion is held.
 
-    `settle`: planned settling time [s]. `dwell`: s; None if the dwell lasts as long as the recording. `sampled`: sample rate, Hz;
-    None if the sensor is not known. `sooner`: if measurements can end the settling early, the time [s] that this can save;
-    otherwise 0.
+    `settle`: planned settling time, s. `dwell`: planned dwell, s; None if the dwell lasts as long as the recording. `sampled`:
+    sample rate, Hz; None if the sensor is not known. `sooner`: the time [s] by which measurements can end the settling early; 0 if
+    they cannot.
     """
 
     settle: float
@@ -53,7 +53,7 @@ def start_motion(
     log: Findings,
 ) -> tuple[float, TableState]:
     """Time [s] until the table is in motion, and the state of the table after the dwell. A motion that the table cannot execute
-    becomes a finding at the place of the motion in the plan.
+    becomes a finding at the position of the motion in the plan.
 
     `input_axes`: array of shape (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not
     known. `at`: returns the mark of one of the motion's keys in the plan or, for an empty key, the mark of the whole motion.
@@ -196,8 +196,8 @@ def _spin(
 def _elsewhere(
     table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
 ) -> list[Excess]:
-    """The limits of the axes that a spin exceeds if it begins at one of the other angles at which the table may be instead of the
-    planned one."""
+    """The limits of the axes that a spin exceeds if it begins at an angle other than the planned one. The table may be at several
+    such angles."""
     # The angle of a continuous innermost axis makes no difference to a spin.
     matter = len(table.axes) - 1 if table.axes[-1].continuous else len(table.axes)
     starts = {start[:matter].tobytes(): start for start in state.starts()[1:]}

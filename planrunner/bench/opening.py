@@ -99,9 +99,9 @@ class OpenBench:
         self._roles = {**self._roles, name: role}
 
     def take_control(self, *names: str) -> None:
-        """Declares that from now on this process commands these instruments (by default all). The process then makes them safe at
-        the end; if it cannot, its watchdog does. Call this before the first command. Raises `InstrumentError` if the watchdog has
-        ended."""
+        """Declares that from now on this process commands these instruments (by default all). The process then makes these
+        instruments safe at the end; if it cannot, its watchdog does. Call this before the first command. Raises `InstrumentError`
+        if the watchdog has ended."""
         added = set(names or self.instruments) - self._controlled
         if added and self.watchdog is not None:
             self.watchdog.answer_for(added)
@@ -212,7 +212,7 @@ def guarded_bench(
     seed: int | None = None,
     notice: Announce | None = None,
 ) -> Iterator[OpenBench]:
-    """The connected bench for the duration of a `with` block. At the end it is made safe and closed.
+    """The connected bench for the duration of a `with` block. At the end of the block, the bench is made safe and closed.
 
     `bench_file`: the exact bytes of the bench file, which the watchdog uses to connect. `shown`: name of the bench file in
     messages. `notice`: as in `open_bench`. Raises `InputError` if another run holds the bench, and `InstrumentError` if the

@@ -68,7 +68,8 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """All names that this computer has for a serial port. `numbered`: True if a plain number is the number of a Windows port."""
+    """All names that this computer has for a serial port. `numbered`: True if a name that is a plain number means the Windows port
+    with this number."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":

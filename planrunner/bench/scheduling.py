@@ -57,7 +57,7 @@ def watch_of(stated: WatchSpec | None) -> Watch | None:
 
 def check_measured(state: State, marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
     """Adds an error for each limit on a quantity that no instrument of the bench can measure. `add`: a function that adds a
-    finding, given its code, place, message and hint."""
+    finding; its arguments are the code, the position in the plan, the message and the hint."""
     for name, stated in (("soak", state.soak), ("settle", state.settle), ("watch", state.watch)):
         if isinstance(stated, Tolerated) and stated.stated() and not models.measures:
             message = f"no instrument of this bench has live readings of {', '.join(stated.stated())}"
@@ -135,8 +135,8 @@ def _days(seconds: float) -> str:
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
-    """The place of the finding about segments without a required key, and its message, which names the first of these segments.
-    `segments`: maps the place of each segment to its label."""
+    """The position of the finding about segments without a required key, and its message, which names the first of these segments.
+    `segments`: maps the position of each segment in the plan to its label."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 

@@ -46,9 +46,9 @@ SENSES: Mapping[str, Sense] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Grade:
-    """The usual limits of one grade of sensors. `quietest`: smallest usual white noise; for a gyro, the angle random walk in
-    deg/√h, and for an accelerometer, the one-sided density in µg/√Hz. `usual`: usual limit of each term in `SENSES`, in the order
-    of `SENSES`."""
+    """The usual limits of one grade of sensors. `quietest`: smallest usual white noise. For a gyro, it is the angle random walk in
+    deg/√h; for an accelerometer, it is the one-sided density in µg/√Hz. `usual`: the usual limits of the terms in `SENSES`, in the
+    same order."""
 
     name: str
     quietest: Mapping[Sense, float]
@@ -105,8 +105,8 @@ class Specification(Record):
     )
 
     def limits(self) -> Mapping[str, Quantity]:
-        """Maps each term of the nominal model to its upper limit. This is the limit that the key of the term states; without it,
-        the usual limit of the grade."""
+        """Maps each term of the nominal model to its upper limit. The limit is the one that the key of the term states; without
+        this key, it is the usual limit of the grade."""
         usual = {name: limit for grade in GRADES if grade.name == self.grade for name, limit in grade.limits().items()}
         stated = {
             "gyro_bias": self.gyro_bias,

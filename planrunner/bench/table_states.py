@@ -31,11 +31,11 @@ _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this
 
 @dataclass(frozen=True, slots=True)
 class TableState:
-    """State of the table: joint angles [rad], outermost first, and the time [s] to come to rest.
+    """State of the table: joint angles [rad], the outermost joint first, and the time [s] to come to rest.
 
     `roughly`: index of a joint that a motion has left at an angle known only approximately; None if every joint is at its commanded
-    angle. `below`, `above`: largest negative and positive deviation [rad] of each joint from `joints`; empty if the angles are
-    exact. `others`: other joint angles at which the table may be instead of `joints`.
+    angle. `below`, `above`: largest negative and largest positive deviation [rad] of each joint from `joints`; empty if the angles
+    are exact. `others`: other joint angles at which the table may be instead of `joints`.
     """
 
     joints: Array

@@ -138,8 +138,8 @@ def _start() -> subprocess.Popen[bytes]:
 
 
 def _first_line(process: subprocess.Popen[bytes], patience: float) -> str:
-    """Reads the first line that the watchdog prints; if there is none, the reason. A thread reads it, because not every system can
-    wait for a pipe."""
+    """Reads the first line that the watchdog prints; if there is none, returns the reason. A thread reads the line, because not
+    every system can wait for a pipe."""
     assert process.stdout is not None
     found: list[bytes] = []
     reader = threading.Thread(target=lambda: found.append(process.stdout.readline()), daemon=True)  # type: ignore[union-attr]

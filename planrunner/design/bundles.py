@@ -18,7 +18,7 @@ from planrunner.base.workers import ALONE, Workers, results_in_order
 
 
 def loss(matrix: Array, criterion: str) -> float:
-    """The loss of an information matrix M (p, p), which is −ln|M| for criterion D and tr M⁻¹ for criterion A; infinite if M is
+    """The loss of an information matrix M (p, p). It is −ln|M| for criterion D and tr M⁻¹ for criterion A, and infinite if M is
     singular."""
     sign, logarithm = np.linalg.slogdet(matrix)
     size = float(np.trace(matrix)) / len(matrix)

@@ -29,9 +29,10 @@ class Continuous:
     observations.
 
     `shares`: array of shape (N,), the fractions, which add up to 1. `matrix`: array of shape (p, p), the information matrix M per
-    observation. `excess`: the ratio of the largest derivative to `mean`, minus 1; 1e-6 means that no design is better by more than
-    one part in a million. `value`: |M| (criterion D) or tr(W·M⁻¹). `mean`: mean of the derivative over the candidates, weighted by
-    `shares`. The mean is p (criterion D) or `value` (linear criterion) if there is no fixed information, and smaller if there is.
+    observation. `excess`: the ratio of the largest derivative to `mean`, minus 1. A value of 1e-6 means that no design is better by
+    more than one part in a million. `value`: |M| (criterion D) or tr(W·M⁻¹). `mean`: mean of the derivative over the candidates,
+    weighted by `shares`. The mean is p (criterion D) or `value` (linear criterion) if there is no fixed information, and smaller if
+    there is.
     """
 
     shares: Array
@@ -59,7 +60,7 @@ class Continuous:
 
 
 def derivative(rows: Array, matrix: Array, weighting: Array | None) -> Array:
-    """Derivative of the criterion for each row: xᵀM⁻¹x, or xᵀM⁻¹WM⁻¹x for a linear criterion, shape (N,)."""
+    """Derivative of the criterion for each row, shape (N,). It is xᵀM⁻¹x for criterion D, and xᵀM⁻¹WM⁻¹x for a linear criterion."""
     inverse = np.linalg.inv(matrix)
     middle = inverse if weighting is None else inverse @ weighting @ inverse
     return np.asarray(np.einsum("ij,ij->i", rows @ middle, rows))
@@ -77,10 +78,11 @@ def solve(
 ) -> Continuous:
     """The optimal fractions of the observations for the candidates `rows`, shape (N, p), which must have rank p.
 
-    `weighting`: None for D, W (p, p) for tr(W·M⁻¹). `least`: smallest fraction that any candidate may have. `start`: fractions with
-    which the iteration starts. `fixed`: array of shape (p, p), information per observation that does not depend on the fractions.
-    The iteration ends when the excess is below `tolerance` or after `most_steps`. The result contains the remaining excess, and its
-    bounds allow for the excess. Raises ValueError if the candidates cannot determine all terms.
+    `weighting`: the matrix W (p, p) of the criterion tr(W·M⁻¹), or None for criterion D. `least`: smallest fraction that any
+    candidate may have. `start`: fractions with which the iteration starts. `fixed`: array of shape (p, p), information per
+    observation that does not depend on the fractions. The iteration ends when the excess is below `tolerance` or after
+    `most_steps`. The result contains the remaining excess, and its bounds allow for the excess. Raises ValueError if the candidates
+    cannot determine all terms.
     """
     rows = np.asarray(rows, dtype=float)
     count, p = rows.shape
@@ -118,7 +120,7 @@ def solve(
 def judged(
     rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0, fixed: Array | None = None
 ) -> Continuous:
-    """The design with the given fractions, and the certificate of this design over the candidates `rows`."""
+    """The design with the given fractions, with its certificate over the candidates `rows`."""
     matrix = information(rows, shares) + (0.0 if fixed is None else fixed)
     gain = derivative(rows, matrix, weighting)
     free = shares - least

@@ -27,8 +27,8 @@ class Merit:
     """The values of the criteria for a set of n observations of p terms.
 
     `determinant`: |M|, zero if M is singular. `trace`: trace of M⁻¹. `worst`: largest variance of a predicted output over the
-    region. `mean`: mean of this variance over the region; `worst` and `mean` are in units of one observation's variance. `trace`,
-    `worst` and `mean` are infinite if M is singular.
+    region. `mean`: average variance of a predicted output over the region. `worst` and `mean` are in units of the variance of one
+    observation. `trace`, `worst` and `mean` are infinite if M is singular.
     """
 
     observations: int

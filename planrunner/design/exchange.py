@@ -31,9 +31,9 @@ _RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is
 class Chosen:
     """The result of a choice among candidates.
 
-    `indices`: array of shape (n,), indices of the chosen candidates, ascending. `loss`: −ln|M| (D) or tr(W·M⁻¹), infinite if no
-    choice determines all terms. `tried`: number of choices or restarts that were tried. `exhaustive`: True if all choices were
-    tried.
+    `indices`: array of shape (n,), indices of the chosen candidates, ascending. `loss`: −ln|M| (criterion D) or tr(W·M⁻¹); infinite
+    if no choice determines all terms. `tried`: number of choices or restarts that were tried. `exhaustive`: True if all choices
+    were tried.
     """
 
     indices: Indices

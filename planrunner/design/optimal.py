@@ -31,7 +31,7 @@ class Region:
     """A region of settings.
 
     `settings`: array of shape (N, k), candidates spread over the region. `rows`: array of shape (N, p), rows of the design matrix
-    at these candidates. `bounds`: (lowest, highest) of each of the k numbers, infinite where there is no bound.
+    at these candidates. `bounds`: lowest and highest value of each of the k numbers, infinite where there is no bound.
     """
 
     rows_of: RowsOf
@@ -45,7 +45,8 @@ class Found:
     """The result of a search for settings.
 
     `settings`: array of shape (n, k), the best settings. `loss`: −ln|M| or tr(W·M⁻¹). `starts`: number of local optimisations.
-    `agreeing`: number of local optimisations whose loss is within 1e-4 of the smallest loss (relative to it for tr(W·M⁻¹)).
+    `agreeing`: number of local optimisations whose loss differs from the smallest loss by at most 1e-4 (for tr(W·M⁻¹), relative to
+    the smallest loss).
     """
 
     settings: Array

@@ -24,8 +24,8 @@ from planrunner.plan.selection import select
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One orientation in the text of a plan. `mark`: (line, column) of the orientation in the plan. `segments`: the segments at
-    rest in this orientation, in the order of the plan."""
+    """One orientation in the text of a plan. `mark`: pair (line, column) of the orientation in the plan. `segments`: the segments
+    at rest in this orientation, in the order of the plan."""
 
     mark: tuple[int, int]
     segments: tuple[Segment, ...]
@@ -186,7 +186,7 @@ def _mark(segment: Segment) -> tuple[int, int]:
 
 def attitudes(axes: Sequence[TableAxis], settings: Array, azimuth: float) -> Array:
     """The attitudes (m, 3, 3), with the sensor's axes as rows in East-North-Up, at joint angles (m, k) [rad]. The computation is
-    efficient for many angles."""
+    efficient if there are many angles."""
     platform = np.broadcast_to(_turned(np.array([0.0, 0.0, 1.0]), np.array([-azimuth])), (len(settings), 3, 3))
     for axis, angles in zip(axes, settings.T, strict=True):
         platform = platform @ _turned(np.asarray(axis.direction, dtype=float), angles)

@@ -27,18 +27,20 @@ SearchProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Options of a study; each kind uses only its own options.
+    """Options of a study; each kind of study uses only its own options.
 
-    `estimate`: name of the estimate; by default, the first estimate that can be designed. `criterion`: D, A, G or I; for rates, D
-    or A. `time`: duration [s] of the whole plan, within which the dwells are chosen.
+    All kinds. `estimate`: name of the estimate; by default, the first estimate that can be designed. `criterion`: D, A, G or I; for
+    rates, D or A. `time`: duration [s] of the whole plan, within which the dwells are chosen.
 
-    For positions: output: name of the output for which the positions are designed, required if the outputs differ.
+    Positions. `output`: name of the output for which the positions are designed, required if the outputs differ. `orientations`:
+    which set is put into the plan (free, cardinal or planned). `restarts`, `seed`: number of restarts and seed of the search over
+    free orientations.
 
-    `orientations`: which set is put into the plan (free, cardinal or planned). `restarts`, `seed`: number of restarts and seed of
-    the search over free orientations. For rates: rates: True if the rates are designed even though positions or cycles could be
-    designed. `line_only`: True if the rates are designed for the terms of the estimator alone, without the added terms |rate| and
-    rate³. `keep_lowest`: True if the lowest planned rate is kept, because threshold and resolution are determined at this rate. For
-    cycles: segment: label of the segment with the cycle, by default the first such segment. `order`: which cycle is put into the
+    Rates. `rates`: True if the rates are designed even though positions or cycles could be designed. `line_only`: True if the rates
+    are designed for the terms of the estimator alone, without the added terms |rate| and rate³. `keep_lowest`: True if the lowest
+    planned rate is kept, because threshold and resolution are determined at this rate.
+
+    Cycles. `segment`: label of the segment with the cycle, by default the first such segment. `order`: which cycle is put into the
     plan (free or same).
     """
 
@@ -99,8 +101,9 @@ class FoundPositions:
     """The result of a design of positions.
 
     `sets`: the sets that exist, by their names `planned`, `cardinal` and `free`. `best`: the best values found. `bounds`: the
-    bounds; the keys of `best` and `bounds` are free and cardinal. `dwells`: dwells of the chosen set, s; empty if they were not
-    optimised. `dwell_gain`: efficiency of equal dwells relative to the optimised `dwells`. `text`: the plan with the chosen set.
+    bounds of the criteria. The keys of both mappings are free and cardinal. `dwells`: dwells of the chosen set, s; empty if they
+    were not optimised. `dwell_gain`: efficiency of equal dwells relative to the optimised `dwells`. `text`: the plan with the
+    chosen set.
     """
 
     sight: Sight

@@ -28,7 +28,7 @@ RIGHT_ANGLE = 1e-9
 
 def word_of(direction: Iterable[float], within: float = 1e-9) -> str | None:
     """The direction word whose vector differs least from a unit vector; None if every word differs too much. `within`: the length
-    of the difference between the two vectors must be smaller than this."""
+    of the difference between the two vectors must be smaller than `within`."""
     given = tuple(direction)
     word, vector = min(DIRECTIONS.items(), key=lambda item: math.dist(item[1], given))
     return word if math.dist(vector, given) < within else None

@@ -24,11 +24,11 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 
 @dataclass(frozen=True, slots=True)
 class StatedSegment:
-    """One segment of a plan: its state, which includes the inherited keys, and the place of each value in the file.
+    """One segment of a plan: its state, which includes the inherited keys, and the position of each value in the file.
 
-    `prompts`: prompts to the operator that precede the segment, in order, each with its place in the file. `conditioning`: True if
-    the plan declares that the segment only brings the sensor to a state. `sound`: False if the state is not known completely: the
-    segment inherits a value from `defaults` that could not be read, or its label names a key that is not swept.
+    `prompts`: prompts to the operator that precede the segment, in order, each with its position in the file. `conditioning`: True
+    if the plan declares that the segment only brings the sensor to a state. `sound`: False if the state is not known completely:
+    the segment inherits a value from `defaults` that could not be read, or its label names a key that is not swept.
     """
 
     label: str
@@ -70,7 +70,7 @@ UNREADABLE = object()
 
 
 def _stated(state: StateValues) -> tuple[State, bool]:
-    """The part of a state that could be read, and whether this part is enough to check a segment."""
+    """The part of a state that could be read; and True if this part is enough to check a segment."""
     readable = {name: value for name, value in state.items() if value is not UNREADABLE}
     sound = len(readable) == len(state) or not any(state.get(name) is UNREADABLE for name in _DECISIVE)
     return State(**readable), sound
@@ -99,8 +99,8 @@ def _inherit(own: State, state: StateValues, marks: dict[str, Mark]) -> None:
 
 
 def _set(name: str, value: object, mark: Mark, state: StateValues, marks: dict[str, Mark]) -> None:
-    """Sets the value of a key, and the place of this value. A rate replaces an inherited motion and vice versa, because both define
-    the motion of the table."""
+    """Sets the value of a key, and the position of this value in the file. A rate replaces an inherited motion and vice versa,
+    because both define the motion of the table."""
     other = STATE_TRAITS[name].replaces
     if other is not None:
         state.pop(other, None)

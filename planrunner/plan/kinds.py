@@ -225,8 +225,8 @@ def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: st
 class QuantityOf:
     """A number with a unit of the named dimension, or with any unit if the dimension is None.
 
-    `uncertain`: True if an uncertainty may be stated; results then include it. `elsewhere`: a text that says where to state the
-    uncertainty if it may not be stated here.
+    `uncertain`: True if an uncertainty may be stated, which is the case if results include it. `elsewhere`: a text that says where
+    to state the uncertainty; it is used if no uncertainty may be stated here.
     """
 
     dimension: str | None
@@ -254,7 +254,8 @@ class QuantityOf:
 
 @dataclass(frozen=True, slots=True)
 class ListOf:
-    """A list. `single`: True if one item may be written without a list. `maximum`: largest number of items; 0 means any number."""
+    """A list. `single`: True if a single item may be written without a list. `maximum`: largest number of items; 0 means any
+    number."""
 
     item: Kind
     single: bool = False
@@ -370,7 +371,7 @@ class WordOr:
 
 
 class Origin:
-    """The places in the file where the keys of a record stand. It is empty for a record made in code.
+    """The positions in the file at which the keys of a record stand. The mapping is empty for a record that was made in code.
 
     `broken`: the keys whose values could not be read completely. `meant`: maps an absent key to the places of the unknown keys that
     may be misspellings of it.
@@ -396,8 +397,8 @@ class Origin:
 
     @cached_property
     def keys(self) -> Mapping[str, Mark]:
-        """Maps the path of each key to a place: `report` to the place where the value of that key begins, `report[1]` to the second
-        entry of its list, and `limits.x` to the value of `x` in the mapping `limits`."""
+        """Maps the path of each key to a position in the file. The path `report` leads to the position at which the value of that
+        key begins, `report[1]` to the second entry of its list, and `limits.x` to the value of `x` in the mapping `limits`."""
         marks: dict[str, Mark] = {}
         for name, item in self._node.entries if self._node else ():
             marks[name.text] = _used(name, item)
@@ -416,8 +417,8 @@ class Origin:
         return marks
 
     def parts(self, key: str) -> tuple[Mark, ...]:
-        """The places that determine the value of a key: the place of the value or, if the key is absent, the places of the unknown
-        keys that may be misspellings of the key."""
+        """The positions that determine the value of a key. This is the position of the value or, if the key is absent, the
+        positions of the unknown keys that may be misspellings of the key."""
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
@@ -506,8 +507,8 @@ def is_required(item: dataclasses.Field[Any]) -> bool:
 def read_keys(
     node: source.Mapping, fields: Mapping[str, dataclasses.Field[Any]], log: Findings, passed: Iterable[str] = ()
 ) -> tuple[JsonObject, Origin]:
-    """Reads the values of the given keys; returns the values by Python name, and the places of the keys. Unknown and missing keys
-    become findings. Keys in `passed` are permitted and not read here, because other code reads them."""
+    """Reads the values of the given keys; returns the values by Python name, and the positions of the keys. Unknown and missing
+    keys become findings. Keys in `passed` are permitted and not read here, because other code reads them."""
     values: JsonObject = {}
     broken: set[str] = set()
     known, given = dict.fromkeys((*fields, *passed)), {name.text for name, _ in node.entries}
@@ -587,8 +588,8 @@ def inline(example: Any) -> str:
 
 
 def _used(key: source.Scalar, value: source.Node) -> Mark:
-    """The place where a value is used. The value of an alias has the place of its anchor, which is before the key; in that case the
-    place of the key is returned."""
+    """The position at which a value is used. The value of an alias has the position of its anchor, which is before the key; in that
+    case the position of the key is returned."""
     return key.mark if value.precedes(key) else value.mark
 
 

@@ -1,6 +1,6 @@
 """The plan as data: the records of the language, each key with its description and an example.
 
-These records are the single source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`.
+The code that reads plans, the JSON Schema in `schemas/` and the key reference in `docs/` are all derived from these records.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A value that the user gives for a parameter, and the place where the value was given."""
+    """A value that the user gives for a parameter, and where the user gave it (a file or the command line)."""
 
     value: str
     mark: Mark
@@ -53,7 +53,8 @@ def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """The text of a plan with other values for its parameters. `places`: maps each parameter to the place of its value in `text`."""
+    """The text of a plan with other values for its parameters. `places`: maps each parameter to the position of its value in
+    `text`."""
 
     text: str
     places: Mapping[str, Mark]

@@ -92,8 +92,8 @@ class QuantityError(ValueError):
 
 
 def takes_bare_number(dimension: str | None) -> bool:
-    """Whether a number without a unit can be a quantity of this dimension: True for a ratio, and for None, which means any
-    dimension."""
+    """Returns True if a number without a unit can be a quantity of this dimension. This is the case for a ratio, and for None,
+    which means any dimension."""
     return dimension in (None, "ratio")
 
 
@@ -184,8 +184,8 @@ def parse_symmetric(text: str) -> Quantity | None:
 
 
 def _parts(text: str) -> re.Match[str] | None:
-    """The number, its unit, the uncertainty and the unit of the uncertainty, each None if the text does not contain it; None if the
-    text is not a quantity."""
+    """Splits a text into the number, its unit, the uncertainty and the unit of the uncertainty. A part is None if the text does not
+    contain it. The result is None if the text is not a quantity."""
     return _grammar(max(text, default="") <= "\xff").fullmatch(text) if len(text) <= _MAX_TEXT else None
 
 
@@ -376,8 +376,8 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
 def _width(
     node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
 ) -> tuple[Quantity | None, str]:
-    """The stated standard uncertainty or half-width of a quantity, and its distribution. `misspelt`: places of unknown keys, one of
-    which may be a misspelling of the missing `half_width`."""
+    """The stated standard uncertainty or half-width of a quantity, and its distribution. `misspelt`: positions of unknown keys, one
+    of which may be a misspelling of the missing key `half_width`."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:
@@ -419,7 +419,7 @@ def _degrees(node: Mapping, log: Findings) -> float:
 
 
 def anchored(pattern: str) -> str:
-    """The pattern in a form that must match the whole text, both in JSON Schema and in Python ('$' alone would allow a final line
+    """The pattern in a form that must match the whole text, in JSON Schema as well as in Python ('$' alone would allow a final line
     break)."""
     return rf"^(?:{pattern})$(?!\n)"
 

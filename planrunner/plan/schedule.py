@@ -29,12 +29,12 @@ class Spin:
 
 @dataclass(frozen=True, slots=True)
 class Rock:
-    """Sinusoidal rocking of the table's rings: angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad].
+    """Sinusoidal rocking of the table's rings: angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad], where t is the
+    time since the record began [s].
 
-    The rocking has its full amplitude for `duration` s. `phases` has one entry for each ring, the outermost first. t: time since
-    the record began, s. The rocking fades in during one period before `steady`, and fades out during one period after `steady` +
-    `duration`. `delay`: time at rest at the beginning of the record, s; if it is zero, the rocking fades in before the record
-    begins.
+    The rocking has its full amplitude for `duration` s. It fades in during one period before `steady`, and fades out during one
+    period after `steady` + `duration`. `phases`: one phase for each ring, the outermost first. `delay`: time at rest at the
+    beginning of the record, s; if it is zero, the rocking fades in before the record begins.
     """
 
     amplitude: float
@@ -66,7 +66,8 @@ class Rock:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One move of a cycle: a rotation by `turn` [rad, positive about the axis] from one named position to another."""
+    """One move of a cycle: a rotation by `turn` [rad] from one named position to another; `turn` is positive for a right-handed
+    rotation about the axis."""
 
     start: str
     turn: float

@@ -53,7 +53,7 @@ class Written:
 
 
 class Position(Protocol):
-    """A place in a text, with the fields of a mark of the YAML parser. Lines and columns count from 0."""
+    """A position in a text, with the attributes of a mark of the YAML parser. Lines and columns count from 0."""
 
     @property
     def line(self) -> int: ...
@@ -63,9 +63,10 @@ class Position(Protocol):
 
 
 class _Placed:
-    """A part of a text. `begin`, `end`: the places where the part begins and ends; None for a part that was made in code.
+    """A part of a text.
 
-    Its `mark` is made only when it is needed, because a plan has hundreds of nodes and few of them are named in a finding.
+    `begin`, `end`: the positions at which the part begins and ends; None for a part that was made in code. The attribute `mark` is
+    computed only when it is needed, because a plan has hundreds of nodes and few of them are named in a finding.
     """
 
     __slots__ = ("_begin", "_end", "_written")
@@ -285,8 +286,10 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
 
 @dataclass(slots=True)
 class _Open:
-    """A sequence or mapping whose end has not been read yet. `around`: the nodes before it in the enclosing collection. `before`:
-    number of all nodes before it in the file, where an alias counts as all the nodes that it stands for."""
+    """A sequence or mapping whose end has not been read yet.
+
+    `around`: the nodes in the enclosing collection before this one. `before`: number of all nodes in the file before this one,
+    where an alias counts as all the nodes that it stands for."""
 
     start: yaml.CollectionStartEvent
     around: list[Node]
@@ -381,7 +384,7 @@ class _Builder:
 
     def _put(self, node: Node, anchor: str | None, size: int, inside: int = 0) -> None:
         """Adds a node to the open collection. `size`: number of nodes that it adds, where an alias counts as all the nodes that it
-        stands for. `inside`: number of nodes within it that have already been counted."""
+        stands for. `inside`: number of nodes within this node that have already been counted."""
         self._nodes += 1
         self._written_out += size
         if self._nodes > MAX_NODES:

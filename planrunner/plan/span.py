@@ -31,8 +31,8 @@ class Span:
         return self.end - self.start
 
     def of(self, time: Array, period: float) -> slice:
-        """The slice of `time` that lies in the interval. `time`: ascending times (n,), s. `period`: time between samples, s, or NaN
-        if it is not known."""
+        """The slice of `time` that lies in the interval. `time`: array of shape (n,), ascending times, s. `period`: time between
+        samples, s, or NaN if it is not known."""
         rounding = 0.0 if math.isnan(period) else ROUNDING * period
         first, last = np.searchsorted(time, [self.start - rounding, self.end - rounding], side="left").tolist()
         return slice(first, last)

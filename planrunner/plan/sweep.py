@@ -97,10 +97,10 @@ class StateTraits:
     """Properties of a key of a state in addition to its value.
 
     `swept`: True if the key may be swept with `for_each`. `directed`: True if the sign of the quantity is a direction, so that
-    labels show + as well as −. `decisive`: True if a value that could not be read prevents the checks of the rest of the segment.
-    `replaces`: another key by which the plan can state the same property in another form. A segment has only one of these two keys:
-    setting this key removes an inherited value of the other key. `sweep_example`: an example of a sweep, if the example of one
-    value does not show how to write a sweep.
+    labels show + as well as −. `decisive`: True if the rest of the segment cannot be checked when the value of this key could not
+    be read. `replaces`: another key by which the plan can state the same property in another form. A segment has only one of these
+    two keys: setting this key removes an inherited value of the other key. `sweep_example`: an example of a sweep, if the example
+    of one value does not show how to write a sweep.
     """
 
     swept: bool = False
@@ -244,7 +244,8 @@ def _values(key: SweptKey, node: source.Node, log: Findings) -> tuple[SweepValue
 
 
 def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[object, Mark]]:
-    """The values that one entry of a list gives: two if the entry is a quantity with both signs, none after a finding was added."""
+    """The values that one entry of a list gives. An entry that is a quantity with both signs gives two values; an entry with a
+    finding gives none."""
     if (
         key.quantity is not None
         and isinstance(item, source.Scalar)

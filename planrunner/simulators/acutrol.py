@@ -153,7 +153,7 @@ class Acutrol:
         return bits | (SERVICE if bits else 0)
 
     def _status_word(self, sub: str) -> str:
-        """The status word with this name: `stb` is the status byte; for axis n, `a<n>dyn` describes the motion and `a<n>sft` the
+        """The status word with this name. `stb` is the status byte. For axis n, `a<n>dyn` describes the motion and `a<n>sft` the
         software faults."""
         if sub == "stb":
             return str(self._status())

@@ -16,8 +16,10 @@ FULL_RAMP = 0.0  # asked for where the controller is to go as fast as it can
 
 
 class ChamberPlant:
-    """The air of the virtual chamber in a live world. `alarms`: numbers of the active alarms. `lowest`, `highest`: limits of the
-    measured temperature. Above `highest`, the chamber switches itself off with the alarm `OVER`; below `lowest`, with `UNDER`."""
+    """The air of the virtual chamber in a live world.
+
+    `alarms`: numbers of the active alarms. `lowest`, `highest`: limits of the measured temperature. If the temperature rises above
+    `highest`, the chamber switches itself off with the alarm `OVER`; if it falls below `lowest`, with the alarm `UNDER`."""
 
     OVER, UNDER = 5, 4
 
@@ -70,8 +72,10 @@ class ChamberPlant:
         self.alarms = ()
 
     def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
-        """Starts or ends a disturbance. `stuck`: True if the air keeps its temperature whatever is commanded. `overshoot`:
-        difference by which the air exceeds every setpoint, K. None leaves a disturbance as it is."""
+        """Starts or ends a disturbance. An argument that is None leaves the disturbance unchanged.
+
+        `stuck`: True if the air keeps its temperature whatever is commanded. `overshoot`: difference by which the air exceeds every
+        setpoint, K."""
         self.stuck = self.stuck if stuck is None else stuck
         self.overshoot = self.overshoot if overshoot is None else overshoot
         self._drive()

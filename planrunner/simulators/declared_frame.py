@@ -22,8 +22,8 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @dataclass(frozen=True, slots=True)
 class FieldPlace:
-    """The position and the encoding of a number in a frame. `kind`: number format, such as `i24`, `u16` or `f32`; a value v in
-    `unit` is sent as (v − zero)/scale."""
+    """The position and the encoding of a number in a frame. `kind`: number format, such as `i24`, `u16` or `f32`. A value v in
+    `unit` is sent as the number (v − zero)/scale."""
 
     at: int
     kind: str
@@ -128,8 +128,8 @@ class Alarms:
     set_is_good: bool
 
     def told(self, ails: Collection[str]) -> tuple[int, bytes]:
-        """The position of the status word and its bytes. `ails`: faults of the sensor. A fault affects the bits whose meaning
-        contains its name, or all bits if there are no such bits."""
+        """The position of the status word, and the bytes of the status word. `ails`: faults of the sensor. A fault affects the bits
+        whose meaning contains its name, or all bits if there are no such bits."""
         wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
         high = set(self.bits) - wrong if self.set_is_good else wrong
         return self.at, sum(1 << self.bits[text] for text in high).to_bytes(self.width, self.order)
@@ -139,8 +139,8 @@ class Alarms:
 class DeclaredUnit:
     """The electronics of a sensor that the bench file describes.
 
-    `units`: units of the channels of the virtual sensor. `words`: for each command line, the mode to which it switches. `switch`:
-    function that is called with this mode.
+    `units`: units of the channels of the virtual sensor. `words`: for each command line that the sensor knows, the mode to which it
+    switches. `switch`: function that is called with the new mode.
     """
 
     units: Mapping[str, str]

@@ -20,8 +20,8 @@ UNKNOWN, OUT_OF_RANGE, NOT_READY = "NA:CMD ERR", "NA:DATA OUT OF RANGE", "NA:CHB
 
 
 class EspecP300:
-    """A simulated P300 controller. `address`: address of the chamber on RS-485; messages to other addresses are ignored. None on
-    TCP and RS-232."""
+    """A simulated P300 controller. `address`: address of the chamber on RS-485; messages to other addresses are ignored. On TCP and
+    RS-232, `address` is None."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "T,T,S2,140.0", address: int | None = None):
         self.plant = plant

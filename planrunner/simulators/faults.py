@@ -158,8 +158,8 @@ def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
 class DeclaredFault:
     """A fault with the times at which it begins and ends.
 
-    `begins`, `ends`: s on the bench's clock. `begun`: True if the fault has taken effect. `left`: number of replies that it still
-    affects, None if there is no limit.
+    `begins`, `ends`: s on the bench's clock. `begun`: True if the fault has taken effect. `left`: number of replies that the fault
+    still affects, None if there is no limit.
     """
 
     number: int
@@ -186,8 +186,7 @@ class FaultBoard:
         return self.declared
 
     def clear(self, number: int | None = None) -> None:
-        """Ends the fault with this number, or all faults if none is given. It takes effect immediately, before the planned end of
-        the fault."""
+        """Ends the fault with this number, or all faults if no number is given. The fault ends immediately, before its planned end."""
         for item in self.standing.values():
             if number in (None, item.number):
                 item.ends = float("-inf")

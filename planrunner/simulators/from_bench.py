@@ -29,14 +29,14 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @runtime_checkable
 class DeclaresAxes(Protocol):
-    """Those keys of a table's driver that a simulation needs."""
+    """The keys of a table's driver that a simulation of the table needs."""
 
     axes: Sequence[object]
 
 
 @runtime_checkable
 class DeclaresLine(Protocol):
-    """Those keys of the driver of a sensor on a serial line that a simulation needs."""
+    """The keys of the driver of a sensor on a serial line that a simulation of the sensor needs."""
 
     sample_rate: Quantity
     baud: int

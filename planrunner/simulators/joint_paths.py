@@ -26,7 +26,7 @@ _KEPT = 10.0  # s for which pieces that are over are kept
 
 @dataclass(frozen=True, slots=True)
 class Glide:
-    """A piece of constant acceleration that begins at the time `begin` [s]. angle [rad] and rate [rad/s] are the values at that
+    """A piece of constant acceleration that begins at the time `begin` [s]. `angle` [rad] and `rate` [rad/s] are the values at that
     time."""
 
     begin: float
@@ -48,7 +48,7 @@ class Glide:
 @dataclass(frozen=True, slots=True)
 class Swing:
     """A sine about the angle `centre`. During its first period, the amplitude [rad] changes gradually from `before` to `amplitude`.
-    `zero`: time at which the phase was `phase` [rad], s. `frequency`: in Hz."""
+    `zero`: time at which the sine had the phase `phase` [rad], s. `frequency`: frequency of the sine, Hz."""
 
     begin: float
     centre: float

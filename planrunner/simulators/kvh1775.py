@@ -18,8 +18,9 @@ MODULUS = 128  # of the sequence number
 
 @dataclass(frozen=True, slots=True)
 class Kvh1775:
-    """Makes frames of one format. `format`: A; B, with a time stamp of 4 bytes; or C, with one more floating-point number
-    (temperature or magnetic field)."""
+    """Makes frames of one format.
+
+    `format`: A; B, which adds a time stamp of 4 bytes; or C, which adds a floating-point number (temperature or magnetic field)."""
 
     format: str = "A"
 
@@ -28,8 +29,9 @@ class Kvh1775:
         return _LENGTHS[self.format]
 
     def frames(self, columns: Mapping[str, Values], sequence: Values) -> Bytes:
-        """Makes frames (n, length). `columns`: the values (n,) by name: `gyro_x` … as they are sent (rad or deg, as rate or as
-        angle), `acc_x` … in g, `temperature` in whole degrees or in hundredths, `status`, and for format B `time_stamp`."""
+        """Makes frames (n, length). `columns`: the values (n,) by name. `gyro_x` … are sent unchanged (in rad or deg, as rate or as
+        angle); `acc_x` … are in g; `temperature` is in whole degrees or in hundredths of a degree. `status` and, for format B,
+        `time_stamp` are further columns."""
         count = sequence.size
         parts = [constant(_HEADERS[self.format], count)]
         parts += [floats(columns[f"{name}_{axis}"]) for name in ("gyro", "acc") for axis in "xyz"]

@@ -99,8 +99,8 @@ def _turns(angles: Array) -> Array:
 
 @dataclass(slots=True)
 class VectorNavUnit:
-    """A simulated VectorNav VN-100. `form`: its binary messages. `text`: the kind of text line that it sends instead of these, or
-    nothing. Neither form contains a status."""
+    """A simulated VectorNav VN-100. `form`: its binary messages. `text`: the kind of text line that the sensor sends instead of
+    binary messages; empty if it sends binary messages. Neither binary messages nor text lines contain a status."""
 
     outputs: Outputs
     form: vectornav.VectorNav

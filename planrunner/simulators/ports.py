@@ -222,8 +222,8 @@ _BUFFERED = 0.25  # s of the wall that the sensor's own buffer holds
 
 @dataclass(slots=True)
 class LineCounts:
-    """Counts on a serial line: frames that the sensor offered; complete frames that it dropped because the line is too slow; bytes
-    that were dropped because nobody read them."""
+    """Counts on a serial line: the frames that the sensor offered; the complete frames that the line dropped because it is too
+    slow; and the bytes that were dropped because nobody read them."""
 
     frames: int = 0
     frames_dropped: int = 0

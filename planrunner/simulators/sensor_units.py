@@ -26,8 +26,8 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class SensorUnit(Protocol):
-    """The electronics of a sensor, between its samples and its line. `ails`: faults (`overload`, `self-test`) that its status
-    reports, as far as its frames can show them."""
+    """The electronics of a sensor, between its samples and its line. `ails`: faults of the sensor (`overload`, `self-test`), which
+    its status reports as far as its frames can show them."""
 
     ails: frozenset[str]
 

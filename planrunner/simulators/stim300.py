@@ -39,7 +39,8 @@ INTERNAL_RATE = 2000.0  # Hz, what the counter counts
 class Stim300:
     """The configuration of a STIM300.
 
-    `acceleration_range`: in g. `increments`: True if outputs are angles instead of rates. `crlf`: True if CR LF ends a datagram.
+    `acceleration_range`: range of the accelerometers, g. `increments`: True if outputs are angles instead of rates. `crlf`: True if
+    CR LF ends a datagram.
     """
 
     datagram: int = 0xA7
@@ -57,7 +58,7 @@ class Stim300:
 
         `columns`: the values (n,) by name: `gyro_x` … in deg/s (in deg for increments); `acc_x` … and `incl_x` … in g; `gyro_T_x` …
         in degC; `pps` or `aux` as raw numbers; `gyro_status` and other status bytes where they are not zero. `counter`: array of
-        shape (n,), number of internal samples. `latency`: in µs.
+        shape (n,), number of internal samples. `latency`: latency in µs.
         """
         clusters, warm, extra = DATAGRAMS[self.datagram]
         count = counter.size

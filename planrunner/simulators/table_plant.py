@@ -21,9 +21,9 @@ class Axis:
     """One axis, and what its controller has stored about it.
 
     `model`: the limits of the axis itself. `lowest`, `highest`: limits of the angles that can be demanded, rad; demands beyond them
-    are limited. `trip`: rate [rad/s] above which the axis is switched off. `tracking`: following error [rad] above which it is
-    switched off. `aim`: the angle that was demanded last. `faults`: faults that have ended the motion of the axis and have not been
-    reset.
+    are limited. `trip`: rate [rad/s] above which the axis is switched off. `tracking`: following error [rad] above which the axis
+    is switched off. `aim`: the angle that was demanded last. `faults`: faults that have ended the motion of the axis and have not
+    been reset.
     """
 
     model: TableAxis

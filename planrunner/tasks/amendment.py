@@ -29,7 +29,7 @@ class Amendment:
     """An amendment of the evaluation of a run.
 
     `by`: the person who makes the amendment. `why`: the reason. `plan`: a plan with other estimates or limits; None to use the plan
-    of the run. `amends`: number of the analysis to amend; by default, the newest.
+    of the run. `amends`: number of the analysis that is amended; by default, the newest.
     """
 
     by: str

@@ -67,8 +67,8 @@ def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
 
 
 def ring_of_run(rule: ApprovalRule, kept: KeptApprovals, bench_file: Path | None) -> RingFile:
-    """The key ring with which a run is continued. The bench names this ring; the run folder does not contain it. `bench_file`: file
-    of a bench that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
+    """The key ring with which a run is continued. The bench names this ring; the run folder does not contain it. `bench_file`: a
+    bench file that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
     return _ring(rule, Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys)
 
 
@@ -94,7 +94,7 @@ def _ring(rule: ApprovalRule, path: Path) -> RingFile:
 
 @dataclass(frozen=True, slots=True)
 class _Reason:
-    """How a finding reports the reason why an approval does not count.
+    """How a finding states the reason why an approval does not count.
 
     `code`: code of the finding. `hint`: what to do. `key`: the key of the bench's rule for approvals that the reason concerns, if
     any.
@@ -130,7 +130,7 @@ def required_approvals(
     """The approval data that the run folder must keep. Returns None if the bench requires no approvals, or if approvals are
     missing; in the second case, findings give the reasons.
 
-    The approvals are read from the folder next to the plan file, and the key ring from its place next to the bench file. `moment`:
+    The approvals are read from the folder of the plan file, and the key ring from the file that the bench file names. `moment`:
     time at which the plan is to run, with a time zone.
     """
     rule = bench.approvals
@@ -236,9 +236,9 @@ def still_approved(
     """The approvals that were added since the run began or was last continued, as entries for its journal. Raises `InputError` if
     too few approvals count today.
 
-    `bench_file`: file of a bench that replaces the one in the run folder. `further`: plan file next to which there are approvals
-    that were given after the run began. If it is not given, only the approvals with which the run began or was continued can count.
-    An approval does not count if it has expired or been withdrawn in the meantime, or if its key has been revoked.
+    `bench_file`: a bench file that replaces the one in the run folder. `further`: plan file; approvals that were given after the
+    run began are read from the folder of this file. Without `further`, only the approvals with which the run began or was continued
+    can count. An approval does not count if it has expired or been withdrawn in the meantime, or if its key has been revoked.
     """
     rule = bench.approvals
     if rule is None:

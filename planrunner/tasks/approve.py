@@ -48,8 +48,8 @@ _ANYBODY = ApprovalRule(keys="", author_may_approve=True)
 @dataclass(frozen=True, slots=True)
 class PreparedApproval:
     """The content of an approval before it is signed. `sound`: the checked plan on each bench. `last`: the newest approval of a
-    plan with another meaning, with the difference from the present plan; None if there is no such approval or its text is not
-    available."""
+    plan with another meaning, with the difference between that plan and the present one; None if there is no such approval or its
+    text is not available."""
 
     plan: Path
     what: Approved
@@ -60,7 +60,7 @@ class PreparedApproval:
 @dataclass(frozen=True, slots=True)
 class BenchApprovals:
     """The approvals of a plan on one bench. `rule`: the bench's rule for approvals; None if the bench requires none. `met`: True if
-    the approvals meet the rule."""
+    the approvals fulfil the rule."""
 
     bench: str
     rule: ApprovalRule | None
@@ -74,8 +74,8 @@ def prepare(
     """Prepares an approval of a plan. `benches`: names of shipped benches or bench files; by default, the bench that the plan
     names. `until`: last day on which the approval is valid.
 
-    `foresee`: True to compute the consequences of the difference from the last approved version, too. Raises `InputError` for a
-    plan that does not pass its checks on every bench, and for a day in the past.
+    `foresee`: True to compute also what follows from the difference between the plan and the last approved version. Raises
+    `InputError` for a plan that does not pass its checks on every bench, and for a day in the past.
     """
     document = Document(source.read_bytes(plan), str(plan))
     sound = tuple(check_plan(document, bench).sound() for bench in benches or (None,))

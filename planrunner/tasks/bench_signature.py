@@ -89,7 +89,7 @@ def sign_analysis(
     signed or does not need a signature.
 
     The bench signs an analysis only if it also signed the seal. The signed seal guarantees that the samples are those that the
-    bench recorded. `elsewhere`: True if another computer computed the results, which the bench then does not sign.
+    bench recorded. `elsewhere`: True if another computer computed the results; the bench then does not sign them.
     """
     public = key_of(bench)
     if public is None or not reader.sealed:

@@ -233,7 +233,7 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
     """The reason why a run cannot be the one before the adjustment: it is the certified run itself, or it was made with another
-    item. None if it can."""
+    item. None if neither is the case."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"
         hint = "give the run of the same item before its adjustment"

@@ -49,8 +49,8 @@ HOPELESS = 1e6
 @dataclass(slots=True)
 class Checked:
     """The result of checking a plan: the plan and the bench, as far as they could be read, and the findings. `plan_bytes`,
-    `bench_bytes`: the exact bytes that were read; in the plan, the values given for parameters have been entered. `approvals`: the
-    approvals that the bench requires; None if it requires none or if the plan lacks them."""
+    `bench_bytes`: the exact bytes that were read; the plan already contains the values that were given for its parameters.
+    `approvals`: the approvals that the bench requires; None if it requires none or if the plan lacks them."""
 
     file: str
     findings: Findings
@@ -88,9 +88,9 @@ class Checked:
 
     @property
     def portable(self) -> bool:
-        """Whether the check would give the same result on another computer today. Another computer has no signing key, may have
-        other runs and another time, and may lack files. The result is therefore not portable if the bench signs its runs, has a
-        check standard or requires approvals, or if the check found an error."""
+        """Returns True if the check would give the same result on another computer today. Another computer has no signing key, may
+        have other runs and another time, and may lack files. The result is therefore False if the bench signs its runs, has a check
+        standard or requires approvals, or if the check found an error."""
         bench = self.bench
         if bench is None or not self.ok:
             return False
@@ -369,7 +369,7 @@ def _check_estimate(
 
 
 def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
-    """Groups the outputs for which the same was found; the outputs in each group keep their order."""
+    """Groups the outputs with equal findings; the outputs in each group keep their order."""
     groups: dict[tuple[object, ...], list[Identifiability]] = {}
     for one in judged:
         what = (one.rank, one.columns, f"{one.condition:.3g}", one.unidentifiable, one.explanation)
@@ -378,7 +378,7 @@ def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
 
 
 def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findings) -> None:
-    """Adds one finding for a group of outputs for which the same was found, if this requires a finding."""
+    """Adds one finding for a group of outputs, if what was found for them requires a finding."""
     judged, names = alike[0], [one.output for one in alike]
     outputs = f"output {names[0]}" if len(names) == 1 else f"outputs {', '.join(names[:-1])} and {names[-1]}"
     if not judged.sound:

@@ -111,7 +111,7 @@ def _require_named(bench: Bench, rule: CheckStandardRule, override: Override) ->
 
 
 def shown_name(override: JsonObject) -> str:
-    """The person who gave an override, as run.json names the person, and whether this name is authenticated."""
+    """Returns the name of the person who gave an override, as run.json states it, and True if this name is authenticated."""
     name = str(override["by"])
     return name if "signature" in override else f"{name} (name not authenticated)"
 

@@ -123,9 +123,9 @@ def check_suite(
 ) -> CheckedSuite:
     """Makes all checks of a suite before a night. It raises no error, whatever the files contain.
 
-    `at`: the local time from which on the night may begin, in the time zone of the suite (ISO 8601); by default, now. `workers`:
-    processes that share the checks of the plans; by default, processes on this computer. `archive`: folder with the runs of the
-    check standards; if it is not given, the state of the check standards is not checked.
+    `at`: the earliest local time at which the night may begin, in the time zone of the suite (ISO 8601); by default, now.
+    `workers`: processes that share the checks of the plans; by default, processes on this computer. `archive`: folder with the runs
+    of the check standards; if it is not given, the state of the check standards is not checked.
     """
     checked = CheckedSuite(file.shown if isinstance(file, Document) else str(file), Findings())
     log = checked.findings
@@ -276,14 +276,14 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
 
 
 def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
-    """A finding about a plan, to which the values of the plan's parameters are added because the finding does not occur with other
-    values."""
+    """A finding about a plan with the values of the plan's parameters added to its text. They are added because the finding does
+    not occur with other values."""
     values = ", ".join(f"{name} = {value}" for name, value in test.parameter_values.items())
     return replace(finding, message=f"{finding.message} (with {values})")
 
 
 def _plan_of(test: PlannedTest) -> Mark:
-    """The place where the suite file names the plan of a test."""
+    """The position at which the suite file names the plan of a test."""
     return test.mark if test.standard else test.plan.at("plan")
 
 

@@ -45,7 +45,7 @@ _OTHER_SEED = 0x5EED
 
 
 class Ending(Enum):
-    """Why `close` ended, in words."""
+    """Why `close` ended, in words for the user."""
 
     NOTHING_LEFT = "noise alone explains the remaining gap"
     NO_NAME = "the catalogue does not contain the cause of the remaining gap"
@@ -113,7 +113,7 @@ def computed_from_recording(recorded: Recorded, simulation: str | None) -> bool:
 
 
 def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: StopRequest) -> tuple[Observed, Observed]:
-    """The samples from two runs of the plan on the virtual bench, without and with effects."""
+    """The samples from two runs of the plan on the virtual bench, one without and one with the effects."""
     base, grounds = _base(made.recorded, simulation), made.diagnosis.grounds
     stated = as_planned(stated, grounds.weighing.observed, base.schedule.segments)
     absent, mark = _absent(grounds.nominal, stated), Mark(made.recorded.where)
@@ -126,9 +126,9 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 
 
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
-    """Two simulations for the recorded motion, without and with effects. Each simulation has its own white noise and is rounded to
-    counts. The noise levels and counts are those of the recording. If an effect changes the noise or the count of a channel, the
-    simulation without effects uses the declared value of the channel instead."""
+    """Two simulations for the recorded motion, one without and one with the effects. Each simulation has its own white noise and is
+    rounded to counts. The noise levels and counts are those of the recording. If an effect changes the noise or the count of a
+    channel, the simulation without effects uses the declared value of the channel instead."""
     from planrunner.error_model.added import stuck
     from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
@@ -160,7 +160,7 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
 
 
 def _of_counts(seen: Observed, values: Array, counts: Array) -> Observed:
-    """The recording `seen` with its samples replaced by (N, K) other samples, and the resolution of its channels replaced by the
+    """The recording `seen` with its samples replaced by other samples (N, K), and the resolution of its channels replaced by the
     counts (K,)."""
     channels = zip(seen.channels, counts.tolist(), strict=True)
     return replace(seen, values=values, channels=tuple(replace(one, resolution=count) for one, count in channels))

@@ -88,7 +88,7 @@ def _find(segments: Sequence[Segment], label: str | None) -> Segment:
 
 
 def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:
-    """The cycle; all its rotations are reversed if `sign` is −1."""
+    """Returns the cycle. If `sign` is −1, all its rotations are reversed."""
     return replace(cycle, turns=tuple(sign * turn for turn in cycle.turns))
 
 

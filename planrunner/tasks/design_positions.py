@@ -346,8 +346,8 @@ class _Designer:
 
 
 def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
-    """The plan with other orientations, which are given as attitudes (3, 3) by their places in the plan's text. The result contains
-    the schedule of this plan, with the real transition times, and the information for the plan's estimates. Raises
+    """The plan with other orientations, which are given as attitudes (3, 3) by their positions in the plan's text. The result
+    contains the schedule of this plan, with the real transition times, and the information for the plan's estimates. Raises
     `EstimationError` if the bench cannot execute this plan."""
     assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
     new = {

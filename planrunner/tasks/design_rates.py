@@ -70,7 +70,8 @@ def design_rates(checked: Checked, asked: Asked, bench: str | None = None, worke
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """One sweep over rates: its segments, and all segments that the estimate uses. `mark`: (line, column) where the rates begin."""
+    """One sweep over rates: its segments, and all segments that the estimate uses. `mark`: pair (line, column) of the position at
+    which the rates begin."""
 
     name: str
     mark: tuple[int, int]

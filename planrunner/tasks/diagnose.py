@@ -72,8 +72,8 @@ class Recorded:
 class Diagnosed:
     """A diagnosis with its recording, findings about the recording, and a proposal of what to measure next. The proposal is None if
     no question is open. `declarations`: wrong declarations that were corrected before the diagnosis. `stated`: maps each effect
-    that is known to act to the stated values of its parameters; a value stated without a name has the key '' and applies to the
-    only parameter, or to all amplitudes."""
+    that is known to act to the stated values of its parameters. A value that is stated without a parameter name has the key ''; it
+    applies to the only parameter, or to all amplitudes."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -132,8 +132,9 @@ def diagnose_recorded(
 
     `options`: options of the diagnosis; by default, those in the plan. `jobs`: number of threads for linear algebra; more than one
     rarely helps, because the systems are small. `notice`: receives the progress of reading. `given`: effects that are known to act.
-    `EFFECT` is fitted; `EFFECT=VALUE` and `EFFECT=NAME:VALUE,NAME:VALUE…` are subtracted from the samples. The gap that remains
-    after this is diagnosed. Raises `InputError` with all obstacles to a diagnosis.
+    `EFFECT` in this list means that the effect is fitted. `EFFECT=VALUE` and `EFFECT=NAME:VALUE,NAME:VALUE…` mean that the effect
+    with these values is subtracted from the samples. The diagnosis is about the gap that remains after this. Raises `InputError`
+    with all obstacles to a diagnosis.
     """
     from threadpoolctl import threadpool_limits
 
@@ -237,8 +238,8 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
 
 
 def _noise(found: Diagnosis) -> dict[Sense, float]:
-    """White noise of the gyros and of the accelerometers in the units of `Grade.quietest`: the median over the channels of the
-    declared noise or, for a channel without a declaration, of the measured noise."""
+    """White noise of the gyros and of the accelerometers, in the units of `Grade.quietest`. It is the median, over the channels, of
+    the declared noise; for a channel without a declaration, the measured noise is used."""
     import math
 
     from planrunner.bench.specification import Sense

@@ -71,7 +71,7 @@ class RunVerdict:
 
     `plan`: title of the plan. `sensor`: kind of the sensor. `effects`: the effects that the verdict names. `members`: the effects
     that the plan cannot distinguish; a set of effects is written as 'a+b'. `probability`: maps each set of effects to its
-    probability. `shapes`: maps each effect to its best shape, in the unit of the shape, and the evidence for this shape in nats.
+    probability. `shapes`: maps each effect to its best shape, in the unit of the shape, and to the evidence for this shape in nats.
     `origin`: whether the samples are measured, simulated or played back.
     """
 
@@ -90,8 +90,8 @@ class RunVerdict:
 @dataclass(frozen=True, slots=True)
 class Attributed:
     """One amplitude, and the sources to which it is attributed. `runs`: indices of the n runs that determine the amplitude.
-    `values`, `standard_uncertainties`: shape (n,), the amplitude and its standard uncertainty in each of these runs, in the unit of
-    `key`."""
+    `values`, `standard_uncertainties`: arrays of shape (n,), the amplitude and its standard uncertainty in each of these runs, in
+    the unit of `key`."""
 
     key: AmplitudeKey
     runs: tuple[int, ...]
@@ -119,7 +119,7 @@ class FleetDiagnosis:
 
     @property
     def origin(self) -> DataOrigin:
-        """The origin of the samples of all runs: simulated if those of at least one run are simulated."""
+        """The origin of the samples of all runs. It is simulated if the samples of at least one run are simulated."""
         found = {one.origin for one in self.verdicts}
         return next(one for one in ("simulated", "replayed", "measured") if one in found)
 
@@ -430,9 +430,9 @@ def _opened(run: Path) -> _Opened:
 
 
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
-    """Every run with the names of its device, bench and occasion; for a run without a result, the obstacles. The names come from
-    the run folder and from the user's table, which takes precedence. `skip`: see `_attempted`. Raises `InputError` for a run that
-    is given twice and for a table with errors; without `skip`, also for all obstacles."""
+    """Returns every run with the names of its device, bench and occasion. For a run without this result, the obstacles are returned
+    instead. The names come from the run folder and from the user's table, which takes precedence. `skip`: see `_attempted`. Raises
+    `InputError` for a run that is given twice and for a table with errors; without `skip`, also for all obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):
@@ -459,8 +459,8 @@ def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[Ru
 
 
 def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several: Set[str]) -> RunOrigin | Obstacles:
-    """The run with the names of its device, bench and occasion; or the obstacles to determining them. `several`: names of benches
-    that have had different tables; the name of the table is appended to these."""
+    """Returns the run with the names of its device, bench and occasion; or the obstacles to determining these names. `several`:
+    names of benches that have had different tables; the name of the table is appended to these."""
     info = opened.run.get("info", {})
     table = f" (table {opened.table or 'without a number'})" if opened.bench in several else ""
     device = stated.get(Source.DEVICE) or device_of(info)
@@ -517,8 +517,8 @@ def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[
 
 
 def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obstacles:
-    """The result of calling `make` for a run, or the obstacles that it reports. A changed run folder is an obstacle if `skip` is
-    True; otherwise it raises an error."""
+    """The result of calling `make` for a run, or the obstacles that it reports. If `skip` is True, a changed run folder is an
+    obstacle; otherwise an error is raised for it."""
     from planrunner.observation.refusals import ObservationError
 
     try:

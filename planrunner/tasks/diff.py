@@ -118,7 +118,7 @@ def _plan(data: bytes, shown: str) -> Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """One side of the comparison: a plan and its bench. `missing`: the reason if `bench` is None."""
+    """One side of the comparison: a plan and its bench. `missing`: the reason why `bench` is None."""
 
     plan: Plan
     bench: Bench | None
@@ -203,8 +203,8 @@ def _facts(one: RunReader, other: RunReader) -> list[Fact]:
 
 
 def _conditions(one: Sequence[Mapping[str, object]], other: Sequence[Mapping[str, object]]) -> list[Fact]:
-    """Measured conditions in which two runs differ. For each kind of reading, these are the values in the segment with the largest
-    difference; in addition, the lost data."""
+    """Measured conditions in which two runs differ. For each kind of reading, the values in the segment with the largest difference
+    are given. The lost data are given, too."""
     found = []
     pairs = {str(item["label"]): item for item in other}
     largest: dict[str, tuple[float, str, float, float]] = {}

@@ -29,8 +29,8 @@ from planrunner.tasks.approvals import ring_of
 class EvaluationApproval:
     """Whether approvals cover the evaluation of one analysis.
 
-    `analysis`: number of the analysis. `covered`: True if approvals cover its evaluation. `words`: who approved it, or why it is
-    not covered. `fault`: what was changed; empty if nothing was.
+    `analysis`: number of the analysis. `covered`: True if approvals cover its evaluation. `words`: who approved the evaluation, or
+    why no approval covers it. `fault`: description of what was changed; empty if nothing was changed.
     """
 
     analysis: int

@@ -23,8 +23,8 @@ RUNS_FORMAT = 1
 class RunList:
     """A list of runs.
 
-    `runs`: the runs that pass the filter, the newest first. `total`: number of such runs, not limited by the length of the list.
-    `faults`: folders that could not be read and are therefore not in the index.
+    `runs`: the runs that pass the filter, the newest first. `total`: number of runs that pass the filter, also those beyond the end
+    of the list. `faults`: folders that could not be read and are therefore not in the index.
     """
 
     runs: tuple[RunRow, ...]

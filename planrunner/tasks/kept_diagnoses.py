@@ -35,8 +35,8 @@ _KEY = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True, slots=True)
 class KeptDiagnoses:
-    """The folder of stored results. `folder`: None if there is no folder that only the user can change; in that case, no results
-    are stored."""
+    """The folder of stored results. `folder`: path of the folder; None if there is no folder that only the user can change. In that
+    case, no results are stored."""
 
     folder: GuardedFolder | None
 

@@ -122,8 +122,7 @@ def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) 
 
 
 def _renumbered(name: str, seen: Sequence[tuple[float, ...]], planned: Sequence[tuple[float, ...]]) -> str:
-    """A name such as `orientation_3_x`, in which the number is replaced by the number of the same orientation among the planned
-    ones."""
+    """Replaces the number in a name such as `orientation_3_x` by the number of the same orientation among the planned ones."""
     word, number, axis = name.split("_")
     place = seen[int(number) - 1]
     return name if place not in planned else f"{word}_{planned.index(place) + 1}_{axis}"

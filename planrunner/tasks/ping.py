@@ -23,8 +23,9 @@ TIMES = 3
 class Ping:
     """The answer of one instrument of a bench.
 
-    `identity`, `readings`: as the instrument reports them. `faults`: reasons why the instrument could not be used now.
-    `round_trip`: time from question to answer, s. `failure`: the reason why the instrument could not be asked; empty if it could.
+    `identity`, `readings`: identity and readings as the instrument reports them. `faults`: reasons why the instrument could not be
+    used now. `round_trip`: time from question to answer, s. `failure`: the reason why the instrument could not be asked; empty if
+    it answered.
     """
 
     name: str

@@ -31,8 +31,8 @@ class Proof:
 
     `verdict`: `identical` if all bits of every number are equal; `within tolerance` is possible only if other versions computed the
     stored results. `largest`: the largest change of a value or of a standard uncertainty, in units of the stored standard
-    uncertainty (∞ if something is missing), with the name of the coefficient. `changed`: the versions that differ, as (stored,
-    now); `stored` is None if the analysis does not state the version.
+    uncertainty (∞ if something is missing), with the name of the coefficient. `changed`: the versions that differ, each as a pair
+    (stored, now). `stored` is None if the analysis does not state the version.
     """
 
     analysis: int
@@ -56,7 +56,7 @@ def prove(run: Path, number: int | None = None, notice: Announce | None = None, 
     """Recomputes an analysis of a run, by default the newest one, with the settings of the analysis. Nothing is written. `workers`:
     processes that share the Monte Carlo draws.
 
-    Raises `InputError` if the run does not have this analysis, and `IntegrityError`.
+    Raises `InputError` if the run does not have this analysis, and `IntegrityError` if a file of the run was changed.
     """
     reader = RunReader.open(run)
     analysis = chosen_analysis(run, reader.analyses, number)

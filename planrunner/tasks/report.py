@@ -130,14 +130,14 @@ def _approvals(reader: RunReader) -> dict[str, str]:
 
 
 def _minute(moment: str, before: str = "") -> str:
-    """A time in ISO 8601 in the form `2026-03-01 08:11`, without the date if `before` has the same date."""
+    """A time in ISO 8601 in the form `2026-03-01 08:11`. The date is omitted if the time `before` has the same date."""
     text = moment[:16].replace("T", " ")
     return text[11:] if before[:10] == moment[:10] else text
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
-    """The provenance of the results: times, digests and versions of the run; also those of the analysis where they differ.
-    `seeded`: True if the seed of the run had an effect."""
+    """The provenance of the results: times, digests and versions of the run, and those times, digests and versions of the analysis
+    that differ from them. `seeded`: True if the seed of the run had an effect."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}

@@ -73,8 +73,8 @@ class Analysis:
     """An analysis of a run: its folder and its results.
 
     `withheld`: reasons why certificates that the plan requests were not written. `remarks`: notes about the run folder. `before`:
-    number of the previous analysis, if there is one. `same`: True if its numbers are equal to those of the previous analysis.
-    `unsigned`: the reason why the bench did not sign the analysis although it should have; empty otherwise.
+    number of the previous analysis, if there is one. `same`: True if the numbers of this analysis are equal to those of the
+    previous analysis. `unsigned`: the reason why the bench did not sign the analysis although it should have; empty otherwise.
     """
 
     folder: Path
@@ -94,7 +94,7 @@ class Evaluated:
 
     `bench`: the bench of the run, which signs the analysis if it signs its runs. `basis`: the state of journal and seal that the
     analysis is based on. `files`: maps the name of each file to its contents. `reports`: names of the files that are reports. The
-    other attributes are the same as in `Analysis`.
+    other attributes have the same meaning as in `Analysis`.
     """
 
     run: Path
@@ -572,7 +572,7 @@ class _Made:
 
 
 def _evaluated(reader: RunReader, plan: Document) -> Sound:
-    """The checked plan and bench of a run, in which the plan is replaced by one with other estimates or limits. Raises `InputError`
+    """The checked plan and bench of a run, where the plan is replaced by a plan with other estimates or limits. Raises `InputError`
     if this plan differs from the plan of the run in anything else."""
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     bench = Document(reader.bench_bytes, str(reader.path / "bench.yaml"))

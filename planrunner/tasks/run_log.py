@@ -41,7 +41,7 @@ class LogVerification:
     """The result of the verification of a log.
 
     `content`: entries of the log; None if the log cannot be read. `signed`: the signed tree head in the log, if any. `findings`:
-    errors are changes; all other findings are remarks.
+    errors are changes to the log or to runs; all other findings are remarks.
     """
 
     path: Path
@@ -120,8 +120,8 @@ def verify_log(
     ring: KeyRing | None = None,
     remembered: Mapping[str, RememberedHead] | None = None,
 ) -> LogVerification:
-    """Verifies a log against its own tree head. If they are given, also verifies it against tree heads that were noted earlier (by
-    the name of the file) and against the runs of the archive."""
+    """Verifies a log against its own tree head. Optionally, the log is also verified against tree heads that were noted earlier (by
+    the name of the file), and against the runs of the archive."""
     found = LogVerification(log.path)
     try:
         content = found.content = log.read()
@@ -163,8 +163,8 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
 class _History:
     """The entries of the log about one run.
 
-    `begun`: True if the run was made in this archive. `journals`: maps each number of events that the journal had when an entry was
-    made to the digest of the last of these events. `seals`: SHA-256 of each seal of the run.
+    `begun`: True if the run was made in this archive. `journals`: for each entry in the log, maps the number of events that the
+    journal had at that time to the digest of the last of these events. `seals`: SHA-256 of each seal of the run.
     """
 
     begun: bool = False
