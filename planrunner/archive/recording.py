@@ -105,10 +105,11 @@ class Find:
     """Samples of a segment that are faulty or suspect.
 
     `channel`: name of the channel; empty if all channels are affected. `first`: index of the first row in the segment, counted from
-    0. `rows`: number of rows. `time`: time of the first row, s. `seconds`: duration of the faulty or suspect samples. `size`:
+    zero. `rows`: number of rows. `time`: time of the first row, s. `seconds`: duration of the faulty or suspect samples. `size`:
     largest distance from the surrounding samples, in the channel's unit; for a stuck or clipped stretch, the value of its samples;
     for lost samples, their number. `noise`: standard deviation of the surrounding samples in the channel's unit; NaN if unknown.
-    `before`, `after`: levels of the signal before and after these samples, in the channel's unit. `count`: number of findings that this finding represents. `bad`: True if the screening excludes the samples.
+    `before`, `after`: levels of the signal before and after these samples, in the channel's unit. `count`: number of findings that
+    this finding represents. `bad`: True if the screening excludes the samples.
     """
 
     kind: FindKind
