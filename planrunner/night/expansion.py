@@ -34,8 +34,9 @@ class PlannedTest:
     `name`: unique name of the test, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. `entry`: name of the
     plan in the suite file. `matrix`: run information from the matrix. `parameters`: values for parameters of the plan.
     `information`: all run information that the suite gives for the test, whether or not the plan asks for it. `after`: indices of
-    the tests that must have ended before this test begins. `needs`: indices of the tests that must have passed before it begins.
-    `mark`: place in the suite file that causes the test. `standard`: True if the test measures the check standard of its bench.
+    the tests that must have ended before this test begins. `needs`: indices of the tests that must have passed before this test
+    begins. `mark`: position in the suite file that causes the test. `standard`: True if the test measures the check standard of its
+    bench.
     """
 
     index: int
@@ -88,7 +89,7 @@ def expand_suite(
     suite: Suite, folder: Path, log: Findings, standards: Mapping[str, StandardFirst] = MappingProxyType({})
 ) -> tuple[PlannedTest, ...]:
     """Makes the tests of a suite: first those that measure check standards, then the others in the order of the file. `folder`:
-    folder of the suite. `standards`: maps each bench to its check standard, if the check standard is measured first. Unknown names,
+    folder of the suite. `standards`: maps each bench whose check standard is measured first to this check standard. Unknown names,
     plans that wait for each other, and plans without a test become findings."""
     before = log.raised
     _check_names(suite, log)
@@ -203,9 +204,9 @@ def _combinations(choices: Mapping[str, Sequence[_Value]]) -> Iterator[dict[str,
 def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
-    """The tests of other plans for which a test waits. For each of these plans, these are the tests with the same device and bench;
-    if there are none, the tests with the same device; otherwise all tests of the plan. `groups`: maps (plan,), (plan, device) and
-    (plan, device, bench) to the tests with these properties."""
+    """The tests of other plans for which a test waits. For each of these plans, the test waits for the tests with the same device
+    and bench; if there are none, for the tests with the same device; otherwise for all tests of the plan. `groups`: maps (plan,),
+    (plan, device) and (plan, device, bench) to the tests with these properties."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
         here, of_device = groups.get((entry, test.device, test.bench)), groups.get((entry, test.device))

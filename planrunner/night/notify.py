@@ -33,7 +33,7 @@ def wanted(entry: Notification, exit_code: int) -> bool:
 
 
 def send(entry: Notification, night: JsonObject, environment: Mapping[str, str]) -> None:
-    """Sends one notification. Raises `NotificationError`."""
+    """Sends one notification. Raises `NotificationError` if the notification cannot be sent."""
     if entry.email:
         _mail(entry, night, environment)
     else:

@@ -240,7 +240,8 @@ def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs
 
 
 def _change(one: ChangePoint, places: Sequence[int]) -> Json:
-    """A change of level as JSON data. before, after: positions in the series of the values between which the level changed."""
+    """A change of level as JSON data. `before`, `after`: positions, in the series, of the last value before the change and of the
+    first value after it."""
     return {
         "before": places[one.index - 1],
         "after": places[one.index],

@@ -1,6 +1,7 @@
 """The suite as data: which plans run in a night, on which devices and benches, when, and what happens after a failure.
 
-These records are the single source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`, as for plans and benches.
+As for plans and benches, the code that reads suites, the JSON Schema in `schemas/` and the key reference in `docs/` are all derived
+from these records.
 """
 
 from __future__ import annotations

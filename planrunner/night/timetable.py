@@ -92,8 +92,8 @@ class WarmUp:
 class _Test:
     """The state of a test in a night.
 
-    `since`: the earliest instant at which the test may begin. `pending`: number of tests that must end before it begins. `failed`:
-    how its last attempt ended, if the test waits for a repetition.
+    `since`: the earliest instant at which the test may begin. `pending`: number of tests that must end before this test begins.
+    `failed`: how the last attempt of the test ended, if the test waits for a repetition.
     """
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
@@ -108,12 +108,11 @@ class _Test:
 class _Bench:
     """The state of a bench during a night.
 
-    `warm_at`: instant at which its last warm-up ended. `last_used`: instant at which its last test ended. `stopped`: the reason why
-    no further test begins on the bench; empty if there is none.
-
-    `ready`: maps each device to its tests that now wait only for the bench, the device and the hours, in the order of the suite.
-    `first`: a heap with the first such test of each device. `longest`: two heaps of the waiting tests, with and without a warm-up,
-    as (−planned seconds, test). An entry of a heap that is no longer valid is removed when it reaches the top.
+    `warm_at`: instant at which the last warm-up of the bench ended. `last_used`: instant at which the last test on the bench ended.
+    `stopped`: the reason why no further test begins on the bench; empty if there is none. `ready`: for each device, the tests that
+    now wait only for the bench, the device and the hours, in the order of the suite. `first`: a heap with the first of these tests
+    of each device. `longest`: two heaps of the waiting tests, one of tests that need a warm-up and one of tests that need none. An
+    entry is the pair (−planned seconds, test). An entry of a heap that is no longer valid is removed when it reaches the top.
     """
 
     running: int | None = None
@@ -183,7 +182,7 @@ class NightCourse:
             bench.warm_at = None
 
     def ended(self, test: int, at: float, ending: EndOfTest) -> bool:
-        """Records that a running test has ended. Returns True if the test will not be repeated, so that this end is its result."""
+        """Records that a running test has ended. Returns True if the test will not be repeated, so that its result is final."""
         planned, state = self.tests[test], self._tests[test]
         bench = self._benches[planned.bench]
         bench.running, bench.last_used = None, at
@@ -209,8 +208,8 @@ class NightCourse:
         self._benches[self.tests[test].bench].running = None
 
     def abandon(self, test: int) -> EndOfTest | None:
-        """Records that a waiting test will not run. Returns how the last attempt ended if the test waited for a repetition; this is
-        then its result."""
+        """Records that a waiting test will not run. If the test waited for a repetition, returns how its last attempt ended, which
+        is then the result of the test."""
         self._withdraw(test)
         state = self._tests[test]
         state.state, state.ending = "not run" if state.failed is None else "ended", state.failed
@@ -450,7 +449,7 @@ def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A period of time in which a bench is occupied by a test, or by a warm-up if `test` is None."""
+    """A period of time in which a bench is occupied by a test; if `test` is None, by a warm-up."""
 
     bench: str
     begins: float

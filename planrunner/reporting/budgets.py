@@ -17,7 +17,7 @@ def budget_views(estimate: Estimate) -> list[JsonObject]:
 
     Each budget has the keys {coefficient, unit, headline, lines, standard, freedom, factor, expanded}; each of its lines has
     {quantity, kind, value, standard, unit, distribution, freedom, sensitivity, contribution, share, source, added}. All values
-    except `headline` and `added` are text. A share is a percentage of the combined variance; the shares of a budget add up to 100
+    except `headline` and `added` are text. A share is a percentage of the combined variance; the shares of one budget add up to 100
     %.
     """
     shown = [_view(one, not estimate.headline or one.coefficient in estimate.headline) for one in estimate.budgets]

@@ -19,8 +19,8 @@ from planrunner.reporting.verdict import Headline, headline
 
 @dataclass(frozen=True, slots=True)
 class Traced:
-    """A reference used in the calibration: the site or an instrument, the instrument's description of itself, and the stated
-    calibration."""
+    """A reference to which the results are traceable: the site or an instrument, with the instrument's description of itself and
+    the stated calibration."""
 
     name: Said
     identity: str = ""
@@ -34,10 +34,10 @@ class Traced:
 class PrintedSignature:
     """A signature of the run in the form in which pages print it (21 CFR 11.50).
 
-    `meaning`: `reviewed`, `approved` or `released`; for a bench, `recorded` or `evaluated`. `name`: name of the signer. `at`: time
-    according to the signer's clock, UTC. `key`: fingerprint of the key. `analyses`: numbers of the analyses that the signature
-    covers. `standing`: valid (made with a key in the key ring), unknown (made with a key that nobody has confirmed), or invalid.
-    `owner`: name of the key in the key ring. `why`: the reason why the signature is not valid.
+    `meaning`: for a person, `reviewed`, `approved` or `released`; for a bench, `recorded` or `evaluated`. `name`: name of the
+    signer. `at`: time of signing according to the signer's clock, UTC. `key`: fingerprint of the signing key. `analyses`: numbers
+    of the analyses that the signature covers. `standing`: valid (made with a key in the key ring), unknown (made with a key that
+    nobody has confirmed), or invalid. `owner`: name of the key in the key ring. `why`: the reason why the signature is not valid.
     """
 
     meaning: str
@@ -57,7 +57,7 @@ class CertificateFacts:
     `laboratory`: the entry `laboratory` of the bench file. `told`: run information that was given with the run and when the
     certificate was issued. `corrected`: for each item that was changed when the certificate was issued, the value that was recorded
     with the run. `performed`: first and last day of the run. `conditions`: pairs of the name of a condition and its value as text.
-    `events`: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. `approvals`:
+    `events`: deviations from the method, each as (kind, segment, reason); the kinds are truncated, rejected and fault. `approvals`:
     approvals of the plan, each with person, time and key. `before`: estimates of the run before the adjustment, by the name of the
     estimate. `duration`: time from the first to the last sample, s. `simulated`: True if no real item was measured. `replayed`:
     True if a recording was played back.
@@ -104,9 +104,9 @@ class ReportContext:
     facts about the bench (name, description …). `instruments`: maps each role to the instrument's description of itself.
     `failures`: maps each estimate that could not be made to the reason. `provenance`: versions, hashes of plan, bench, journal head
     and seal, number of the analysis, UTC times. `probability`: coverage probability of the expanded uncertainties. `certificate`:
-    additional data for certificates. `on_top`: the facts shown first: item, operator, date, duration, analysis. `origin`: whether
-    the samples are measured, simulated or played back, if known. `seal`: SHA-256 of seal.json, if the run is sealed. `signatures`:
-    signatures that the run had when the page was made.
+    additional data for certificates. `on_top`: the facts that the page shows first: item, operator, date, duration, analysis.
+    `origin`: whether the samples are measured, simulated or played back, if known. `seal`: SHA-256 of seal.json, if the run is
+    sealed. `signatures`: signatures that the run had when the page was made.
     """
 
     title: str

@@ -83,7 +83,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """The text about one named effect: a heading that says who acts, what to do, and the physics."""
+    """The text about one named effect: a heading that says who must act, then what to do, and the physics."""
 
     heading: str
     remedy: str
@@ -426,7 +426,7 @@ def _noise(found: Data) -> Table:
 
 
 def _departures(noise: Data) -> tuple[str, str, str, str, str]:
-    """The five values that describe the noise of a channel as text; a value that is as expected is empty."""
+    """The five values that describe the noise of a channel, as texts. The text of a value that is as expected is empty."""
     white, declared, count, line = noise["white"], noise["declared"], noise["count"], noise["line"]
     ratio = white / declared if declared else 1.0
     other_count = not math.isclose(count, noise["declared_count"], rel_tol=0.01, abs_tol=1e-300)

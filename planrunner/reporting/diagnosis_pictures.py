@@ -43,8 +43,8 @@ large, and so on."""
 
 
 def pictures(found: Data) -> list[JsonObject]:
-    """Title, description and SVG of each picture for which the diagnosis has data. wide: True if the picture spans the full width
-    of the page."""
+    """Title, description and SVG of each picture for which the diagnosis has data, and True if the picture spans the full width of
+    the page."""
     from markupsafe import Markup
 
     made = []
@@ -198,7 +198,7 @@ def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
 
 
 def confusability_svg(alike: Data, key: str) -> str:
-    """A map of the confusability in hundredths: each row is an effect that causes a signature, and each column an effect that
+    """A map of the confusability in hundredths. Each row is an effect that causes a signature, and each column is an effect that
     reproduces this signature."""
     from matplotlib.colors import LinearSegmentedColormap
 

@@ -30,7 +30,8 @@ _SIDES = ("before", "after")
 
 
 def render_difference(compared: Compared) -> str:
-    """Renders one self-contained HTML page. The same difference gives the same text. Raises `ReportError`."""
+    """Renders one self-contained HTML page. The same difference gives the same text. Raises `ReportError` if the page cannot be
+    rendered."""
     return render("difference.html", difference_view(compared))
 
 

@@ -87,7 +87,8 @@ def _opening(estimate: Estimate, provenance: Mapping[str, str]) -> list[str]:
 
 def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
     """The CSV text with the columns name, value, unit, standard_uncertainty, degrees_of_freedom, description, period. Comment lines
-    begin with #. The column `period` contains the period of a circular quantity in the quantity's unit; otherwise it is empty."""
+    begin with `#`. The column `period` contains the period of a circular quantity in the unit of the quantity; for any other
+    quantity it is empty."""
     out = io.StringIO()
     for line in _opening(estimate, provenance):
         out.write(f"# {line}\n")

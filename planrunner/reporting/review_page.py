@@ -44,8 +44,8 @@ class DigestedFile:
 
 @dataclass(frozen=True, slots=True)
 class ReviewContext:
-    """The input of the review page. `report`: the input for a report of the analysis. `events`: unusual events, as (UTC time, kind,
-    text)."""
+    """The input of the review page. `report`: the input for a report of the analysis. `events`: unusual events, each as (UTC time,
+    kind, text)."""
 
     report: ReportContext
     deviations: tuple[RunDeviation, ...]

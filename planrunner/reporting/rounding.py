@@ -16,8 +16,10 @@ _PLAIN_FROM, _PLAIN_TO = -5, 6  # decimal exponents of the leading digit that ar
 
 @dataclass(frozen=True, slots=True)
 class Rounded:
-    """A rounded value: `value` and `uncertainty` are texts with the same number of decimals; `exponent` is their common power of
-    ten, or 0."""
+    """A rounded value.
+
+    `value`, `uncertainty`: texts with the same number of decimals. `exponent`: the power of ten by which both numbers are to be
+    multiplied, or 0."""
 
     value: str
     uncertainty: str
@@ -57,8 +59,8 @@ def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
 
 
 def in_parentheses(value: float, standard_uncertainty: float) -> str:
-    """A value with its standard uncertainty in parentheses, in units of the value's last digit: `-1.2346(21)` (JCGM 100:2008,
-    7.2.2). The sign ± is thus used for expanded uncertainties only.
+    """A value with its standard uncertainty in parentheses, which is in units of the value's last digit: `-1.2346(21)` (JCGM
+    100:2008, 7.2.2). The sign ± is thus used for expanded uncertainties only.
 
     An uncertainty of one or more is written with its decimals: `12.4(1.3)`.
     """

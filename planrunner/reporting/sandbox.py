@@ -63,7 +63,7 @@ def lay_out(name: str, given: Mapping[str, Json], folder: Path | None = None, mo
     """Renders the template `name` (with or without `.j2`) with the data `given` in this process; returns the text.
 
     `folder`: a user's template folder, which is searched before the shipped one. `most`: maximum number of characters of the text.
-    Raises `ReportError`.
+    Raises `ReportError` if the template cannot be rendered.
     """
     import jinja2
 

@@ -31,7 +31,7 @@ def render(name: str, given: Mapping[str, Json], folder: Path | None = None) -> 
     """Renders the template `name` (with or without `.j2`) with the data `given`, which must be plain data; returns the text.
 
     The name may contain a language, as in `certificate.zh.html`. `folder`: a user's template folder, which is searched before the
-    shipped one. Raises `ReportError`.
+    shipped one. Raises `ReportError` if the template cannot be rendered.
     """
     return lay_out(name, given) if folder is None else _lay_out_apart(name, given, folder)
 

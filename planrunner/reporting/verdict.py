@@ -12,7 +12,8 @@ from planrunner.estimators.results import DataOrigin
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """The headline of a report. `kind`: `warned` means passed with warnings, `none` that the plan sets no limits."""
+    """The headline of a report. `kind`: the verdict; `warned` means passed with warnings, and `none` means that the plan sets no
+    limits."""
 
     kind: VerdictKind
     text: str

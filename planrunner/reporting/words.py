@@ -52,8 +52,8 @@ def probability(value: float) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """A duration in words, such as `1 min 35 s` for 95 s. Durations below ten seconds have tenths of a second, and long durations
-    are in hours and days."""
+    """A duration in words, such as `1 min 35 s` for 95 s. Durations below ten seconds are shown with tenths of a second, and long
+    durations in hours and days."""
     if seconds is None:
         return "as recorded"
     if not math.isfinite(seconds):

@@ -54,7 +54,8 @@ def approvals_folder(plan: Path) -> Path:
 
 
 def read_approvals(folder: Path) -> tuple[ApprovalRecord, ...]:
-    """Reads all approvals and withdrawals in a folder; returns none if the folder does not exist. Other files in it are ignored.
+    """Reads all approvals and withdrawals in a folder; returns none if the folder does not exist. Other files in the folder are
+    ignored.
 
     A file that cannot be read becomes a `DamagedApproval`. Raises `InputError` if the folder itself cannot be read.
     """
@@ -92,7 +93,7 @@ def write_envelope(
     plan: Path, envelope: Envelope, signed: str, text: bytes | None = None, storage: Storage | None = None
 ) -> str:
     """Writes an approval or withdrawal next to a plan; returns the name of its file. `signed`: the time of signing that the
-    envelope states, ISO 8601. `text`: the plan as it was approved. Raises `InputError` if it cannot be written."""
+    envelope states, ISO 8601. `text`: the plan as it was approved. Raises `InputError` if the file cannot be written."""
     storage = storage or Storage()
     folder = approvals_folder(plan)
     stem = f"{re.sub(r'[^0-9T]', '', signed[:19])}Z-{payload_digest(envelope)[:16]}"
@@ -145,8 +146,8 @@ class KeptApprovals:
         return hashlib.sha256(self.bench.encode()).hexdigest()
 
     def to_bytes(self, runs: Path) -> bytes:
-        """The content of `approvals.json`. `runs`: the folder that contains the run folders. Paths in it are relative to this
-        folder. They therefore name no folder above the lowest one that contains both the runs and the approvals."""
+        """The content of `approvals.json`. `runs`: the folder that contains the run folders. Paths in `approvals.json` are relative
+        to this folder. They therefore name no folder above the lowest one that contains both the runs and the approvals."""
         given = [entry_of(one) for one in self.approvals]
         return to_bytes(
             {
@@ -162,7 +163,7 @@ class KeptApprovals:
 
 
 def _relative(path: str, runs: Path) -> str:
-    """A path relative to the folder of the runs; if the two are on different drives, only the file name."""
+    """A path relative to the folder of the runs. If the two are on different drives, the result is only the file name."""
     try:
         found = os.path.relpath(os.path.realpath(path), os.path.realpath(runs))
     except ValueError:

@@ -67,7 +67,7 @@ class Approved:
     """The plan and the benches that an approval covers.
 
     `plan`: digest of the meaning of the plan without its bench. `title`, `author`: as the plan states them. `until`: last day on
-    which the approval is valid; None if there is no such day.
+    which the approval is valid; None if the approval has no last day.
     """
 
     plan: str
@@ -82,7 +82,7 @@ class StatedApproval:
     """An approval as a file states it. `digest`: SHA-256 of the payload of its envelope. All values are claims of the signer until
     `judged` has checked them.
 
-    `name`: name of the reviewer. `signed`: time of signing, UTC. `version`: version of planrunner.
+    `name`: name of the reviewer. `signed`: time of signing, UTC. `version`: version of planrunner that made the approval.
     """
 
     file: str

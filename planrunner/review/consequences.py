@@ -57,7 +57,8 @@ class Demand:
     """One demand that two plans make on their benches, for example the largest rate.
 
     `before`, `after`: the extreme value that the first and the second plan command. `limits`: the limits of the benches of the two
-    plans. All values are in `unit`; a value that does not exist is None. `lowest`: True if the limits are lower limits.
+    plans. All values are in `unit`. A value is None if the plan or the bench does not have it. `lowest`: True if the limits are
+    lower limits.
     """
 
     name: str
@@ -85,8 +86,8 @@ class Consequences:
 
     `total`: planned times before and after the change, s; None without a schedule. `predicted`: coefficients whose predicted
     uncertainty differs. `lost`: terms that can no longer be determined. `won`: terms that can be determined only after the change.
-    `demands`: demands on the bench that differ. `new`, `gone`: findings that appear or disappear because of the change, compared
-    without their places.
+    `demands`: demands on the bench that differ. `new`, `gone`: findings that appear or disappear because of the change. Findings
+    are compared without their positions in the files.
     """
 
     total: tuple[float | None, float | None]
@@ -199,8 +200,8 @@ _EXTREMES = {"rate": _rate, "hottest": _hottest, "coldest": _coldest}
 
 
 def _findings(before: Sequence[Finding], after: Sequence[Finding]) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
-    """Findings that are only in `after`, and findings that are only in `before`, compared by severity, code and message. Places are
-    ignored, because an edit elsewhere in a file moves them."""
+    """Findings that are only in `after`, and findings that are only in `before`, compared by severity, code and message. Positions
+    are ignored, because an edit elsewhere in a file moves them."""
     old, new = (
         Counter[tuple[str, str, str]]((one.severity, one.code, one.message) for one in findings)
         for findings in (before, after)

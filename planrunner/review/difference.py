@@ -1,9 +1,9 @@
 """The difference in meaning between two plans or two benches, as data.
 
-Segments are matched by their labels. Segments without a match are matched by their content (renamed segments), and then by their
-place between matched neighbours if little of their content differs. Matched segments that are outside the longest common order
-count as moved. The computing time is proportional to the number of segments n, except for the longest increasing subsequence, which
-takes a time proportional to n·log n.
+Segments are matched by their labels. Segments without a match are matched by their content (renamed segments). Segments that still
+have no match are matched by their position between matched neighbours, if little of their content differs. Matched segments that
+are outside the longest common order count as moved. The computing time is proportional to the number of segments n, except for the
+longest increasing subsequence, which takes a time proportional to n·log n.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class PartChange:
 @dataclass(frozen=True, slots=True)
 class SegmentChange:
     """One segment that differs. `before`, `after`: label of the segment in each plan; None if the plan lacks the segment.
-    `positions`: place of the segment in each plan, counted from 1."""
+    `positions`: position of the segment in each plan, counted from 1."""
 
     before: str | None
     after: str | None
@@ -64,8 +64,9 @@ class SegmentChange:
 class MeaningDifference:
     """The difference between two plans or two benches.
 
-    `parts`: all differences outside the segments and limits. `texts`: texts for readers that changed; they do not count as a
-    difference. `rounded`: quantities in different units that agree to the written digits; they do not count as a difference either.
+    `parts`: all differences outside the segments and limits. `texts`: texts for readers that changed; such changes do not count as
+    a difference. `rounded`: quantities in different units that agree to the written digits; such quantities do not count as a
+    difference either.
     """
 
     kind: str

@@ -28,9 +28,9 @@ from planrunner.uncertainty.influences import BudgetLine
 class CoefficientDifference:
     """The difference of one coefficient between two runs, in `unit`.
 
-    `difference`: value in the second run minus value in the first. `common`: the correlated fraction of the variances, 2·Σ
-    (c₁u)(c₂u)/(u₁² + u₂²). `p`: the probability defined in the docstring of the module; NaN if it cannot be computed, for example
-    for a standard deviation. `holm`: p corrected for the number of coefficients compared.
+    `difference`: value in the second run minus value in the first. `common`: the fraction of the variances that comes from common
+    inputs, 2·Σ (c₁u)(c₂u)/(u₁² + u₂²). `p`: the probability defined in the docstring of the module; NaN if it cannot be computed,
+    for example for a standard deviation. `holm`: `p`, corrected for the number of coefficients compared.
     """
 
     estimate: str

@@ -1,4 +1,5 @@
-"""Reads keys from a run's bench file without validation, so that the run can be verified even if the bench file is not valid."""
+"""Reads keys of the bench file in a run without validating the file, so that the run can be verified even if the bench file is not
+valid."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def read_ring(path: Path) -> KeyRing:
 
 
 def parse_ring(text: str, shown: str) -> KeyRing:
-    """Reads a key ring from a text. `shown`: file name that findings state. Raises `InputError`."""
+    """Reads a key ring from a text. `shown`: file name that findings state. Raises `InputError` with all faults of the text."""
     log = Findings()
     file = RecordOf(KeyRingFile).read(source.parse(text, shown), log)
     if file is None or log.errors:

@@ -92,9 +92,9 @@ class RunSignature:
 
     `file`: name of the file in `signatures/`. `standing`: `unknown key` if no key ring was given or if the ring lacks the key; all
     other values are then claims only. `why`: the reason why the signature is not valid; empty if it is valid. `owner`: the name of
-    the key in the ring. `name`, `signed`, `comment`, `result`: as the signer states them; `signed` is UTC, ISO 8601. `analyses`:
-    numbers of the analyses that the signature covers. `current`: True if the signature covers the present seal; False if a bench
-    made it for a seal from before the run was reopened.
+    the key in the ring. `name`, `signed`, `comment`, `result`: what the signer states. `signed` is the time of signing in UTC, ISO
+    8601. `analyses`: numbers of the analyses that the signature covers. `current`: True if the signature covers the present seal;
+    False if a bench made it for a seal from before the run was reopened.
     """
 
     file: str
@@ -151,7 +151,8 @@ def sign_run(
     folder.
 
     `run`: name of the run. `analyses`: numbers of the analyses that the signature covers; by default, all analyses. Raises
-    `InputError` if the name or the comment cannot be printed or if the key cannot sign, and `OSError`.
+    `InputError` if the name or the comment cannot be printed or if the key cannot sign, and `OSError` if the signature cannot be
+    written.
     """
     require_line(str(folder.path), "name", name, 1)
     require_line(str(folder.path), "comment", comment)
@@ -173,14 +174,16 @@ def signatures_of(
 ) -> tuple[RunSignature, ...]:
     """All signatures of a run in the order of their numbers, each checked against the key ring and the present files.
 
-    `bench`: what the run states about the signatures of its bench; by default, this is read from the run folder. Raises `OSError`.
+    `bench`: what the run states about the signatures of its bench; by default, this is read from the run folder. Raises `OSError`
+    if a file cannot be read.
     """
     bench = bench or bench_signing(folder.read(BENCH, MOST_GIVEN))
     return tuple(_examined(folder, file, ring, bench) for file in _files(folder))
 
 
 def signature_faults(folder: GuardedFolder) -> Iterator[str]:
-    """Reports entries of `signatures/` that are not signatures, and gaps in the numbers of the signatures. Raises `OSError`."""
+    """Reports entries of `signatures/` that are not signatures, and gaps in the numbers of the signatures. Raises `OSError` if the
+    folder cannot be read."""
     numbers = []
     if folder.entry(SIGNATURES) is None:
         return
@@ -350,7 +353,7 @@ def _subjects(
     folder: GuardedFolder, before: str | None = None, analyses: Iterable[int] | None = None
 ) -> dict[str, str]:
     """Maps each file that a signature covers to its SHA-256 digest. `before`: file of a signature; this signature and all later
-    ones are left out. `analyses`: numbers of the analyses; by default, all analyses. Raises `OSError`."""
+    ones are left out. `analyses`: numbers of the analyses; by default, all analyses. Raises `OSError` if a file cannot be read."""
     limits = {
         RUN: MOST_GIVEN,
         PLAN: MOST_GIVEN,

@@ -58,7 +58,8 @@ def declared_stamps(found: Examined) -> Mapping[str, Json] | None:
 
 
 def stamped_seals(folder: GuardedFolder) -> set[str]:
-    """The digests of all seals that, according to the time stamps in a run folder, were stamped. Raises `OSError`."""
+    """The digests of all seals that, according to the time stamps in a run folder, were stamped. Raises `OSError` if a stamp cannot
+    be read."""
     found = set()
     for name in stamp_names(folder):
         if name.own is not None:
@@ -69,7 +70,7 @@ def stamped_seals(folder: GuardedFolder) -> set[str]:
 
 def verify_stamps(found: Examined, given: StampAuthority | None) -> tuple[RunStamp, ...]:
     """Verifies all time stamps of an examined run. Adds faults to the findings of `found`. `given`: the authority that the verifier
-    trusts. Raises `OSError`."""
+    trusts. Raises `OSError` if a file cannot be read."""
     mark, stated = Mark(str(found.folder.path)), declared_stamps(found)
     own = _stated_authority(stated)
     authority = given or own

@@ -131,7 +131,7 @@ def stamp_time(token: bytes, digest: str, authority: StampAuthority) -> datetime
 
 
 def stamped_digest(token: bytes) -> str:
-    """The SHA-256 digest that a reply claims to stamp. Raises `StampError` if it cannot be read."""
+    """The SHA-256 digest that a reply claims to stamp. Raises `StampError` if the reply cannot be read."""
     imprint = _decoded(token).tst_info.message_imprint
     if imprint.hash_algorithm != SHA256:
         raise StampError("it is not a stamp of a SHA-256 digest")

@@ -33,7 +33,7 @@ class RememberedHead:
 
 def sign_head(log: RunLog, signer: Signer) -> bytes:
     """Signs the present tree head of a log and stores the signature in the log; returns the signature. Raises `IntegrityError` if
-    the log was changed, and `OSError`."""
+    the log was changed, and `OSError` if the signature cannot be written."""
     import rfc8785
 
     with log.locked():
@@ -45,7 +45,8 @@ def sign_head(log: RunLog, signer: Signer) -> bytes:
 
 
 def signed_head(log: RunLog, ring: KeyRing | None) -> RememberedHead | None:
-    """The signed tree head in a log; None if there is none. Raises `IntegrityError` and `OSError`."""
+    """The signed tree head in a log; None if there is none. Raises `IntegrityError` if the file of the signed tree head was
+    changed, and `OSError` if it cannot be read."""
     if log.folder.entry(SIGNED) is None:
         return None
     return remembered_head(log.folder.read(SIGNED, MOST_HEAD), log.path / SIGNED, ring)

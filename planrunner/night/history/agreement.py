@@ -23,7 +23,7 @@ COVERAGE = 2.0
 class ParticipantAgreement:
     """Agreement of one participant.
 
-    `value`, `standard_uncertainty`: mean of the participant's values, and its standard uncertainty. `reference`,
+    `value`, `standard_uncertainty`: mean of the participant's values and standard uncertainty of this mean. `reference`,
     `reference_uncertainty`: reference value and its standard uncertainty. `runs`: number of the participant's values.
     """
 

@@ -1,13 +1,13 @@
 """Finds changes in the level of a coefficient, and other circumstances that changed at the same time.
 
-Model: x_i ~ N(μ of its stretch, σ_i²), where σ_i is known. For a change between values k and k + 1, the likelihood ratio compares
-two means:
+The model is x_i ~ N(μ, σ_i²), where σ_i is known and the mean μ is constant between two changes. For a change between values k and
+k + 1, the likelihood ratio compares two means:
 
     T_k = (m₂ − m₁)² / (1/W₁ + 1/W₂),    W = Σ 1/σ_i²,  m = Σ x_i/σ_i² / W
 
-The most likely place has the largest T_k (Hawkins, Journal of the American Statistical Association 72, 1977). The p-value of this
-place is bounded by the sum over all places (Bonferroni), p ≤ (n − 1)·P(χ²₁ > T). The test is therefore conservative. Each side is
-then searched again (binary segmentation; Scott and Knott, Biometrics 30, 1974).
+The most likely position of a change has the largest T_k (Hawkins, Journal of the American Statistical Association 72, 1977). The
+p-value of this position is bounded by the sum over all positions (Bonferroni), p ≤ (n − 1)·P(χ²₁ > T). The test is therefore
+conservative. Each side is then searched again (binary segmentation; Scott and Knott, Biometrics 30, 1974).
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ LEVEL = 0.01
 @dataclass(frozen=True, slots=True)
 class CauseCandidate:
     """A circumstance that changed when the level changed. `before`, `after`: the circumstance in the last run before the change and
-    in the first run after it. `shared`: fraction of the runs before the change with the circumstance `before`, and of the runs
-    after it with the circumstance `after`, taken together; 1 means that the circumstance distinguishes the two stretches
-    completely."""
+    in the first run after it. `shared`: the fraction of runs that agree with the change: runs before it with the circumstance
+    `before`, and runs after it with the circumstance `after`. A value of 1 means that the circumstance distinguishes the two groups
+    of runs completely."""
 
     kind: CircumstanceKind
     name: str
@@ -63,8 +63,8 @@ class ChangePoint:
 
 
 def change_points(values: Array, sigma: Array, level: float = LEVEL) -> tuple[ChangePoint, ...]:
-    """All changes of the level in the order of time. `values`: array of shape (n,). `sigma`: array of shape (n,), positive standard
-    deviations of the values."""
+    """All changes of the level in the order of time. `values`: array of shape (n,), the values in the order of time. `sigma`: array
+    of shape (n,), positive standard deviations of the values."""
     found = sorted(_search(values, sigma, 0, len(values), level))
     edges = [0, *found, len(values)]
     points = []

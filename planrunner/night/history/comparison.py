@@ -20,8 +20,9 @@ COMPARISON_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class ComparedCoefficient:
-    """One coefficient in several compared runs. `values`: for each run, (value, standard uncertainty); None if the run lacks the
-    coefficient or has it in another unit. `agreement`: E_n of each other run that has the coefficient, relative to the first run."""
+    """One coefficient in several compared runs. `values`: for each run, the pair (value, standard uncertainty); None if the run
+    lacks the coefficient or has it in another unit. `agreement`: E_n of each other run that has the coefficient, relative to the
+    first run."""
 
     quantity: str
     unit: str
@@ -71,8 +72,8 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[Path]) -> RunComparison:
-    """The coefficients of several runs side by side. Raises `InputError`, for example for a run without an analysis, and
-    `IntegrityError` for a run that was changed."""
+    """The coefficients of several runs side by side. Raises `InputError` for a run that cannot be compared, for example a run
+    without an analysis, and `IntegrityError` for a run that was changed."""
     found = [_read(run) for run in runs]
     rows = [one.run for one in found if one.run is not None]
     held = [{row.quantity: row for row in one.coefficients} for one in found]

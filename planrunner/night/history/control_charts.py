@@ -1,9 +1,8 @@
 """Control charts of a coefficient over time; every value has its own standard uncertainty.
 
-The variance of value i about the mean is σ_i² = u_i² + τ². u_i is the stated standard uncertainty of the value. τ is the scatter
-from run to run that the stated uncertainties do not include, for example the scatter of mounting and switch-on. τ² is the part of
-the variance from run to run that the u_i do not explain. The variance is estimated from the mean moving range, so that a shift or a
-drift of the mean hardly affects it:
+The variance of value i about the mean is σ_i² = u_i² + τ², where u_i is the stated standard uncertainty of the value. The scatter τ
+from run to run is the part that the stated uncertainties do not include, for example the scatter of mounting and switch-on. The
+variance is estimated from the mean moving range, so that a shift or a drift of the mean hardly affects it:
 
     τ² = max(0, (mean |x_i − x_{i−1}| / d₂)² − mean u_i²),    d₂ = 2/√π
 
@@ -39,9 +38,9 @@ BASELINE = 20
 class Centre:
     """The centre line of the charts.
 
-    `mean`: mean of the values, weighted with 1/σ_i². `standard_uncertainty`: standard uncertainty of the mean. `between`: τ, the
-    scatter from run to run. `values`: number of values from which the centre line was computed. The mean, its uncertainty and τ are
-    in the unit of the values.
+    `mean`: mean of the values, weighted with 1/σ_i². `standard_uncertainty`: standard uncertainty of `mean`. `between`: τ, the
+    scatter from run to run. `values`: number of values from which the centre line was computed. `mean`, `standard_uncertainty` and
+    `between` are in the unit of the values.
     """
 
     mean: float
@@ -54,8 +53,9 @@ class Centre:
 class Chart:
     """A control chart of n values.
 
-    `statistic`: array of shape (n,), the values, their moving averages or their cumulative sums. `lower`, `upper`: arrays of shape
-    (n,), limits of the statistic. `alarms`: array of shape (n,), True where the statistic is outside its limits.
+    `statistic`: array of shape (n,), what the chart shows: the values, their moving averages or their cumulative sums. `lower`,
+    `upper`: arrays of shape (n,), limits of the statistic. `alarms`: array of shape (n,), True where the statistic is outside its
+    limits.
     """
 
     statistic: Array
@@ -67,7 +67,7 @@ class Chart:
 @dataclass(frozen=True, slots=True)
 class ControlCharts:
     """The control charts of a coefficient. `sigma`: array of shape (n,), standard deviation of each value about the mean. The two
-    sums of the CUSUM chart are in units of σ; the lower one counts downwards."""
+    sums of the CUSUM chart are in units of σ; the lower sum is negative."""
 
     centre: Centre
     sigma: Array
@@ -110,7 +110,7 @@ def ewma(
     values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
 ) -> Chart:
     """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. `values`: array of shape (n, …).
-    `sigma`: array of shape (n,), or the same shape as values.
+    `sigma`: array of shape (n,), or of the shape of `values`.
 
     The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default V_0 = 0, so that the first limits are narrower. `steady`: if
     True, the recursion starts instead from the limit value for the first σ, V_0 = λ/(2 − λ) σ², as in the handbook.
@@ -130,7 +130,8 @@ def cusum(
     values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
 ) -> tuple[Chart, Chart]:
     """The tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i,
-    with the limits ±h. `values`: array of shape (n, …). `sigma`: array of shape (n,), or the same shape as values; positive."""
+    with the limits ±h. `values`: array of shape (n, …). `sigma`: array of shape (n,), or of the shape of `values`; all elements are
+    positive."""
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     up, down = np.empty_like(values), np.empty_like(values)
     high, low = np.zeros(values.shape[1:]), np.zeros(values.shape[1:])

@@ -58,7 +58,8 @@ class Database(Protocol):
 
 def open_database(index: str | None, archive: Path) -> Database:
     """Opens the database of an archive's index. `index`: a file, or the URL of a PostgreSQL database. If `index` is None, an
-    environment variable may name the index; otherwise it is a file in this user's state folder. Raises `InputError`."""
+    environment variable may name the index; otherwise it is a file in this user's state folder. Raises `InputError` if the database
+    cannot be opened."""
     named = index or os.environ.get(INDEX) or ""
     if re.match(r"postgres(ql)?://", named):
         return Postgres(named)

@@ -42,7 +42,7 @@ class DriftLine:
 
     `slope`, `slope_uncertainty`: slope and its standard uncertainty, in units of the values per day. `level`: value of the line at
     the mean time `middle`. `between`: τ, the scatter from run to run. `stated`: ū, the root mean square of the stated
-    uncertainties. All times are in days.
+    uncertainties. The times to which these values refer are in days.
     """
 
     slope: float
@@ -60,7 +60,7 @@ class DriftLine:
         return abs(self.slope) > COVERAGE * self.slope_uncertainty
 
     def uncertainty(self, time: float) -> float:
-        """Standard uncertainty of the value that the line predicts for a time in days."""
+        """Standard uncertainty of the value that the line predicts for a given time [days]."""
         line = self.level_uncertainty**2 + ((time - self.middle) * self.slope_uncertainty) ** 2
         return math.sqrt(line + self.between**2 + self.stated**2)
 

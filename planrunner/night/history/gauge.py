@@ -35,8 +35,10 @@ class UnbalancedError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class MeanSquare:
-    """One mean square of the analysis of variance. `factors`: the factors whose effect or interaction it measures; empty for the
-    repetitions. `df`: degrees of freedom."""
+    """One mean square of the analysis of variance.
+
+    `factors`: the factors whose effect or interaction the mean square measures; empty for the mean square of the repetitions. `df`:
+    degrees of freedom."""
 
     factors: tuple[str, ...]
     sum_of_squares: float
@@ -49,8 +51,8 @@ class MeanSquare:
 
 @dataclass(frozen=True, slots=True)
 class VarianceComponent:
-    """One component of variance. `variance`: in the squared unit of the values, not below zero. `lower`, `upper`: limits of the 95
-    % confidence interval of the variance."""
+    """One component of variance. `variance`: the variance, in the squared unit of the values; never negative. `lower`, `upper`:
+    limits of the 95 % confidence interval of the variance."""
 
     name: str
     variance: float
@@ -105,7 +107,7 @@ def gauge_study(
 ) -> GaugeStudy:
     """Makes the gauge study of n values.
 
-    `factors`: maps each factor to the labels of the values (n); a factor with only one level is left out. `item`: the factor that
+    `factors`: maps each factor to the labels of the n values; a factor with only one level is left out. `item`: the factor that
     distinguishes the measured items. If a cell has more values than others, only its first values are used. `pooled`: True if
     interactions count as repeatability, which is usual if they are not significant. Raises `UnbalancedError` if a cell has no
     value.
@@ -212,8 +214,8 @@ def _estimated(
 
 
 def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tuple[float, float]:
-    """Two-sided limits of Σ c·E(MS) by the modified large-sample method. `terms`: tuples of c, the mean square MS and its degrees
-    of freedom."""
+    """Two-sided limits of Σ c·E(MS) by the modified large-sample method. `terms`: for each term of the sum, the coefficient c, the
+    mean square MS and the degrees of freedom of MS."""
     a = (1 - CONFIDENCE) / 2
     plus, minus = [t for t in terms if t[0] > 0], [t for t in terms if t[0] < 0]
     below = sum((_g(a, n) * c * ms) ** 2 for c, ms, n in plus) + sum((_h(a, n) * c * ms) ** 2 for c, ms, n in minus)

@@ -385,8 +385,8 @@ def _read(item: tuple[Path, str]) -> IndexedRun:
 
 
 def _pattern(text: str) -> tuple[str, str | None]:
-    """The text of a filter without its escapes; also, if the text contains `*` or `?`, the pattern for LIKE, otherwise None. A
-    backslash makes the next character literal."""
+    """Removes the escapes from the text of a filter. If the text contains `*` or `?`, the function also returns the pattern for
+    LIKE; otherwise it returns None as the pattern. A backslash makes the next character literal."""
     plain, like, wild = [], [], False
     letters: Iterator[str] = iter(text)
     for letter in letters:

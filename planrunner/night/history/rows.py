@@ -92,8 +92,9 @@ class RunRow:
 
 @dataclass(frozen=True, slots=True)
 class CoefficientRow:
-    """A coefficient of the newest analysis of a run. `quantity`: `estimate.coefficient`. `value`, `standard_uncertainty`, `period`:
-    in `unit`; `period` is the period of a circular quantity, otherwise inf. Numbers that could not be computed are nan."""
+    """A coefficient of the newest analysis of a run. `quantity`: name of the coefficient in the form `estimate.coefficient`.
+    `value`, `standard_uncertainty`: value and standard uncertainty in `unit`. `period`: period of a circular quantity in `unit`;
+    inf for any other quantity. Numbers that could not be computed are nan."""
 
     quantity: str
     value: float
@@ -106,7 +107,7 @@ class CoefficientRow:
 
 @dataclass(frozen=True, slots=True)
 class LimitRow:
-    """A limit of the plan with its verdict. `lower`, `upper`: in `unit`."""
+    """A limit of the plan with its verdict. `lower`, `upper`: the limits in `unit`."""
 
     quantity: str
     requirement: str
@@ -156,8 +157,8 @@ class IndexedRun:
 
 @dataclass(frozen=True, slots=True)
 class RunFilter:
-    """A filter for runs; a criterion that is empty matches all runs. A text matches values equal to it; with `*` and `?`, it is a
-    pattern. `since`, `until`: first and last moment, ISO 8601 in UTC; if `until` is a day, the whole day is included."""
+    """A filter for runs; a criterion that is empty matches all runs. A text matches values that are equal to it; a text with `*` or
+    `?` is a pattern. `since`, `until`: first and last moment, ISO 8601 in UTC. If `until` is a day, the whole day is included."""
 
     device: str = ""
     plan: str = ""

@@ -26,10 +26,11 @@ DAY = 86400.0
 class Trend:
     """The history of a coefficient.
 
-    `points`: the runs whose value can be used, the oldest first. `values`, `standard_uncertainties`: array of shape (n,), in
-    `unit`, which is the unit of the newest run. `left_out`: folders of runs whose value cannot be used, because it has another
-    dimension, is missing, or has no finite uncertainty. `charts`, `drift`: None if there are too few values. `tolerance`:
-    permissible deviation from which the next calibration is computed; None if it is not stated.
+    `points`: the runs whose value can be used, the oldest first. `values`, `standard_uncertainties`: arrays of shape (n,), values
+    and standard uncertainties in `unit`, which is the unit of the newest run. `left_out`: folders of runs whose value cannot be
+    used, because it has another dimension, is missing, or has no finite uncertainty. `charts`, `drift`: control charts and drift
+    line; None if there are too few values. `tolerance`: permissible deviation from which the next calibration is computed; None if
+    it is not stated.
     """
 
     device: str
