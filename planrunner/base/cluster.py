@@ -59,10 +59,10 @@ _SCHEDULER = "--scheduler"
 
 @dataclass(frozen=True, slots=True)
 class _Terms:
-    """The conditions that are sent to a worker with every task of a computation: the versions that the worker must have, and the
-    directory that it must use.
+    """The conditions that are sent to a worker with every task of a computation.
 
-    `versions`: the versions of the program and of the libraries. `directory`: the working directory of this process."""
+    `versions`: the versions of the program and of the libraries that the worker must have. `directory`: the working directory of
+    this process, which the worker must use."""
 
     versions: Mapping[str, str]
     directory: str
@@ -70,9 +70,11 @@ class _Terms:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """The answer to a task: the results of its items up to the first one that failed, and the exception of that item; or the reason
-    why the worker cannot compute. `seconds`: the time [s] that computing took. `unfit`: maps each library whose versions differ to
-    (version here, version on the worker)."""
+    """The answer to a task: the results of its items up to the first item that failed, and the exception of that item; or the
+    reason why the worker cannot compute.
+
+    `seconds`: the time that computing took, s. `unfit`: maps each library whose versions differ to the pair (version here, version
+    on the worker)."""
 
     results: tuple[object, ...] = ()
     error: Exception | None = None
@@ -217,7 +219,8 @@ def _name() -> str:
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Client]:
-    """Connects a client to the scheduler, which must have a worker. Raises `ClusterError`."""
+    """Connects a client to the scheduler, which must have a worker. Raises `ClusterError` if no scheduler answers, or if the
+    scheduler has no worker."""
     try:
         from distributed import Client
     except ImportError:
@@ -262,7 +265,7 @@ def _connected(address: str) -> Iterator[Client]:
 
 def _knock(address: str) -> None:
     """Tries to connect to the address once, because Dask repeats a refused connection until its time-out. Raises `OSError` or
-    ValueError."""
+    ValueError if the connection is refused."""
     parts = urlsplit(address)
     if parts.scheme in ("tcp", "tls"):
         socket.create_connection((parts.hostname or "", parts.port or 0), timeout=ANSWER_WITHIN).close()

@@ -23,7 +23,7 @@ class HeldError(Exception):
 class ExclusiveFile:
     """A lock on `path`, held from creation to `release`. The file is created if absent.
 
-    `note`: who holds the lock and why; it is shown to others who request the lock. `mode`: permissions of the file if it is
+    `note`: who holds the lock and why; the note is shown to others who request the lock. `mode`: permissions of the file if it is
     created. `opened`: descriptor of the file if the caller has already opened it; it is closed with the lock. Raises `HeldError` if
     the lock is held, and `OSError` if the file cannot be opened or is not a regular file with exactly one name. These checks matter
     in a folder that all users may write to: a link would make the lock overwrite another user's file, and opening a pipe could wait

@@ -1,4 +1,4 @@
-"""Findings: faults of a file, their places and their remedies.
+"""Findings: faults of a file, with their positions and remedies.
 
 Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all findings in one run. The codes are
 documented in `docs/findings.md`; a test checks that none is missing there.
@@ -24,7 +24,7 @@ Severity = Literal["error", "warning", "note"]
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A place in a file, or `COMMAND_LINE`. Lines and columns count from 1, as editors show them.
+    """A position in a file, or `COMMAND_LINE`. Lines and columns count from 1, as editors show them.
 
     `end`: line and column just after the marked text, if known. `text`: the whole file as read, for excerpts.
     """
@@ -36,7 +36,7 @@ class Mark:
     text: str | None = field(default=None, compare=False, repr=False)
 
     def covers(self, other: Mark) -> bool:
-        """Whether another place lies within this one."""
+        """Returns True if another position lies within this one."""
         if self.file != other.file:
             return False
         begin, there = (self.line, self.column), (other.line, other.column)
@@ -56,7 +56,7 @@ COMMAND_LINE = Mark("<command line>")
 class Finding:
     """One finding. `str()` gives the finding as a line for the terminal, without the hint.
 
-    `cause`: the error from which this finding follows; such a finding is kept but not shown.
+    `cause`: the error from which this finding follows; a finding with a cause is kept but not shown.
     """
 
     mark: Mark

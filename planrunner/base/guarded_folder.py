@@ -54,9 +54,10 @@ class NotOrdinaryError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What is known about the entry with a name: its kind and, for a file, its size in bytes. The kind `other` stands for a link, a
-    pipe, a device, or a file with two names. `modified`: time of the last change of the file's content, in ns since 1970 by the
-    clock of the file system."""
+    """What is known about an entry of a folder: its kind and, for a file, its size in bytes.
+
+    The kind `other` stands for a link, a pipe, a device, or a file with two names. `modified`: time of the last change of the
+    file's content, in ns since 1970 by the clock of the file system."""
 
     kind: EntryKind
     size: int
@@ -65,8 +66,8 @@ class Entry:
 
 
 class GuardedFolder:
-    """An open folder. `path`: the path of the folder, for messages. All methods take one name, not a path, and raise `OSError`; for
-    an entry that is not a regular file or folder, `NotOrdinaryError`. They raise ValueError for a name that is a path.
+    """An open folder. `path`: the path of the folder, for messages. All methods take one name, not a path. They raise `OSError`
+    and, for an entry that is not a regular file or folder, `NotOrdinaryError`. They raise ValueError for a name that is a path.
 
     The folder is closed by `close` or when the object is deleted.
     """

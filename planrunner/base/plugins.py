@@ -47,13 +47,13 @@ def _installed() -> _Selectable:
 
 @lru_cache(maxsize=8)
 def _own(group: str) -> dict[str, str]:
-    """Maps the name of each of the project's own plug-ins to its place (`module:attribute`), as listed in one file."""
+    """Maps the name of each of the project's own plug-ins to its location (`module:attribute`), as listed in one file."""
     return {name: place for where, name, place in _entries() if where == group}
 
 
 @cache
 def _entries() -> tuple[tuple[str, str, str], ...]:
-    """Group, name and place (`module:attribute`) of each of the project's own plug-ins; empty if the project is not installed."""
+    """Group, name and location (`module:attribute`) of each of the project's own plug-ins; empty if the project is not installed."""
     for folder in sys.path:
         try:
             for name in filter(_INFO.fullmatch, os.listdir(folder or ".")):

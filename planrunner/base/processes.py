@@ -94,14 +94,14 @@ def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[
 
 
 def _is_worker() -> bool:
-    """Whether this process is itself a worker, of this module or of Dask: such a process must not start others."""
+    """Returns True if this process is itself a worker, of this module or of Dask. Such a process must not start others."""
     from multiprocessing import current_process
 
     return current_process().daemon
 
 
 def _may_fork() -> bool:
-    """Whether this process has only one thread; in a fork, a lock that another thread holds would stay locked."""
+    """Returns True if this process has only one thread. In a fork, a lock that another thread holds would stay locked."""
     if sys.platform != "linux":
         return False
     try:

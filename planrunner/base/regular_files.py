@@ -27,7 +27,7 @@ _KINDS: tuple[tuple[int, FileKind], ...] = (
 
 
 def open_flags(*names: str) -> int:
-    """The flags of `os.open` with these names, such as O_NOFOLLOW. Flags that this system lacks are omitted."""
+    """The flags of `os.open` with these names, such as O_NOFOLLOW. Flags that this system does not have are omitted."""
     flags = 0
     for name in names:
         flags |= getattr(os, name, 0)
@@ -65,8 +65,8 @@ def open_regular(
     """Opens a regular file for reading from its beginning.
 
     `limit`: largest size in bytes, None if the reader sets its own limit. `folder`: descriptor of the open folder to which `path`
-    is relative, if the system supports this (`os.open in os.supports_dir_fd`). `links`: True if the last component of the path may
-    be a symbolic link. Raises `RefusedFileError`, never `OSError`.
+    is relative; usable only if the system supports this (`os.open in os.supports_dir_fd`). `links`: True if the last component of
+    the path may be a symbolic link. Raises `RefusedFileError`, never `OSError`.
     """
     try:
         _hold(os.stat(path, dir_fd=folder, follow_symlinks=links), limit)

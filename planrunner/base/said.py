@@ -26,7 +26,7 @@ _FORMAT = re.compile(r"\+?(\.\d{1,2})?[dgef%]?")
 
 class Said(str):
     """An English text with its template and the inserted values; a text without a template is not translated. `plural`: the
-    template for more than one `count`, if there is one."""
+    template for a `count` other than 1, if there is one."""
 
     template: str
     values: Mapping[str, Inserted]

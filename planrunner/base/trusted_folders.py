@@ -26,7 +26,7 @@ OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
 
 
 class UntrustedFolderError(Exception):
-    """The error for a folder whose contents another user could change. The message gives the place and the reason."""
+    """The error for a folder whose contents another user could change. The message gives the folder and the reason."""
 
 
 def this_user() -> int:
@@ -49,7 +49,7 @@ def trusted(folder: Path, user: int | None = None) -> Path:
 
 def trusted_within(folder: Path, user: int | None = None) -> None:
     """Checks every entry in a trusted folder: it must be a folder or file of the user or the administrator, and no link. Raises
-    `UntrustedFolderError` and `OSError`."""
+    `UntrustedFolderError` if an entry is not, and `OSError` if the folder cannot be read."""
     user = this_user() if user is None else user
     reachable = bool(folder.lstat().st_mode & OTHERS_ENTER)
     for place, folders, files in os.walk(folder, onerror=_raise):
@@ -78,7 +78,7 @@ def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True
 
 
 def make_private(folder: Path) -> None:
-    """Makes a folder, and missing folders above it, accessible to the user alone. Raises `OSError`."""
+    """Makes a folder, and missing folders above it, accessible to the user alone. Raises `OSError` if the folder cannot be made."""
     for path in (*reversed(folder.parents), folder):
         if not path.exists():
             path.mkdir(mode=0o700, exist_ok=True)

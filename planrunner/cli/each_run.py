@@ -66,8 +66,8 @@ def archive_of(runs: Sequence[Path]) -> Path:
 
 
 def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:
-    """Does the work on every run, even if it fails for some of them. A failure is printed; with `--json`, it is in `findings` of
-    the run's entry.
+    """Does the work on every run, even after it has failed for some of them. A failure is printed; with `--json`, it is in
+    `findings` of the run's entry.
 
     With several runs, the name of each run precedes its output. The exit code is the highest of all runs.
     """

@@ -14,7 +14,7 @@ HERE = "processes"
 
 
 def scheduler(text: str) -> str:
-    """Reads the address of a Dask scheduler, or the word `processes`. Raises `argparse.ArgumentTypeError`."""
+    """Reads the address of a Dask scheduler, or the word `processes`. Raises `argparse.ArgumentTypeError` for any other text."""
     if text != HERE and not re.fullmatch(r"(tcp|tls)://[^/\s]+:\d+", text):
         raise argparse.ArgumentTypeError(f"must be an address such as tcp://10.0.0.5:8786, or {HERE}: {text}")
     return text

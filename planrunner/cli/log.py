@@ -210,7 +210,8 @@ def ring_of(args: argparse.Namespace) -> KeyRing | None:
 
 
 def heads_of(files: Sequence[Path], ring: KeyRing | None) -> dict[str, RememberedHead]:
-    """Reads tree heads from files; returns them by the name of the file. Raises `InputError` and `IntegrityError`."""
+    """Reads tree heads from files; returns them by the name of the file. Raises `InputError` if a file cannot be read, and
+    `IntegrityError` if a file does not contain a tree head."""
     from planrunner.archive.run_log import MOST_HEAD
     from planrunner.signing.tree_heads import remembered_head
 

@@ -83,8 +83,8 @@ def _cell(char: str, encoding: str) -> tuple[str, int]:
 
 
 def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> tuple[str, int, int]:
-    """The part of a line that fits into `room` columns and contains the cells from `first` to `last`; also the number of columns
-    before these cells, and the number of columns that the cells take."""
+    """The part of a line that fits into `room` columns and contains the cells from `first` to `last`. The function also returns the
+    number of columns before these cells, and the number of columns that the cells take."""
     widths = [width for _, width in cells]
     begin, end = 0, len(cells)
     if sum(widths) > room:
@@ -160,7 +160,7 @@ def name_file(path: Path, as_json: bool) -> None:
 
 def write_file(path: Path, text: str) -> None:
     """Writes a file that the user named. If the disk is full, nothing is written, and an existing file stays unchanged. Raises
-    `InputError`."""
+    `InputError` if the file cannot be written."""
     if path.exists() and not path.is_file():  # such as /dev/stdout
         path.write_text(text, encoding="utf-8")
         return

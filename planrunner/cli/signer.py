@@ -32,7 +32,7 @@ def add_passphrase(parser: argparse.ArgumentParser) -> None:
 
 def passphrase(args: argparse.Namespace, *, twice: bool = False) -> bytes:
     """The passphrase, without a line break at its end. `twice`: True if the terminal asks for the passphrase a second time, to
-    detect a typing error. Raises `InputError`."""
+    detect a typing error. Raises `InputError` if there is no passphrase."""
     if args.passphrase_fd is not None:
         try:
             data = os.read(args.passphrase_fd, _MOST)

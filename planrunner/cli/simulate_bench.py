@@ -93,7 +93,7 @@ def _tell(bench: Bench, request: JsonObject, ready: Path | None) -> int:
 
 def _token(ready: Path | None, control: str) -> str:
     """Reads, from the readiness file of a running simulated bench, the token that authorises commands to that bench. Raises
-    `InputError`."""
+    `InputError` if the file cannot be read."""
     start = "start the simulated bench with `--ready FILE`, and give the same file here"
     if ready is None:
         message = "a running simulated bench accepts commands only with the token of its readiness file"

@@ -51,7 +51,7 @@ class Continuity:
             return {}
 
     def restore(self, point: ResumePoint) -> None:
-        """Restores the states from the time at which a run was interrupted."""
+        """Restores the states that were stored before the run was interrupted."""
         self._bench.clock.set(point.clock)
         self._reaching.forget()
         # Simulated instruments get back their exact state; without an acknowledged segment they start anew.

@@ -233,7 +233,7 @@ class _Execution:
             return
 
     def _in_mode(self, segment: Segment) -> dict[str, float]:
-        """How long [s] the sensor had been in the segment's mode when the record began, as a reading."""
+        """The time [s] for which the sensor had been in the segment's mode when the record began, as a reading for the journal."""
         since = self.reaching.mode_since
         return {} if segment.mode is None or since is None else {IN_MODE: self.clock.now() - since}
 

@@ -1,5 +1,5 @@
-"""Publishes the live state of a run in its folder: position, time left, statistics and strips (recent statistics over short
-intervals) of the channels, prompts and notices.
+"""Publishes the live state of a run in its folder: how far the run has got, time left, statistics and strip charts of the channels,
+prompts and notices.
 
 Publishing must never disturb a run. A failure to write is ignored, blocks of samples are only copied until the state is written, and the
 state is written at most once in `EVERY` seconds of real time.

@@ -69,7 +69,8 @@ class Lookout:
         self.look()
 
     def look(self, fresh: bool = False) -> None:
-        """Queries the instruments if a check is due, or immediately on request. Raises `StoppedAtOnceError` and `InstrumentError`."""
+        """Queries the instruments if a check is due, or immediately on request. Raises `StoppedAtOnceError` if the operator
+        requested an immediate stop, and `InstrumentError` if an instrument has a fault."""
         if self._stop.at_once:
             raise StoppedAtOnceError
         if self._lost is not None:
@@ -107,7 +108,7 @@ class Lookout:
                 self._once(name, str(error))
 
     def hear(self) -> None:
-        """Enters it in the journal that a driver had to repeat a command."""
+        """Adds an event to the journal which states that a driver had to repeat a command."""
         for name, item in self._remarking.items():
             for text in item.remarks():
                 self._notice(name, text)

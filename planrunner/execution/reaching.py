@@ -75,8 +75,8 @@ class Reaching:
         self.soak_again = self.moving_perhaps = True
 
     def reach(self, segment: Segment) -> None:
-        """Brings the bench to the segment's state and waits until it has settled. Raises `InstrumentError` and
-        `StoppedAtOnceError`."""
+        """Brings the bench to the segment's state and waits until it has settled. Raises `InstrumentError` if the state cannot be
+        reached, and `StoppedAtOnceError` if the operator requested an immediate stop."""
         self._reach_temperature(segment)
         self._orient(segment)
         self._enter_mode(segment)

@@ -36,7 +36,9 @@ RunOutcome = Literal["finished", "not finished", "unreadable"]
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """Data of a run from its run.json; the texts are empty if the file cannot be read. `started`: time of the start, UTC, ISO 8601."""
+    """Data of a run from its run.json. All texts are empty if the file cannot be read.
+
+    `started`: time at which the run began, UTC, ISO 8601."""
 
     run: str
     plan: str = ""
@@ -99,8 +101,8 @@ class Activity:
 class _Pulse:
     """The last live state of a run.
 
-    `at`: the time that this state contains. `seen`: time when this state was first seen, s. `alive`: True if the folder of the run
-    was locked; None if this has not been tested for this state.
+    `at`: the time that this live state contains. `seen`: time at which this live state was first seen, s. `alive`: True if the
+    folder of the run was locked; None if this has not been tested for this live state.
     """
 
     at: str
@@ -203,7 +205,7 @@ class Monitor:
     # -- acting ------------------------------------------------------------------------------------------------------
 
     def pause(self, run: str) -> None:
-        """Asks a running run to pause. Raises `InputError`."""
+        """Asks a running run to pause. Raises `InputError` if the run is not in progress."""
         folder = self._written(run)
         try:
             pausing.ask_to_pause(folder)
@@ -211,7 +213,7 @@ class Monitor:
             raise self._refused(run, f"the run folder cannot be written: {error.strerror or error}") from None
 
     def go_on(self, run: str) -> None:
-        """Continues a paused run, or withdraws the request for a pause. Raises `InputError`."""
+        """Continues a paused run, or withdraws the request for a pause. Raises `InputError` if the run is not in progress."""
         folder = self._written(run)
         try:
             pausing.take_back(folder)

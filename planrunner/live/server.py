@@ -91,8 +91,8 @@ class _Watching:
             self._watchers -= 1
 
     def after(self, number: int) -> tuple[int, str]:
-        """Waits for a text whose number is higher than `number`, and returns the new number and the text; after the time
-        `KEEP_ALIVE`, returns the present number and text."""
+        """Waits for a text whose number is higher than `number`, and returns the new number and the text. If there is none within
+        the time `KEEP_ALIVE`, returns the present number and text."""
         with self._condition:
             self._condition.wait_for(lambda: self.number > number or self._stop.is_set(), KEEP_ALIVE)
             return self.number, self.text

@@ -42,7 +42,7 @@ class Alignment:
     `rotation`: array of shape (3, 3), body axes as columns in East-North-Up. `covariance`: array of shape (16, 16), covariance of
     the errors that remain: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn, in
     body axes. `constant`: array of shape (6,), estimates of the constant sensor errors, rad/s and m/s². `consistency`: root mean
-    square of the innovations, each divided by its expected standard deviation; about 1 is normal, and less than 1 is harmless.
+    square of the innovations, each divided by its expected standard deviation. It is normally about 1; a smaller value is harmless.
     `largest`: the largest innovation, m/s. `followed`: array of shape (16, 6, m), the errors that remain if one of the 6 sensors
     has an error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0 unless the intervals are requested.
     """
@@ -61,7 +61,8 @@ class Alignment:
 
 
 def coarse(rate: Array, force: Array) -> Array:
-    """The body axes (3, 3) as columns in East-North-Up. `rate`, `force`: mean rate and mean specific force in body axes, (3,) each."""
+    """The body axes (3, 3) as columns in East-North-Up. `rate`, `force`: arrays of shape (3,), mean rate and mean specific force in
+    body axes."""
     up = force / np.linalg.norm(force)
     east = np.cross(rate, up)
     east /= np.linalg.norm(east)
@@ -81,9 +82,9 @@ class FineAlignment:
         follow: float | None = None,
     ):
         """`density`: array of shape (6, 6), in navigation axes, variance per second of the integrated outputs of the gyros [rad²/s]
-        and accelerometers [(m/s)²/s]. `seconds`: time between knots, the output times of the navigator. `constant`: array of shape
-        (6,), standard uncertainty of the constant sensor errors before the alignment; None if they are not estimated. `follow`:
-        length of the intervals for `Alignment.followed`, s; None if the intervals are not requested."""
+        and accelerometers [(m/s)²/s]. `seconds`: time between two knots, which are the output times of the navigator, s.
+        `constant`: array of shape (6,), standard uncertainty of the constant sensor errors before the alignment; None if they are
+        not estimated. `follow`: length of the intervals for `Alignment.followed`, s; None if the intervals are not requested."""
         self._transition = np.eye(_ALL)
         self._transition[:SIZE, :SIZE], self._response = equations.step(seconds)
         self._added = np.zeros((_ALL, _ALL))

@@ -30,7 +30,8 @@ _TERMS = 16
 @dataclass(frozen=True, slots=True)
 class ErrorEquations:
     """The equations ẋ = dynamics·x + inputs·(ε, ∇) of the state x: two position errors, two velocity errors, three tilts.
-    `dynamics`: array of shape (7, 7). `inputs`: array of shape (7, 6)."""
+    `dynamics`: array of shape (7, 7), the matrix by which the state is multiplied. `inputs`: array of shape (7, 6), the matrix by
+    which the errors (ε, ∇) are multiplied."""
 
     dynamics: Array
     inputs: Array

@@ -52,11 +52,11 @@ class Navigator:
         every: int = 1,
         last: Array | None = None,
     ):
-        """`quaternion`: array of shape (4,), scalar first, from body axes to East-North-Up. `velocity`: array of shape (3,) in m/s.
-        `position`: latitude, longitude [rad], height [m]. `vertical`: `held`, `damped` or `free`; `held` means that height and
-        vertical velocity keep their values. `gravity_factor`: factor on normal gravity. `every`: number of steps between two output
-        points (knots). `last`: array of shape (6,), the increments of the interval before the first step, for coning and sculling;
-        None means zeros."""
+        """`quaternion`: array of shape (4,), scalar first, from body axes to East-North-Up. `velocity`: array of shape (3,) in m/s,
+        initial velocity east, north and up. `position`: initial latitude and longitude [rad] and height [m]. `vertical`: `held`,
+        `damped` or `free`; `held` means that height and vertical velocity keep their values. `gravity_factor`: factor on normal
+        gravity. `every`: number of steps between two output points (knots). `last`: array of shape (6,), the increments of the
+        interval before the first step, for coning and sculling; None means zeros."""
         from planrunner.navigation import kernel
 
         self._kernel = kernel
@@ -76,7 +76,7 @@ class Navigator:
         """Processes n increments; returns the output points (knots) within them.
 
         `increments`: array of shape (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z over intervals of the
-        lengths (n,) [s]. `reference_height`: array of shape (n,) or (1,), m, for the damped vertical channel; by default the
+        lengths (n,) [s]. `reference_height`: array of shape (n,) or (1,) in m, used by the damped vertical channel; by default the
         initial height.
         """
         knots = np.empty((interval.size // self.every + 1, self._kernel.KNOT))

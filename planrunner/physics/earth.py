@@ -16,16 +16,17 @@ EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.04106
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """The site of a bench. `latitude`, `azimuth`: in rad. `gravity`: in m/s^2.
+    """The site of a bench.
 
-    `latitude`: astronomic latitude, which the plumb line defines. An accelerometer at rest measures along the plumb line, so this
-    latitude determines the angle between the Earth's axis and a level surface. `geodetic_latitude`: latitude on the ellipsoid, rad,
-    used for positions; None if the two latitudes are treated as equal. The difference between the two latitudes is the deviation of
-    the vertical (Torge and Müller, Geodesy, 4th ed., 6.1). `longitude`: rad, positive to the east. `height`: height above the
-    ellipsoid, m. Longitude and height are used only for navigation. `azimuth`: angle from true north to the reference direction of
-    the table, positive clockwise as seen from above (towards east). Words for orientations in plans mean true directions; the joint
-    angles of the table take the azimuth into account. `magnetic_field`: the Earth's magnetic field in true East-North-Up, in the
-    unit that the bench file states; None if unknown.
+    `latitude`: astronomic latitude, rad, which the plumb line defines. An accelerometer at rest measures along the plumb line, so
+    this latitude determines the angle between the Earth's axis and a level surface. `gravity`: magnitude of gravity, m/s^2.
+    `azimuth`: angle from true north to the reference direction of the table, rad, positive clockwise as seen from above (towards
+    east). Words for orientations in plans mean true directions; the joint angles of the table take the azimuth into account.
+    `geodetic_latitude`: latitude on the ellipsoid, rad, used for positions; None if the two latitudes are treated as equal. The
+    difference between the two latitudes is the deviation of the vertical (Torge and Müller, Geodesy, 4th ed., 6.1). `longitude`:
+    longitude, rad, positive to the east. `height`: height above the ellipsoid, m. Longitude and height are used only for
+    navigation. `magnetic_field`: the Earth's magnetic field in true East-North-Up, in the unit that the bench file states; None if
+    unknown.
     """
 
     latitude: float

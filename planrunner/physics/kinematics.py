@@ -78,7 +78,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """The sensor's axes (3, 3) as rows in East-North-Up. `angles`: array of shape (n,), joint angles, rad. `azimuth`: azimuth of
+    """The sensor's axes (3, 3) as rows in East-North-Up. `angles`: array of shape (n,) in rad, joint angles. `azimuth`: azimuth of
     the site, rad."""
     platform = rotation_about((0.0, 0.0, 1.0), -azimuth)
     for axis, angle in zip(axes, angles, strict=True):

@@ -51,9 +51,9 @@ def forced_velocity(
     """The velocity errors [m/s], as east + i·north, that are forced at plus and at minus `harmonic` times the frequency of the
     cycle.
 
-    gyro [rad/s], accelerometer [m/s^2]: constant sensor errors, in their orientation at the first position. A harmonic of exp(iθ)
-    that has the coefficient c and the rate ω forces the velocity c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0 is the
-    mean velocity, which the residual of the cycle causes.
+    `gyro` [rad/s], `accelerometer` [m/s^2]: constant sensor errors, given for the orientation at the first position. A harmonic of
+    exp(iθ) that has the coefficient c and the rate ω forces the velocity c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0
+    is the mean velocity, which the residual of the cycle causes.
     """
     natural = schuler_rate(site)
     forced = []

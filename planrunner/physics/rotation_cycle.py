@@ -31,8 +31,8 @@ class RotationCycle:
     """A cycle of stops and turns of one table axis.
 
     `turns`: angle of each turn, rad, positive about the axis; before each turn, the axis rests for `stop` s. `rate`: rate of the
-    turns, rad/s, above zero. `acceleration`: in rad/s^2, infinite for turns without ramps. Raises `ValueError` if the cycle takes
-    no time.
+    turns, rad/s, above zero. `acceleration`: acceleration of the ramps, rad/s^2; infinite for turns without ramps. Raises
+    `ValueError` if the cycle takes no time.
     """
 
     turns: tuple[float, ...]

@@ -25,9 +25,11 @@ FOREIGN = 3.0
 
 
 class AngleFrom(StrEnum):
-    """The source from which the angle of the table is known. PLAN: an encoder; or the plan, if the table does not turn
-    continuously. GRAVITY: the accelerometers, while the table turns about an axis that is not vertical. NOTHING: no source; the
-    table turns, and its angle at the start of the segment is unknown."""
+    """How the angle of the table is known.
+
+    `PLAN`: from an encoder; or from the plan, if the table does not turn continuously. `GRAVITY`: from the accelerometers, while
+    the table turns about an axis that is not vertical. `NOTHING`: not at all; the table turns, and its angle at the start of the
+    segment is unknown."""
 
     PLAN = "plan"
     GRAVITY = "gravity"
@@ -85,8 +87,7 @@ def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 
 def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequence[int]) -> AngleFrom:
-    """The source from which the angle of a table without encoder is known. `accelerometers`: the sensor axes (0, 1, 2) that have an
-    accelerometer."""
+    """How the angle of a table without encoder is known. `accelerometers`: the sensor axes (0, 1, 2) that have an accelerometer."""
     if not isinstance(motion, Spin):
         return AngleFrom.PLAN
     seen = once_per_turn(motion, attitude, site.specific_force_enu)[list(accelerometers)]

@@ -63,8 +63,8 @@ class Poses:
 
     `attitude`: array of shape (n, 3, 3), attitude at the start of each segment. `mean`: array of shape (n, 3, 3), transforms a
     vector that is fixed at the site to its mean over the segment, in the sensor's axes. `spin`: array of shape (n, 3), mean
-    rotation rate of the table in the sensor's axes, rad/s. `table_rate`, `table_angle`, `temperature`, `time`: the same quantities
-    as in `Stimulus`.
+    rotation rate of the table in the sensor's axes, rad/s. `table_rate`, `table_angle`, `temperature`, `time`: these quantities
+    have the same meaning as in `Stimulus`.
     """
 
     attitude: Array
@@ -100,7 +100,7 @@ class Poses:
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """All arrays in the order of the fields."""
+        """All arrays in the order of the attributes."""
         return self.attitude, self.mean, self.spin, self.table_rate, self.table_angle, self.temperature, self.time
 
     @property
