@@ -18,7 +18,7 @@ from planrunner.base.findings import Findings
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.closure import FoldChoice, choices_of, predictions
+from planrunner.gap.answer.closure import FoldChoice, choices_of, predictions, whole_choices
 from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
 from planrunner.gap.fleet.attribution import Contribution, Estimates, Source, attribute
@@ -211,12 +211,12 @@ def _told(answer: Diagnosis, effects: Sequence[str]) -> list[FoldChoice]:
     if not known:
         return []
     if len(known) > 1:
-        return choices_of("told", [(one.best, one) for one in known], 1.0)
+        return choices_of(weighing, "told", [(one.best, one) for one in known], 1.0)
     shaped = shape_alone(known[0])
     exact = whole_forms(weighing, shaped) if shaped is not None else []
     if exact:
-        return [FoldChoice("told", weighed.raw, (1,), share, whole=True) for weighed, share in exact]
-    return choices_of("told", [(known[0].best, known[0])], 1.0)
+        return whole_choices(weighing, "told", known[0].effect, exact, 1.0)
+    return choices_of(weighing, "told", [(known[0].best, known[0])], 1.0)
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def _weighed(recorded: Observed) -> tuple[Weighing, FoldChoice]:
     """The recording, and g-sensitivity as the only choice."""
     weighing = Weighing(recorded)
     (candidate,) = candidates_of(weighing, [GyroGSensitivity()])
-    (choice,) = choices_of(candidate.id, [(candidate.best, candidate)], 1.0)
+    (choice,) = choices_of(weighing, candidate.id, [(candidate.best, candidate)], 1.0)
     return weighing, choice
 
 

@@ -30,6 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
+from planrunner.error_model.effects.interface import Effect
+from planrunner.gap.answer.operating_point import OperatingPoint, on_output, operating_point
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
 from planrunner.gap.evidence.weighing import DEPENDENT, ChannelWeights
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
@@ -121,7 +123,7 @@ class FoldChoice:
     `effect`: name of the effect or set. `raw`: for each channel, the columns (M, p) of the form in magnitudes, not whitened.
     `widths`: number of columns of each effect. `probability`: probability that this form is the whole cause. `prior`: log prior
     probability of this form among the forms of the same effect, up to a constant. `whole`: True if the amplitude is fixed at 1 and
-    not fitted.
+    not fitted. `point`: for effects on the output, how they change with the nominal parameters.
     """
 
     effect: str
@@ -130,6 +132,7 @@ class FoldChoice:
     probability: float
     prior: float = 0.0
     whole: bool = False
+    point: OperatingPoint | None = field(default=None, repr=False)
 
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
         """Mean (p,) and covariance (p, p) of the amplitudes, computed from the information (p, p) and the score (p,)."""
@@ -211,7 +214,9 @@ class _Fold:
     told: list[Array]
 
 
-def choices_of(effect: str, members: Sequence[tuple[Weighed, Candidate]], probability: float) -> list[FoldChoice]:
+def choices_of(
+    weighing: Weighing, effect: str, members: Sequence[tuple[Weighed, Candidate]], probability: float
+) -> list[FoldChoice]:
     """The choices for an effect or a set of effects: its best form, and the forms in which one of the effects has another probable
     shape. `members`: for each effect, its best form and the candidate with all its forms."""
     best = [form for form, _ in members]
@@ -219,6 +224,7 @@ def choices_of(effect: str, members: Sequence[tuple[Weighed, Candidate]], probab
     for number, (form, candidate) in enumerate(members):
         others = _probable_shapes(form, candidate)
         varied += [([*best[:number], other, *best[number + 1 :]], prior) for other, prior in others]
+    point = _operating_point(weighing, members)
     return [
         FoldChoice(
             effect,
@@ -226,9 +232,42 @@ def choices_of(effect: str, members: Sequence[tuple[Weighed, Candidate]], probab
             tuple(len(form.variant.columns) for form in forms),
             probability / len(varied),
             prior,
+            point=point,
         )
         for forms, prior in varied
     ]
+
+
+def whole_choices(
+    weighing: Weighing, name: str, effect: Effect, forms: Sequence[tuple[Weighed, float]], probability: float
+) -> list[FoldChoice]:
+    """The choices for an effect that its shape determines. `forms`: the forms of the effect, all with the amplitude 1, and their
+    probabilities."""
+    shown = [(form, share) for form, share in forms if form.trace > 0]
+    acting, point = on_output(effect), None
+    if acting is not None and shown:
+        likeliest, _ = max(shown, key=lambda one: one[1])
+        shape = float(likeliest.variant.shape or 0.0)
+        point = operating_point(weighing, acting, shape, [raw[:, 0] for raw in likeliest.raw])
+    return [FoldChoice(name, form.raw, (1,), probability * share, whole=True, point=point) for form, share in shown]
+
+
+def _operating_point(weighing: Weighing, members: Sequence[tuple[Weighed, Candidate]]) -> OperatingPoint | None:
+    """The operating point of the first effect on the output among `members`; None if there is no such effect."""
+    for number, (form, candidate) in enumerate(members):
+        effect = on_output(candidate.effect)
+        if effect is None:
+            continue
+        widths = [len(form.variant.columns) for form, _ in members]
+        columns = [np.hstack(blocks) for blocks in zip(*(form.by_channel for form, _ in members), strict=True)]
+        gram = np.sum([block.T @ block for block in columns], axis=0)
+        score = np.sum(
+            [block.T @ own[0].residual for block, own in zip(columns, weighing.weights, strict=True)], axis=0
+        )
+        amplitude = float(best_amplitudes(gram, score, widths)[0][sum(widths[:number])])
+        taken = [raw[:, 0] for raw in candidate.best.raw] if candidate.settled else None
+        return operating_point(weighing, effect, float(form.variant.shape or 0.0), taken, amplitude)
+    return None
 
 
 def _probable_shapes(best: Weighed, candidate: Candidate) -> list[tuple[Weighed, float]]:
@@ -264,7 +303,8 @@ def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoi
     fits = _fits(weighing, noise, choices)
     shares = _shares(choices, fits)
     likeliest = int(np.argmax(shares)) if shares.any() else len(choices) - 1
-    if _told(choices[likeliest].widths, fits[likeliest], likeliest, folds) < TOLD:
+    (alone,) = _fits(weighing, noise, [replace(choices[likeliest], point=None)])
+    if _told(choices[likeliest].widths, alone, likeliest, folds) < TOLD:
         return not_measured(NotMeasured.NOT_REPEATED)
     amplitudes = [fit.amplitudes for fit in fits]
     every = [np.ones(len(fold.channel), dtype=bool) for fold in folds]
@@ -331,11 +371,12 @@ def _left(
     count = 2 * len(KINDS)
     one = tuple(np.ones(len(own)) for own in group)
     (fit,) = _fits(weighing, MeasuredNoise(tuple(weights), one, group, np.full(count, np.inf)), [choice])
-    covariance = np.sum([root @ root.T for root in fit.amplitudes.roots], axis=0)
+    p = len(fit.score)
+    covariance = np.sum([root @ root.T for root in fit.amplitudes.roots], axis=0)[:p, :p]
     squares, degrees = np.zeros(count), np.zeros(count)
     for rows, columns, own in zip(fit.rows, fit.columns, group, strict=True):
         free = 1 - (rows.basis**2).sum(1) - np.einsum("ij,jk,ik->i", columns, covariance, columns)
-        np.add.at(squares, own, (rows.residual - columns @ fit.amplitudes.mean) ** 2)
+        np.add.at(squares, own, (rows.residual - columns @ fit.amplitudes.mean[:p]) ** 2)
         np.add.at(degrees, own, free)
     degrees = np.maximum(degrees, 1.0)
     ratio = np.where(degrees > 1, squares / degrees, 1.0)
@@ -378,7 +419,8 @@ def _with_measured_flicker(
 @dataclass(frozen=True)
 class _Fit:
     """A choice fitted to all segments. gram (p, p) and score (p,) are sums over all channels; rows and columns have one whitened
-    entry for each channel."""
+    entry for each channel. `amplitudes`: the amplitudes of the choice; if it has an operating point, also the nominal parameters minus
+    those of the operating point."""
 
     gram: Array
     score: Array
@@ -390,26 +432,49 @@ class _Fit:
 
 def _fits(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice]) -> list[_Fit]:
     every = np.ones(len(weighing.spectrum.segment), dtype=bool)
-    rows = [_Rows(weighing, noise, channel, every) for channel in range(len(weighing.weights))]
-    return [_fit(choice, noise, rows) for choice in choices]
+    points = {id(choice.point): choice.point for choice in choices}
+    rows = {
+        key: [_Rows(weighing, noise, channel, every, point) for channel in range(len(weighing.weights))]
+        for key, point in points.items()
+    }
+    return [_fit(choice, noise, rows[id(choice.point)]) for choice in choices]
 
 
 def _fit(choice: FoldChoice, noise: MeasuredNoise, rows: list[_Rows]) -> _Fit:
     columns = [own.project(raw) for own, raw in zip(rows, choice.raw, strict=True)]
     p = columns[0].shape[1]
-    grams = np.zeros((len(noise.degrees), p, p))
-    for block, group in zip(columns, noise.group, strict=True):
+    point = choice.point
+    moving = [point is not None and bool(point.change[c].any()) for c in range(len(rows))]
+    sizes = [own.basis.shape[1] if moves else 0 for own, moves in zip(rows, moving, strict=True)]
+    ends = p + np.cumsum([0, *sizes])
+    grams = np.zeros((len(noise.degrees), ends[-1], ends[-1]))
+    for c, (block, group) in enumerate(zip(columns, noise.group, strict=True)):
+        at = np.concatenate([np.arange(p), np.arange(ends[c], ends[c + 1])])
+        both = np.hstack([block, rows[c].basis]) if moving[c] else block
         for number in np.unique(group):
-            own = block[group == number]
-            grams[number] += own.T @ own
-    gram = grams.sum(axis=0)
+            own = both[group == number]
+            grams[number][np.ix_(at, at)] += own.T @ own
+    gram = grams.sum(axis=0)[:p, :p]
     score = np.sum([block.T @ own.residual for block, own in zip(columns, rows, strict=True)], axis=0)
     mean, covariance = choice.amplitudes(gram, score)
     prior = covariance - covariance @ gram @ covariance
-    parts = np.concatenate([covariance @ grams @ covariance, prior[None]])
+    # the errors of amplitudes and nominal parameters, from the scores of the columns and of the nominal basis
+    means, along, across = [mean], [np.hstack([covariance, np.zeros((p, ends[-1] - p))])], [np.eye(p)]
+    for c, own in enumerate(rows):
+        if point is None or not moving[c]:
+            continue
+        parameters = own.parameters[: len(point.values[c])]
+        per_amplitude = parameters @ (own.basis.T @ own.whiten(choice.raw[c]))
+        means.append(own.moved(point.values[c]) - per_amplitude @ mean)
+        block = np.zeros((len(parameters), ends[-1]))
+        block[:, ends[c] : ends[c + 1]] = parameters
+        along.append(block - per_amplitude @ along[0])
+        across.append(-per_amplitude)
+    estimator, per_prior = np.vstack(along), np.vstack(across)
+    parts = np.concatenate([estimator @ grams @ estimator.T, (per_prior @ prior @ per_prior.T)[None]])
     values, vectors = np.linalg.eigh((parts + np.swapaxes(parts, 1, 2)) / 2)
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    amplitudes = Amplitudes(mean, roots, np.append(noise.degrees, np.inf))
+    amplitudes = Amplitudes(np.concatenate(means), roots, np.append(noise.degrees, np.inf))
     return _Fit(gram, score, choice.log_bayes(gram, score), amplitudes, rows, columns)
 
 
@@ -504,7 +569,8 @@ def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold
     size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0
     for fold in folds:
-        gram = fold.signatures[number].T @ fold.signatures[number]
+        own = fold.signatures[number][:, : len(size)]
+        gram = own.T @ own
         unknown = np.linalg.inv(fold.told[number] + np.diag(1 / size))
         shown += float(np.diag(gram) @ size)
         left += float(np.sum(gram * unknown))
@@ -611,7 +677,26 @@ def _fold(
     difference = np.zeros(len(residual)) if best is None else signatures[:, best] @ amplitudes
     channel = np.repeat(np.arange(len(predicted)), [len(r) for r, _ in predicted])
     group = np.concatenate([own[held] for own in noise.group])
-    return _Fold(channel, group, residual, difference, [signatures[:, part] for part in parts], told)
+    points = {id(choice.point): choice.point for choice in choices if choice.point is not None}
+    moving = {key: _moving(used, point, held) for key, point in points.items()}
+    nothing = np.zeros((len(residual), 0))
+    each = [
+        np.hstack([signatures[:, part], moving.get(id(choice.point), nothing)])
+        for choice, part in zip(choices, parts, strict=True)
+    ]
+    return _Fold(channel, group, residual, difference, each, told)
+
+
+def _moving(used: Sequence[_Rows], point: OperatingPoint, held: NDArray[np.bool_]) -> Array:
+    """The held-out change (m, q) of the prediction by an effect on the output, per change of each nominal parameter. q counts the
+    parameters of all channels on which the effect acts."""
+    from scipy.linalg import block_diag
+
+    blocks = [
+        rows.predict(change if change.any() else change[:, :0], held)[1]
+        for rows, change in zip(used, point.change, strict=True)
+    ]
+    return np.asarray(block_diag(*blocks))
 
 
 def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
@@ -628,14 +713,28 @@ def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
 class _Rows:
     """The chosen coefficients of one channel, whitened, from which the part that the nominal parameters explain has been removed."""
 
-    def __init__(self, weighing: Weighing, noise: MeasuredNoise, channel: int, chosen: NDArray[np.bool_]):
+    def __init__(
+        self,
+        weighing: Weighing,
+        noise: MeasuredNoise,
+        channel: int,
+        chosen: NDArray[np.bool_],
+        point: OperatingPoint | None = None,
+    ):
         self.weight = noise.weights[channel]
         self.scale = noise.scale[channel]
         self.values = weighing.spectrum.values[:, channel]
         self.nominal = weighing.nominal[channel]
+        if point is not None and point.change[channel].any():
+            change = point.change[channel]
+            self.values = self.values + change @ point.values[channel]
+            self.nominal = np.hstack(
+                [point.nominal[channel] + change, weighing.angles[channel], weighing.known[channel]]
+            )
         self.chosen = chosen
         self.whiten = self.whitening(chosen)
         size = np.linalg.norm(self.nominal, axis=0)
+        size[size == 0] = 1.0
         left, values, right = np.linalg.svd(self.whiten(self.nominal[chosen] / size), full_matrices=False)
         told = values > DEPENDENT * values.max(initial=0.0)
         self.basis = left[:, told]
@@ -651,6 +750,12 @@ class _Rows:
     def project(self, columns: Array) -> Array:
         whitened = self.whiten(columns)
         return whitened - self.basis @ (self.basis.T @ whitened)
+
+    def moved(self, values: Array) -> Array:
+        """The fitted nominal parameters (q,) minus `values` (q,), in the directions that the rows determine. `values` belong to the
+        first q nominal columns."""
+        left = self.whiten((self.values - self.nominal[:, : len(values)] @ values)[self.chosen])
+        return np.asarray((self.parameters @ (self.basis.T @ left))[: len(values)])
 
     def predict(self, signatures: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Returns the held-out residual (m,) of a prediction without effects, and the change (m, p) of the prediction that the

@@ -38,6 +38,7 @@ from planrunner.gap.answer.closure import (
     closure,
     measured_noise,
     not_measured,
+    whole_choices,
 )
 from planrunner.gap.answer.description import NoiseFound, gap_by_channel, noise_found, pictures
 from planrunner.gap.answer.parameters import ParameterEstimate
@@ -210,7 +211,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         effect.id for effect in effects if isinstance(effect, OutsideCoefficients) and effect.outside == "random walk"
     }
     exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
-    choices = _choices(found, by_id, walks, exact)
+    choices = _choices(weighing, found, by_id, walks, exact)
     if after is not None and all(choice.effect != key for choice in choices):
         choices.append(FoldChoice(key, after.raw, after.variant.widths or (len(after.variant.columns),), 0.0))
     rest = None if after is None or walks & set(said.effects) else remainder(weighing, after, said.something_else)
@@ -323,7 +324,7 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 
 
 def _choices(
-    found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
+    weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
     """The choices for the folds of the closure: probable effects and probable sets of effects. Hypotheses that differ only in
     effects on the noise become one choice. A hypothesis that includes a random walk or something else adds nothing to the
@@ -334,25 +335,21 @@ def _choices(
         key = "+".join(part for part in parts if part in by_id)
         if p >= _LIKELY and key:
             likely[key] = likely.get(key, 0.0) + (0.0 if {*walks, UNKNOWN} & set(parts) else p)
-    chosen = [choice for key, p in likely.items() for choice in _forms(found, by_id, exact, key, p)]
+    chosen = [choice for key, p in likely.items() for choice in _forms(weighing, found, by_id, exact, key, p)]
     return sorted(chosen, key=lambda choice: -choice.probability)[:_MOST_CHOICES]
 
 
 def _forms(
-    found: Posterior, by_id: Mapping[str, Candidate], exact: Mapping[str, Forms], key: str, p: float
+    weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], exact: Mapping[str, Forms], key: str, p: float
 ) -> list[FoldChoice]:
     """The choices for one effect or set of effects; p is its probability."""
     if key in exact:
-        return [
-            FoldChoice(key, weighed.raw, (1,), p * share, whole=True)
-            for weighed, share in exact[key]
-            if weighed.trace > 0
-        ]
+        return whole_choices(weighing, key, by_id[key].effect, exact[key], p)
     if key in found.sets:
-        return choices_of(key, [(member.form, member.candidate) for member in found.sets[key].members], p)
+        return choices_of(weighing, key, [(member.form, member.candidate) for member in found.sets[key].members], p)
     if key not in by_id or by_id[key].best.trace <= 0:
         return []
-    return choices_of(key, [(by_id[key].best, by_id[key])], p)
+    return choices_of(weighing, key, [(by_id[key].best, by_id[key])], p)
 
 
 def _parameters(

@@ -132,12 +132,14 @@ class Weighed:
 class Candidate:
     """An effect and its evaluated variants. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape of the
     effect. `at`: index of the setting of the noise at which the forms are compared. This is the most probable setting without a
-    random walk of the gyros, because a random walk would explain much of what a wrong form leaves."""
+    random walk of the gyros, because a random walk would explain much of what a wrong form leaves. `settled`: True if
+    the nominal parameters were fitted together with the effect before its forms were computed."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
     log_bayes: Array
     at: int = 0
+    settled: bool = False
 
     @property
     def id(self) -> str:
@@ -177,8 +179,11 @@ class Weighing:
     `removed`: array of shape (N, K) in SI units, a signal that is subtracted from the samples before they are evaluated, such as a
     line. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier one.
     `coarse`: array of shape (K,), True for channels whose noise does not dither the rounding to counts; the scatter of the samples
-    of such a channel shows rounding, not noise. `angles`: for each channel, the columns (M, n) of `angle_columns` that act on it.
-    `outliers`: array of shape (N, K) in SI units, errors of single samples that are left out; None if there are none.
+    of such a channel shows rounding, not noise. `outliers`: array of shape (N, K) in SI units, errors of single samples that are
+    left out; None if there are none.
+
+    For each channel, `whole`: the columns (M, q) of the nominal parameters; `angles`: the columns (M, n) of `angle_columns` that act
+    on it; `known`: the columns (M, n) of effects that count as nominal parameters.
     """
 
     def __init__(
@@ -249,6 +254,7 @@ class Weighing:
         angles = coefficients_of(observed, self.spectrum, angle_columns(observed))
         self.angles = [part[:, part.any(axis=0)] for part in angles]
         self.nominal = [independent(np.hstack(parts)) for parts in zip(self.whole, self.angles, strict=True)]
+        self.known: list[Array] = [part[:, :0] for part in self.whole]
         self.noise = noise_within(observed, self.spectrum, self.white, self._left())
 
     def _left(self) -> Array:
@@ -259,17 +265,29 @@ class Weighing:
         ]
         return np.column_stack(each)
 
-    def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """The output (N, K) of the nominal model, whose parameters are fitted by least squares to all coefficients. `taken`: for
-        each channel, the coefficients (M,) that an effect explains; they are subtracted before the fit."""
-        out = self._reference.copy()
+    def nominal_values(self, taken: Sequence[Array] | None = None) -> list[Array]:
+        """For each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in `whole`, fitted by
+        least squares to all coefficients. `taken`: for each channel, the coefficients (M,) that an effect explains; they are
+        subtracted before the fit."""
+        found = []
         for index, nominal in enumerate(self.whole):
-            own = [column for column in self.nominal_columns if index in column.parts]
             design = np.hstack([nominal, self.angles[index]])
             size = np.linalg.norm(design, axis=0) + 1e-300
             left = self.spectrum.values[:, index] - (0.0 if taken is None else taken[index])
             values = np.linalg.lstsq(design / size, left, rcond=None)[0] / size
-            for column, value in zip(own, values, strict=False):
+            found.append(values[: nominal.shape[1]])
+        return found
+
+    def fitted(self, taken: Sequence[Array] | None = None) -> Array:
+        """The output (N, K) of the nominal model with the `nominal_values`."""
+        return self.output_at(self.nominal_values(taken))
+
+    def output_at(self, values: Sequence[Array]) -> Array:
+        """The output (N, K), SI, of the nominal model. `values`: for each channel, the values of its nominal parameters in magnitudes."""
+        out = self._reference.copy()
+        for index, of_channel in enumerate(values):
+            own = [column for column in self.nominal_columns if index in column.parts]
+            for column, value in zip(own, of_channel, strict=True):
                 out[:, index] += column.parts[index] * (column.magnitude * value)
         return out
 
@@ -289,6 +307,7 @@ class Weighing:
         made = self._with(lambda weight, channel: weight.beside(known.raw[channel]))
         acting = [raw[:, raw.any(axis=0)] for raw in known.raw]
         made.nominal = [independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)]
+        made.known = [np.hstack(parts) for parts in zip(self.known, acting, strict=True)]
         return made
 
     def inflated(self, ratios: Sequence[float]) -> Weighing:

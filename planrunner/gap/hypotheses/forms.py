@@ -53,17 +53,19 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
     usable = [item for item in weighed if item.can_be_seen]
     if not usable:
         return Candidate(effect, tuple(weighed), np.full(len(weighing.base), -np.inf))
-    log_bayes = log_mean_exp(np.array([item.log_bayes for item in usable]), 0)
+    log_bayes, settled = log_mean_exp(np.array([item.log_bayes for item in usable]), 0), False
     if isinstance(effect, Shaped) and float(log_bayes.max()) > _REFINE and len(usable) > 2:
         usable, log_bayes = _refined(weighing, effect, usable, weighing.observed)
         if float(log_bayes.max()) > _BENT and is_whole(usable[0].variant.columns):
+            before = usable
             usable, log_bayes = _settled(weighing, effect, usable, log_bayes)
             usable, log_bayes = _held(weighing, effect, usable, log_bayes)
+            settled = usable is not before
     if isinstance(effect, CurvedAndShaped) and float(log_bayes.max()) > _BENT:
         usable, log_bayes = _along_secants(weighing, effect, usable, log_bayes)
     if isinstance(effect, Curved) and float(log_bayes.max()) > _BENT:
         usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
-    return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0])
+    return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0], settled)
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:

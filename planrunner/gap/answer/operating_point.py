@@ -1,0 +1,77 @@
+"""How an effect on the output of the sensor changes with the nominal parameters.
+
+A dead zone or a limit acts on the output, so its size depends on the bias and the scale factors of the sensor. To first order in the
+nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The expansion point θ₀ are the nominal parameters at which the form of
+the effect was computed. The columns of E are central differences over one standard uncertainty of each parameter either way, because
+the exact derivative of a dead zone is infinite at its edge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from planrunner.base.arrays import Array
+from planrunner.error_model.effects.interface import ChangesWithinSegments, Effect, Shaped
+from planrunner.gap.evidence.weighing import coefficients_of
+from planrunner.gap.hypotheses.candidates import Weighing
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """The nominal parameters about which an effect on the output is linear. For each channel: `values` (q,), the nominal parameters θ₀
+    in magnitudes; `nominal` (M, q), their columns; `change` (M, q), the columns of E, multiplied by the amplitude of the effect; all
+    zero if the effect does not act on the channel."""
+
+    values: tuple[Array, ...]
+    nominal: tuple[Array, ...] = field(repr=False)
+    change: tuple[Array, ...] = field(repr=False)
+
+
+def on_output(effect: Effect) -> Shaped | None:
+    """The effect if it acts on the output and its shape determines it; otherwise None."""
+    acts = isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output"
+    return effect if acts and isinstance(effect, Shaped) else None
+
+
+def operating_point(
+    weighing: Weighing,
+    effect: Shaped,
+    shape: float,
+    taken: Sequence[Array] | None = None,
+    amplitude: float = 1.0,
+) -> OperatingPoint:
+    """Computes how an effect on the output changes with the nominal parameters.
+
+    `shape`, `amplitude`: shape and amplitude of the effect. `taken`: for each channel, the coefficients
+    (M,) that the effect explains, if the nominal parameters are fitted together with it; None if they are fitted without it.
+    """
+    values, seen = weighing.nominal_values(taken), weighing.seen(taken)
+    steps = [_uncertainty(weighing, channel) for channel in range(len(values))]
+    change = [np.zeros_like(columns) for columns in weighing.whole]
+    for j in range(max(map(len, values))):
+        more, less = (
+            coefficients_of(
+                seen, weighing.spectrum, effect.at(replace(seen, fitted=weighing.output_at(moved)), shape).columns
+            )
+            for moved in (_moved(values, steps, j, sign) for sign in (1.0, -1.0))
+        )
+        for channel, step in enumerate(steps):
+            if j < len(step) and step[j] > 0:
+                difference = (more[channel] - less[channel]).sum(axis=1)
+                change[channel][:, j] = difference * (amplitude / (2 * step[j]))
+    return OperatingPoint(tuple(values), tuple(weighing.whole), tuple(change))
+
+
+def _moved(values: Sequence[Array], steps: Sequence[Array], j: int, sign: float) -> list[Array]:
+    """The nominal parameters of all channels, each parameter number j changed by its step."""
+    return [own + sign * np.where(np.arange(len(own)) == j, step, 0.0) for own, step in zip(values, steps, strict=True)]
+
+
+def _uncertainty(weighing: Weighing, channel: int) -> Array:
+    """Standard uncertainties (q,) of the nominal parameters of a channel in magnitudes, each with the other parameters fixed; 0 for a
+    parameter that the recording does not show."""
+    energy = (weighing.weights[channel][0].whiten(weighing.whole[channel]) ** 2).sum(axis=0)
+    return np.where(energy > 0, 1 / np.sqrt(np.maximum(energy, 1e-300)), 0.0)
