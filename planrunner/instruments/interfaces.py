@@ -26,7 +26,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
-from planrunner.base.findings import Finding
+from planrunner.base.findings import Finding, Findings
 from planrunner.base.progress import Announce
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
@@ -128,6 +128,10 @@ class OnlyRead:
 
 class PlaysBack(OnlyRead):
     """Base of the drivers that play back a recording; samples, orientations, rates and temperatures all come from the recording."""
+
+    def look_over(self, segments: Sequence[Segment], log: Findings) -> None:
+        """Examines the recording before the segments are played back, and adds errors and warnings to `log`."""
+        raise NotImplementedError
 
 
 class TakesEffects(OnlyRead):

@@ -24,12 +24,14 @@ from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordedFile, RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.instruments.recording_scan import Wanted, scan
-from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stretches
+from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stated_stretches, stretches
 from planrunner.instruments.recording_summary import SummaryPlayer
 from planrunner.plan.schedule import Segment
 from planrunner.plan.span import Span
+from planrunner.plan.units import DIMENSIONS, unit
 
 RATE_TOLERANCE = math.log(1.25)
+_ALWAYS_NOISY = (DIMENSIONS["angular rate"], DIMENSIONS["acceleration"])
 _TABLE = "check the table of segments in the bench file and the plan's labels"
 
 
@@ -119,8 +121,12 @@ class RecordingPlayer(PlaysBack):
             spans = read_segment_table(
                 table, stated.table, (stated.label, stated.start, stated.end), stated.unit, stated.trim.value
             )
-        if stated is not None and parameters.pauses is not None:
-            raise InstrumentError("`segments` and `pauses` both define the segments of the recording: keep one of them")
+        if parameters.stretches is not None:
+            spans = stated_stretches(parameters, file.origin)
+        both = [name for name in ("segments", "stretches", "pauses") if getattr(parameters, name) is not None]
+        if len(both) > 1:
+            named = " and ".join(f"`{name}`" for name in both[:2])
+            raise InstrumentError(f"{named} both define the segments of the recording: keep one of them")
         parted = () if parameters.pauses is None else stretches(file, parameters.pauses.value, parameters.file, notice)
         return cls(parameters, file, spans, clock, piece, parted, notice)
 
@@ -141,7 +147,9 @@ class RecordingPlayer(PlaysBack):
         """Examines the recording in one pass, before the segments are played back, and adds all findings to `log`."""
         name, rate = self.parameters.file, self.parameters.sample_rate.value
         try:
-            self._held = scan(self.file, name, rate, self._wanted(segments, log), log, self.notice)
+            channels = self.parameters.channels.items()
+            live = [one for one, channel in channels if unit(channel.unit).dimension in _ALWAYS_NOISY]
+            self._held = scan(self.file, name, rate, self._wanted(segments, log), log, self.notice, live)
         except InstrumentError as error:
             log.error(
                 "recording-unfit", Mark(name), str(error), "correct the file, or its description in the bench file"

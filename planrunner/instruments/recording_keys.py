@@ -224,6 +224,13 @@ class SegmentColumns(Record):
         return cls(table=table)
 
 
+class StatedStretch(Record):
+    """Keys of a stretch of the recording."""
+
+    start: Quantity = key(QuantityOf("time", "not negative"), "Start of the stretch, after the first row.", "12 s")
+    end: Quantity = key(QuantityOf("time", "positive"), "End of the stretch, after the first row.", "22 s")
+
+
 class RowColumns(Record):
     """Names of the columns in a table that has one row for each segment."""
 
@@ -284,6 +291,11 @@ class RecordingParameters(Record):
         RecordOf(SegmentColumns),
         "Table of the segments; without it the whole recording is one segment.",
         {"table": "jig/stops.csv", "trim": "2 s"},
+    )
+    stretches: dict[str, StatedStretch] | None = optional(
+        MapOf(RecordOf(StatedStretch)),
+        "Instead of a table: label of each segment → its start and its end, counted from the first row of the recording.",
+        {"rate_1": {"start": "12 s", "end": "22 s"}},
     )
     pauses: Quantity | None = optional(
         QuantityOf("time", "positive"),

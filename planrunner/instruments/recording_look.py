@@ -61,6 +61,9 @@ _LARGE = 0.99  # quantile of a gyro's means that shows its unit: single wrong va
 _SPARSE = 0.5  # share of the samples below which a channel comes from a slower instrument
 _OTHER_RATE = 0.2  # relative difference from the usual rate
 _OTHER_RATES = 0.05  # share of the windows from which another rate is reported
+_RATES_DIFFER = 10.0  # times the noise of a sample: step of the mean of a gyro that shows two rates
+_ABOVE_DRIFT = 3.0  # times the range of the mean within intervals
+_LEAST_DWELL = 3 * WINDOW  # s that must remain of an interval without its ends
 _DIRECTIONS = 15.0  # deg between two poses that count as different
 _NAME = re.compile(r"[^A-Za-z0-9_]+")
 
@@ -155,6 +158,28 @@ class Look:
         if np.count_nonzero(steady) <= _OTHER_RATES * len(rates):
             return None
         return own, float(self.windows.begin[int(np.argmax(steady))])
+
+    @property
+    def dwells(self) -> tuple[Span, ...]:
+        """The intervals without acceleration, if the gyros show different rates in them; otherwise empty. One window is left out at
+        both ends, in which the table may still settle."""
+        if not any(self._turns_at_rates(one) for one in self.channels if one.sensed == "gyro"):
+            return ()
+        inner = (Span(span.start + WINDOW, span.end - WINDOW) for span in self.still)
+        return tuple(span for span in inner if span.seconds >= _LEAST_DWELL)
+
+    def _turns_at_rates(self, gyro: LikelyChannel) -> bool:
+        """True if the mean of a gyro changes between the intervals without acceleration, and not within them, as a drift would."""
+        if len(self.still) < 2 or not gyro.noise > 0:
+            return False
+        means = [_at_rest(self.windows, (span,), self.windows.mean[gyro.column]) / gyro.per_unit for span in self.still]
+        within = max(float(np.nanmax(one) - np.nanmin(one)) for one in means)
+        step = float(np.max(np.abs(np.diff([np.nanmean(one) for one in means]))))
+        return step > max(_RATES_DIFFER * gyro.noise, _ABOVE_DRIFT * within)
+
+    def mean_in(self, span: Span, channel: LikelyChannel) -> float:
+        """The mean of a channel in an interval, in the unit of the channel."""
+        return float(np.nanmean(_at_rest(self.windows, (span,), self.windows.mean[channel.column]))) / channel.per_unit
 
     @property
     def reversed_axes(self) -> bool:

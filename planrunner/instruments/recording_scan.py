@@ -8,7 +8,7 @@ warnings.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import field
 from itertools import pairwise
 
@@ -20,10 +20,13 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark
 from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.recording_file import RecordingFile
+from planrunner.instruments.sample_rates import constant_rates
 from planrunner.plan.span import ROUNDING, Span
 
 GAP = 1.5
 """Number of sample periods: if samples are further apart, one is missing. A segment may also end this long after the last sample."""
+LEAST_ROWS = 100
+"""Rows from which a channel that keeps one value counts as dead."""
 SHOWN = 3
 """Maximum number of places that a finding names; the others are counted."""
 
@@ -77,23 +80,34 @@ class _Seen:
 
 @dataclass(slots=True)
 class _Pass:
-    """What one pass over a recording has found so far. `faults`: descriptions of the first rows whose time is wrong. `wrong`: total
-    number of rows whose time is wrong. `wrong`: total number of such rows."""
+    """What one pass over a recording has found so far.
+
+    `period`: usual sample period, s. `local`: sample period [s] at the last row; NaN before the first. `faults`: descriptions of the
+    first rows whose time is wrong. `wrong`: total number of rows whose time is wrong. `missing`: number of missing values of each
+    channel. `lowest`, `highest`: smallest and largest value of each channel. `rates`: each time [s] at which the sample rate
+    changes, with the new rate [Hz].
+    """
 
     period: float
     seen: list[_Seen]
+    local: float = math.nan
     rows: int = 0
     first: float = math.nan
     last: float = math.nan
     wrong: int = 0
     faults: list[str] = field(default_factory=list)
     missing: dict[str, int] = field(default_factory=dict)
+    lowest: dict[str, float] = field(default_factory=dict)
+    highest: dict[str, float] = field(default_factory=dict)
+    rates: list[tuple[float, float]] = field(default_factory=list)
 
     def take(self, first: int, time: Array, columns: Mapping[str, Array], wanted: Sequence[Wanted]) -> None:
         """Processes the next rows. `first`: number of the first of these rows."""
         self.rows += len(time)
         for name, values in columns.items():
             self.missing[name] = self.missing.get(name, 0) + int(np.count_nonzero(~np.isfinite(values)))
+            self.lowest[name] = min(self.lowest.get(name, math.inf), float(np.nanmin(values, initial=math.inf)))
+            self.highest[name] = max(self.highest.get(name, -math.inf), float(np.nanmax(values, initial=-math.inf)))
         known = np.isfinite(time)
         steps = np.diff(time, prepend=time[0] - 1 if math.isnan(self.last) else self.last)
         for k in np.flatnonzero(~known | (steps <= 0)).tolist():
@@ -110,11 +124,19 @@ class _Pass:
         if self.wrong:
             return  # where segments lie cannot be said
         complete = np.all([np.isfinite(values) for values in columns.values()], axis=0)
+        for rows, period in constant_rates(time, self.local):
+            if period != self.local and not math.isnan(self.local):
+                self.rates.append((float(time[rows.start]), 1 / period))
+            self.local = period
+            self._take_wanted(time[rows], complete[rows], wanted)
+
+    def _take_wanted(self, time: Array, complete: NDArray[np.bool_], wanted: Sequence[Wanted]) -> None:
+        """Adds rows with one sample rate to the intervals to which they belong."""
         for one, seen in zip(wanted, self.seen, strict=True):
-            if one.span.start <= time[-1] + self.period and one.span.end > time[0]:
-                part = one.played.of(time, self.period)
+            if one.span.start <= time[-1] + self.local and one.span.end > time[0]:
+                part = one.played.of(time, self.local)
                 if part.start < part.stop:
-                    seen.take(time[part], complete[part], self.period)
+                    seen.take(time[part], complete[part], self.local)
 
 
 def scan(
@@ -124,11 +146,13 @@ def scan(
     wanted: Sequence[Wanted],
     log: Findings,
     notice: Announce | None = None,
+    live: Collection[str] = (),
 ) -> Span | None:
     """Adds all faults of a recording to `log`.
 
-    `name`: name of the file, used in messages. `sample_rate`: declared sample rate, Hz. `notice`: receives the progress. Returns
-    the span of the recording; None if some of its times are wrong. Raises `InstrumentError` if the file cannot be read to its end.
+    `name`: name of the file, used in messages. `sample_rate`: declared sample rate, Hz. `notice`: receives the progress. `live`:
+    channels whose noise must change their values. Returns the span of the recording; None if some of its times are wrong. Raises
+    `InstrumentError` if the file cannot be read to its end.
     """
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])
@@ -147,6 +171,8 @@ def scan(
     for one, seen in zip(wanted, found.seen, strict=True):
         _on_segment(one, seen, found, name, log)
     _on_gaps(wanted, found, name, log)
+    _on_rates(found, name, log)
+    _on_dead(found, name, live, log)
     _on_missing(wanted, found, name, log)
     _on_overlaps(wanted, period, log)
     return Span(found.first, found.last + period)
@@ -198,6 +224,25 @@ def _on_gaps(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -
         f"{seen.at:.9g} s in '{one.label}'"
     )
     log.warning("recording-gap", one.mark, message, "check the logger; estimates use the existing samples")
+
+
+def _on_rates(found: _Pass, name: str, log: Findings) -> None:
+    """Warns if the sample rate changes."""
+    if found.rates:
+        shown = ", ".join(f"about {rate:.4g} Hz from {time:.6g} s" for time, rate in found.rates[:SHOWN])
+        more = f" and {len(found.rates) - SHOWN} more changes" if len(found.rates) > SHOWN else ""
+        hint = "an estimate that needs one rate, such as allan_deviation, needs segments that do not contain the change"
+        log.warning("recording-rate", Mark(name), f"{name}: the sample rate changes: {shown}{more}", hint)
+
+
+def _on_dead(found: _Pass, name: str, live: Collection[str], log: Findings) -> None:
+    """Warns of each channel that keeps one value or has no value, although its noise must change it."""
+    hint = "check the sensor, and the column that the bench file gives for the channel"
+    for channel in live:
+        low, high = found.lowest.get(channel, math.inf), found.highest.get(channel, -math.inf)
+        if found.rows >= LEAST_ROWS and low >= high:
+            what = "has no value in any row" if low > high else f"is {low:g} in every row"
+            log.warning("recording-dead", Mark(name), f"{name}: '{channel}' {what}", hint)
 
 
 def _on_missing(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -> None:

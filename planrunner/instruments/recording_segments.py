@@ -18,7 +18,7 @@ from planrunner.base.findings import InputError, closest
 from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import RecordingFile
-from planrunner.instruments.recording_keys import seconds_in_unit
+from planrunner.instruments.recording_keys import RecordingParameters, seconds_in_unit
 from planrunner.plan.selection import closest_label
 from planrunner.plan.source import read_text
 from planrunner.plan.span import Span
@@ -60,6 +60,19 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], uni
     if not spans:
         raise InstrumentError(f"{name} contains no segments")
     return SegmentTable(name, spans, lines)
+
+
+def stated_stretches(parameters: RecordingParameters, origin: float) -> SegmentTable:
+    """The segments that the bench file states as `stretches`. `origin`: time of the first row, s. Raises `InstrumentError` for a
+    stretch that does not end after it starts."""
+    stated = parameters.stretches or {}
+    spans: dict[str, Span] = {}
+    lines: dict[str, int] = {}
+    for label, one in stated.items():
+        spans[label], lines[label] = Span(origin + one.start.value, origin + one.end.value), one.origin.mark.line
+        if not spans[label].seconds > 0:
+            raise InstrumentError(f"the stretch '{label}' does not end after it starts: correct it in the bench file")
+    return SegmentTable(parameters.origin.mark.file, spans, lines)
 
 
 def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tuple[str, int, LabelledRow]]:

@@ -30,6 +30,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan.schedule import RecordedMotion, Rest
 
 _STEPS = 20
+_ONE_DIRECTION = 0.9998  # cosine of 1.1 deg
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
@@ -137,6 +138,16 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
         bias, matrix = bias + more_bias, matrix + more_matrix
         if np.abs(columns @ step).max() < 1e-9 * gravity:
             return unit
+    lengths = np.linalg.norm(means, axis=1, keepdims=True)
+    if (
+        np.isfinite(means).all()
+        and lengths.min() > 0
+        and (means @ means[0] > _ONE_DIRECTION * (lengths * lengths[0]).ravel()).all()
+    ):
+        raise ObservationError(
+            "the sensor has the same direction to gravity in all segments, and their orientations are unknown: state the "
+            "orientation and the rate of each segment, or record poses in other directions"
+        )
     raise ObservationError(
         "the readings of the poses are not close to a sphere of radius g: check the unit of the channels, and whether "
         "the sensor was still"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
 
 import numpy as np
@@ -12,6 +13,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
+from planrunner.instruments.sample_rates import constant_rates
 from planrunner.observation.refusals import EstimationError
 from planrunner.plan.selection import Detection
 from planrunner.plan.span import Span
@@ -101,13 +103,11 @@ def _centred(
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length = 0
-    for block in recorded.blocks(detection.channels):
-        own = np.column_stack([block.channels[name] for name in detection.channels])
-        complete = np.isfinite(own).all(axis=1)
-        if not complete.any():
-            continue
-        times = np.concatenate([times, block.time[complete]])
-        values = np.vstack([values, own[complete]])
+    for added, own, restarts in _at_one_rate(recorded, detection.channels):
+        if restarts:
+            times, values, length = np.empty(0), np.empty((0, len(limits))), 0
+        times = np.concatenate([times, added])
+        values = np.vstack([values, own])
         if not length and len(times) > 1:
             length = max(2, round(window / float(np.median(np.diff(times)))))
         if not length or len(times) < length:
@@ -117,6 +117,21 @@ def _centred(
         middle = slice(length // 2, length // 2 + len(quiet))
         yield times[middle], values[middle], quiet, length
         times, values = times[len(quiet) :], values[len(quiet) :]
+
+
+def _at_one_rate(recorded: RecordedSegment, channels: Sequence[str]) -> Iterator[tuple[Array, Array, bool]]:
+    """Yields the complete rows, in pieces with one sample rate: times (n,), values (n, k), and whether the rate has changed before
+    the piece."""
+    period = math.nan
+    for block in recorded.blocks(channels):
+        own = np.column_stack([block.channels[name] for name in channels])
+        complete = np.isfinite(own).all(axis=1)
+        time, own = block.time[complete], own[complete]
+        if not len(time):
+            continue
+        for rows, own_period in constant_rates(time, period):
+            yield time[rows], own[rows], own_period != period and not math.isnan(period)
+            period = own_period
 
 
 def _sliding_variance(values: Array, length: int) -> Array:

@@ -7,9 +7,12 @@ import re
 from planrunner.base.findings import count_of
 from planrunner.instruments.formats.text import TextKeys
 from planrunner.instruments.recording_look import AT_LEAST, MOVING, WINDOW, Look, poses
+from planrunner.plan.span import Span
 
 POSES = 9
 """Poses that a calibration from |f| = g needs for three biases, three scale factors and three angles."""
+LEAST_POSES, LEAST_RESTS = 2, 4
+"""Poses and intervals at rest without which a diagnosis has nothing to compare."""
 STILL = 0.9
 """Share of the time without motion from which a recording counts as one at rest."""
 
@@ -96,12 +99,35 @@ def bench_of(look: Look, name: str) -> str:
         doubt = _DOUBTS["counts" if one.counts else "increments" if one.increments else one.source]
         doubt += " # it never changes: the output is dead, or the column is wrong" if one.stands else ""
         lines.append(f"      {one.name}: {{column: {_quoted(one.column)}, unit: {one.unit}{counts}{noise}}}{doubt}")
+    if look.dwells:
+        lines.append(
+            "    # The intervals without acceleration. Spin-up and stop are left out. Times are counted from the first row."
+        )
+        lines.append("    stretches:")
+        lines += [
+            f"      {label}: {{start: {span.start:.6g} s, end: {span.end:.6g} s}}" for label, span in _labelled(look)
+        ]
     if look.sparse:
         lines.append(f"    # Columns with a number in few rows, from a slower instrument: {', '.join(look.sparse)}.")
         lines.append("    # As a channel, such a column would remove all other rows.")
     if look.other:
         lines.append(f"    # Other columns of numbers: {', '.join(look.other[:40])}")
     return "\n".join(lines) + "\n"
+
+
+def _labelled(look: Look) -> list[tuple[str, Span]]:
+    """The dwells of a recording with different rates, with their labels."""
+    return [(f"dwell_{number}", span) for number, span in enumerate(look.dwells, start=1)]
+
+
+def _dwell_lines(look: Look) -> list[str]:
+    """The segments of a plan for a recording with different rates. Comments state the means of the gyros."""
+    gyros = [one for one in look.channels if one.sensed == "gyro"]
+    lines = []
+    for label, span in _labelled(look):
+        seen = ", ".join(f"{one.name} {look.mean_in(span, one):.4g} {one.unit}" for one in gyros)
+        lines.append(f"  - {{label: {label}, orientation: unknown, dwell: recorded}} # {seen}")
+    return lines
 
 
 def plan_of(look: Look, name: str) -> str:
@@ -114,22 +140,30 @@ def plan_of(look: Look, name: str) -> str:
         f"bench: ./{name}.bench.yaml",
         f"sensor: {{kind: imu, outputs: [{', '.join(outputs)}]}}",
         "segments:",
-        "  - {label: all, orientation: unknown, dwell: recorded}",
+        *(_dwell_lines(look) or ["  - {label: all, orientation: unknown, dwell: recorded}"]),
     ]
     triad = [one for one in look.channels if one.name in ("accel_x", "accel_y", "accel_z")]
     estimates: list[str] = []
     diagnosis: list[str] = []
-    if len(triad) == 3 and poses(look.windows, look.still, triad) >= POSES:
+    directions = poses(look.windows, look.still, triad) if len(triad) == 3 else 0
+    if look.dwells:
+        lines += [
+            "# The gyros show different rates. The recording does not contain the rates of the table. Write them into the segments,",
+            "# such as {label: dwell_2, orientation: {x: east, z: up}, rate: 10 deg/s, dwell: recorded}, then add estimates such as",
+            "# scale_factor.",
+        ]
+    elif directions >= LEAST_POSES and len(look.still) >= LEAST_RESTS:
         threshold = MOVING * max(one.noise for one in triad)
         still = f"{{detect: still, window: {WINDOW:g} s, threshold: {threshold:.3g} {triad[0].unit}, at_least: {AT_LEAST:g} s}}"
-        estimates = [
-            "  accelerometer:",
-            "    estimator: accelerometer_multi_position",
-            "    reference: gravity_magnitude",
-            f"    segments: {still}",
-        ]
+        if directions >= POSES:
+            estimates = [
+                "  accelerometer:",
+                "    estimator: accelerometer_multi_position",
+                "    reference: gravity_magnitude",
+                f"    segments: {still}",
+            ]
         diagnosis = ["diagnosis:", "  nominal: [accel_bias]", f"  segments: {still}"]
-    elif look.still_share > STILL and live:
+    elif look.still_share > STILL and live and look.other_rate is None:
         estimates = [
             "  noise:",
             "    estimator: allan_deviation",
@@ -137,8 +171,9 @@ def plan_of(look: Look, name: str) -> str:
             f"    outputs: [{', '.join(live)}]",
         ]
     if estimates:
-        lines += ["estimates:", *estimates, *diagnosis]
-    else:
+        lines += ["estimates:", *estimates]
+    lines += diagnosis
+    if not estimates and not look.dwells:
         lines.append(
             "# Add `segments` to the bench, with a table of labels and times, and then estimates: see docs/plan-language.md"
         )

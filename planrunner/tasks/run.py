@@ -38,7 +38,7 @@ from planrunner.execution.operator import Operator
 from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
-from planrunner.instruments.interfaces import Foresees, InstrumentError, UnservedError
+from planrunner.instruments.interfaces import Foresees, InstrumentError, PlaysBack, UnservedError
 from planrunner.observation.screening import watch_of
 from planrunner.plan import source
 from planrunner.plan.selection import closest_label
@@ -345,7 +345,7 @@ def _carry_out(
     if the bench cannot be made safe."""
     ended: tuple[Path, Outcome] | None = None
     try:
-        with _ready(sound, data_root, seed, progress) as bench, open_writer() as writer:
+        with _ready(sound, data_root, seed, progress) as (bench, warnings), open_writer() as writer:
             writer.witness = stamper = stamper_of(sound.bench)
             if bench.watchdog is not None:
                 bench.watchdog.report_to(writer.path)
@@ -362,6 +362,7 @@ def _carry_out(
                 unsigned = sign_seal(writer.folder, writer.path.name, sound.bench)
                 remarks = after_sealing(writer.folder, sound.bench, stamper)
                 outcome = replace(outcome, remarks=remarks, unsigned=unsigned)
+            outcome = replace(outcome, remarks=(*warnings, *outcome.remarks))
             ended = writer.path, outcome
     except NotSafeError as error:
         if ended is None:
@@ -395,19 +396,25 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
 
 
 @contextmanager
-def _ready(sound: Sound, data_root: Path | None, seed: int | None, notice: Announce | None) -> Iterator[OpenBench]:
-    """Connects the bench and makes it ready for the schedule. If the recording that it plays back is unsuitable, `InputError` is
-    raised instead of `InstrumentError`, because nothing can have moved."""
-    bench, file = sound.bench, sound.bench.origin.mark.file
+def _ready(
+    sound: Sound, data_root: Path | None, seed: int | None, notice: Announce | None
+) -> Iterator[tuple[OpenBench, Sequence[Finding]]]:
+    """Connects the bench and makes it ready for the schedule. Yields the bench, and the warnings about the recording that it plays
+    back. If this recording is unsuitable, `InputError` is raised instead of `InstrumentError`, because nothing can have moved."""
+    bench, file, found = sound.bench, sound.bench.origin.mark.file, Findings()
     with ExitStack() as stack:
         try:
             guarded = guarded_bench(bench, sound.bench_bytes, file, data_root=data_root, seed=seed, notice=notice)
             opened = stack.enter_context(guarded)
-            if isinstance(opened.sensor, Foresees):
+            if isinstance(opened.sensor, PlaysBack):
+                opened.sensor.look_over(sound.schedule.segments, found)
+                if found.errors:
+                    raise InputError(found.errors)
+            elif isinstance(opened.sensor, Foresees):
                 opened.sensor.foresee(sound.schedule.segments)
         except InstrumentError as error:
             raise _unfit(sound, error) from None
-        yield opened
+        yield opened, tuple(found)
 
 
 def _unfit(sound: Sound, error: InstrumentError) -> Exception:

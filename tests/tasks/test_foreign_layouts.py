@@ -7,6 +7,7 @@ import functools
 import gzip
 import itertools
 import json
+import re
 import sqlite3
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
@@ -34,9 +35,9 @@ IN_M = {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G}
 
 @functools.cache
 def turned() -> tuple[Array, Array, Array]:
-    """Time [s], gyro [rad/s] and accelerometer [m/s^2] of a unit that rests 4 s in each of 11 attitudes and turns between them."""
+    """Time [s], gyro [rad/s] and accelerometer [m/s^2] of a unit that rests 4 s in each of 13 attitudes and turns between them."""
     draw = np.random.default_rng(3)
-    attitudes = Rotation.random(11, random_state=5)
+    attitudes = Rotation.random(13, random_state=5)
     rest, turn = round(4 * RATE), round(1.4 * RATE)
     s = (np.arange(turn) + 0.5) / turn
     attitude, omega = [], []
@@ -164,7 +165,7 @@ def android(folder: Path) -> Path:
 def labview(folder: Path) -> Path:
     head = "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\n***End_of_Header***\t\n\nChannels\t6\t\t\t\t\t\n"
     head += "".join(
-        "\t".join([name, *[value] * 6]) + "\n" for name, value in (("Samples", "2640"), ("Time", "12:00:00"))
+        "\t".join([name, *[value] * 6]) + "\n" for name, value in (("Samples", "3500"), ("Time", "12:00:00"))
     )
     head += "".join("\t".join([name, *[value] * 6]) + "\n" for name, value in (("X0", "0.0"), ("Delta_X", "0.02")))
     head += "***End_of_Header***\t\t\t\t\t\t\nX_Value\tGyro X\tGyro Y\tGyro Z\tAccel X\tAccel Y\tAccel Z\tComment"
@@ -362,3 +363,105 @@ def test_what_is_not_read_is_said(
     assert main(["new", "--from-recording", str(write(tmp_path)), str(tmp_path / "begun.yaml")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "begun.yaml").exists()
+
+
+LEVELS = (0, 10, 0, 30, 0, 90, 0, -10, 0, -30, 0, -90, 0)
+
+
+def staircase(folder: Path) -> tuple[Path, list[tuple[float, float]]]:
+    """A file of a rate table that turns about z at each of the rates for 8 s and accelerates at 30 deg/s^2, and the times [s] from
+    which to which it turns at each rate. The scale factor of the gyro is 1.002, its bias is 0.1 deg/s."""
+    draw = np.random.default_rng(2)
+    rates, dwells, last, count = [], [], 0.0, 0
+    for level in LEVELS:
+        ramp = np.linspace(last, level, round(abs(level - last) / 30 * RATE), endpoint=False)
+        dwell = np.full(round(8 * RATE), float(level))
+        dwells.append(((count + len(ramp)) / RATE, (count + len(ramp) + len(dwell)) / RATE))
+        rates += [ramp, dwell]
+        last, count = level, count + len(ramp) + len(dwell)
+    rate = np.concatenate(rates)
+    gyro = np.column_stack([0.3 + 0 * rate, -0.2 + 0 * rate, 1.002 * rate + 0.1]) + draw.normal(0, 0.05, (count, 3))
+    accel = draw.normal([0.01, -0.005, 1.0], 0.001, (count, 3))
+    return text(folder / "r.csv", f"time_s,{IN_DPS_G}", rows(np.arange(count) / RATE, gyro, accel)), dwells
+
+
+def test_the_plan_of_a_rate_table_leaves_out_spin_up_and_stop(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the rates of the table, the plan gives the scale factor that the file was made with."""
+    file, dwells = staircase(tmp_path)
+    plan = tmp_path / "begun.yaml"
+    assert main(["new", "--from-recording", str(file), str(plan)]) == 0
+    stretches = re.findall(
+        r"dwell_\d+: {start: ([\d.]+) s, end: ([\d.]+) s}", (tmp_path / "begun.bench.yaml").read_text()
+    )
+    spans = [(float(start), float(end)) for start, end in stretches]
+    assert len(spans) == len(dwells)
+    assert all(
+        begin <= start < end <= stop and end - start > 5
+        for (start, end), (begin, stop) in zip(spans, dwells, strict=True)
+    )
+    assert main(["check", str(plan), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+    assert main(["diagnose", str(plan), "--recording", str(file)]) == 2
+    assert "the sensor has the same direction to gravity in all segments" in capsys.readouterr().err
+    stated = plan.read_text()
+    for number, level in enumerate(LEVELS, start=1):
+        motion = f", rate: {level} deg/s" if level else ""
+        stated = stated.replace(
+            f"dwell_{number}, orientation: unknown", f"dwell_{number}, orientation: {{x: east, z: up}}{motion}"
+        )
+    estimate = "estimates:\n  scale: {estimator: scale_factor, segments: '*', outputs: [gyro_z]}\nreport:"
+    plan.write_text(stated.replace("report:", estimate))
+    assert main(["run", str(plan), "--data", str(tmp_path), "--runs", str(tmp_path / "runs"), "--quiet", "--json"]) == 0
+    (estimate,) = json.loads(capsys.readouterr().out)["estimates"]
+    found = {one["name"]: one for one in estimate["coefficients"]}
+    for name, truth in (("K_gyro_z", 1.002), ("F0_gyro_z", 0.1)):
+        assert abs(found[name]["value"] - truth) < 4 * found[name]["standard_uncertainty"]
+
+
+def test_a_rate_that_changes_does_not_end_the_intervals_at_rest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Until 55 s, every second row is left out. All intervals at rest are found, and no sample counts as lost."""
+    kept = np.concatenate([np.arange(0, 2750, 2), np.arange(2750, len(TIME))])
+    file = text(tmp_path / "r.csv", f"time_s,{IN_DPS_G}", rows(TIME[kept], GYRO[kept] * DEG, ACCEL[kept] / G))
+    plan = tmp_path / "begun.yaml"
+    assert main(["new", "--from-recording", str(file), str(plan)]) == 0
+    assert main(["check", str(plan), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "the sample rate changes: about 50 Hz from 55.0" in said and "recording-gap" not in said
+    assert main(["run", str(plan), "--data", str(tmp_path), "--runs", str(tmp_path / "runs"), "--quiet", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert "the sample rate changes" in printed.err
+    (estimate,) = json.loads(printed.out)["estimates"]
+    found = {one["name"]: one for one in estimate["coefficients"]}
+    for axis, truth in zip("xyz", (0.1, -0.05, 0.08), strict=True):
+        bias = found[f"bias_{axis}"]
+        assert bias["unit"] == "mg"
+        assert abs(bias["value"] - 1000 * truth / G) < 5 * bias["standard_uncertainty"]
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(0.0, "'gyro_y' is 0 in every row"), (7.5, "'gyro_y' is 7.5 in every row")]
+)
+def test_check_and_run_warn_of_a_dead_channel(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], value: float, said: str
+) -> None:
+    gyro = GYRO * DEG
+    gyro[:, 1] = value
+    file, plan = text(tmp_path / "r.csv", f"time_s,{IN_DPS_G}", rows(TIME, gyro, ACCEL / G)), tmp_path / "begun.yaml"
+    assert main(["new", "--from-recording", str(file), str(plan)]) == 0
+    capsys.readouterr()
+    for command in (["check"], ["run", "--runs", str(tmp_path / "runs"), "--quiet"]):
+        assert main([command[0], str(plan), "--data", str(tmp_path), *command[1:]]) == 0
+        assert said in capsys.readouterr().err
+
+
+def test_few_poses_are_enough_for_a_diagnosis(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Five poses cannot calibrate accelerometers; the plan has no estimate, and its diagnosis runs."""
+    some = TIME < 26
+    file = text(tmp_path / "r.csv", f"time_s,{IN_DPS_G}", rows(TIME[some], GYRO[some] * DEG, ACCEL[some] / G))
+    plan = tmp_path / "begun.yaml"
+    assert main(["new", "--from-recording", str(file), str(plan)]) == 0
+    assert "accelerometer_multi_position" not in plan.read_text() and "diagnosis:" in plan.read_text()
+    assert main(["diagnose", str(plan), "--recording", str(file)]) == 0, capsys.readouterr().err
