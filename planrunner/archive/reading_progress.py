@@ -40,8 +40,8 @@ def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce 
 
 
 class _Passes:
-    """Counts the rows that have been read from the segments, also if they are read several times. `rows`: number of rows of each
-    segment."""
+    """Counts the rows that have been read from the segments. A row counts once, even if it is read several times. `rows`: number of
+    rows of each segment."""
 
     def __init__(self, rows: Sequence[int], what: str, notice: Announce):
         self._rows, self._what, self._notice = rows, what, notice

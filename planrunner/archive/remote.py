@@ -2,8 +2,8 @@
 
 Nothing is read from a remote file system directly. A remote folder is first copied to a private folder of this user (`fetched`).
 The copy is then read like any other folder: through `base.guarded_folder`, with every file checked against its digest. Copying
-accepts only plain names and files of limited size. It never follows a remote name to another place. A verification copies
-everything again, so that it does not check an older copy.
+accepts only plain names and files of limited size. Copying never follows a remote name to a file outside the copied folder. A
+verification copies everything again, so that it does not check an older copy.
 
 Sealed runs are written once (`push_run`): an existing file is never replaced, and every written file is read back and compared. The
 seal is written last, so that an interrupted push leaves a run that is not sealed, and the next push completes it. If a file system
@@ -269,7 +269,7 @@ def _name(info: Mapping[str, object], root: str) -> str:
 
 
 def _parts(info: Mapping[str, object], root: str, url: str) -> _Place:
-    """The names on the path from the root to an object. Raises `InputError` for an object whose name would lead to another place."""
+    """The names on the path from the root to an object. Raises `InputError` for an object whose name would lead outside the folder."""
     inner = str(info["name"]).strip("/").removeprefix(root.strip("/")).removeprefix("/")
     parts = tuple(inner.split("/")) if inner else ()
     for part in parts:
@@ -324,8 +324,8 @@ def pull_runs(copy: Path, folder: Path) -> Pulled:
 
 
 def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
-    """Writes a sealed run to a remote archive; if the archive already has the run, writes only the files that are missing there,
-    such as a new analysis.
+    """Writes a sealed run to a remote archive. If the archive already has the run, only the files that the archive lacks are
+    written, such as a new analysis.
 
     `including`: a folder within the run; it is an error if none of its files is in the remote run afterwards. Raises
     `IntegrityError` for a run that was changed. Raises `InputError` if the run is not sealed, if `including` is missing, if the

@@ -7,9 +7,9 @@ scatter of consecutive batch means (Law, "Simulation Modeling and Analysis", 5th
 correlated over less than a batch.
 
 If the table turns or rocks during a segment, the sensor measures the Earth's rate, gravity and its own motion, which cause a
-periodic signal in the samples. This signal is called the course of the motion. The scatter is computed from the differences from
-the course. The course is fitted to averages over a few consecutive samples, of which a batch contains many. The fitted course is
-then subtracted from the batch means, and its contribution is subtracted from the covariance.
+periodic signal in the samples. In this module, this signal is called the course of the motion. The scatter is computed from the
+differences from the course. The course is fitted to averages over a few consecutive samples, of which a batch contains many. The
+fitted course is then subtracted from the batch means, and its contribution is subtracted from the covariance.
 
 The course repeats with the period of the motion. An output that is linear in the sensed quantity contains the fundamental; a
 second-order effect adds twice its frequency. The amplitude and phase of the fundamental may change linearly over the segment,
@@ -55,7 +55,7 @@ class MotionCourse:
 
 
 def follows_course(motion: Motion) -> bool:
-    """Whether a motion causes a periodic course, that is, a periodic signal in the samples."""
+    """Returns True if a motion causes a periodic signal in the samples."""
     return isinstance(motion, Rock) or (isinstance(motion, Spin) and motion.rate != 0)
 
 

@@ -1,7 +1,7 @@
 """Findings: faults of a file, with their positions and remedies.
 
 Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all findings in one run. The codes are
-documented in `docs/findings.md`; a test checks that none is missing there.
+documented in `docs/findings.md`; a test checks that no code is missing in this file.
 
 A check that depends on other parts of the file names them with `Findings.resting_on`. If one of these parts already has an error, the
 findings of the check are consequences: the list keeps them with their cause and shows only the cause.

@@ -1,4 +1,4 @@
-"""A folder that is opened once. All access is relative to the open folder, and no entry can lead to another place.
+"""A folder that is opened once. All access is relative to the open folder, and no entry can lead out of the folder.
 
 A run folder may come from an untrusted source and may change while it is read. Therefore links in it are not followed. Only regular files
 with exactly one name are opened, no pipes or devices, and nothing larger than the caller allows. A name is a single path component, so no

@@ -1,7 +1,7 @@
-"""The place where independent items of work are computed: this process, processes of this machine, or a Dask cluster.
+"""States where independent items of work are computed: in this process, in processes of this machine, or on a Dask cluster.
 
-The results do not depend on the place: `work` is a pure function of one item, random numbers come from the item and not from the
-worker, and results are in the order of the items. `processes` and `cluster` are the two backends.
+The results do not depend on where they are computed: `work` is a pure function of one item, random numbers come from the item and
+not from the worker, and results are in the order of the items. `processes` and `cluster` are the two backends.
 """
 
 from __future__ import annotations

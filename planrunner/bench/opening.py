@@ -54,9 +54,9 @@ class OpenBench:
     """A bench whose instruments are connected. It is a context manager: on exit, it makes the controlled instruments safe and then
     disconnects all instruments.
 
-    `table`, `chamber`, `sensor`: the instrument of that role, or None. `instruments`: all instruments by name. `limits`:
-    descriptions of the limits that the instruments enforce themselves. `watchdog`: the watchdog of a guarded bench. `safe`: True if
-    the last attempt brought all controlled instruments to their safe state.
+    `table`, `chamber`, `sensor`: the instrument of that role, or None. `instruments`: maps the name of each instrument to the
+    instrument. `limits`: descriptions of the limits that the instruments enforce themselves. `watchdog`: the watchdog of a guarded
+    bench. `safe`: True if the last attempt brought all controlled instruments to their safe state.
     """
 
     def __init__(self, bench: Bench, clock: RunClock, site: Site):
@@ -215,8 +215,8 @@ def guarded_bench(
     """The connected bench for the duration of a `with` block. At the end of the block, the bench is made safe and closed.
 
     `bench_file`: the exact bytes of the bench file, which the watchdog uses to connect. `shown`: name of the bench file in
-    messages. `notice`: as in `open_bench`. Raises `InputError` if another run holds the bench, and `InstrumentError` if the
-    watchdog or an instrument fails.
+    messages. `notice`: receives the progress of work before the run, as in `open_bench`. Raises `InputError` if another run holds
+    the bench, and `InstrumentError` if the watchdog or an instrument fails.
     """
     with bench_lock(bench, shown):
         watchdog = None

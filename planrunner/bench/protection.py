@@ -60,7 +60,8 @@ PROTECTION = RecordOf(Protection, _check)
 
 
 def kept_table(table: TableModel, protection: Protection) -> TableModel:
-    """The table with the limits that plans must observe: its own limits, or those of the protection where these are lower."""
+    """The table with the limits that plans must observe. A limit is that of the table or that of the protection, whichever is
+    lower."""
     rate = math.inf if protection.rate is None else protection.rate.value
     acceleration = math.inf if protection.acceleration is None else protection.acceleration.value
     axes = tuple(

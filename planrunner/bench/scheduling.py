@@ -297,7 +297,7 @@ class _Planner:
     # -- capabilities of the bench -----------------------------------------------------------------------------------
 
     def _once(self, code: str, mark: Mark, message: str, hint: str) -> None:
-        """Adds at most one finding for each place, so that a sweep over a wrong state is reported once."""
+        """Adds at most one finding for each position in the plan, so that a sweep over a wrong state is reported once."""
         if (code, mark) not in self._complained:
             self._complained.add((code, mark))
             self.log.error(code, mark, message, hint)

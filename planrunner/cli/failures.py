@@ -64,8 +64,8 @@ _INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
 def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailure:
-    """Makes the failure that reports an exception. `where`: file or folder that the command works on, for findings that state no
-    place.
+    """Makes the failure that reports an exception. `where`: file or folder that the command works on, for findings without a
+    position.
 
     The traceback of an unexpected exception is saved in a temporary file, which the message names.
     """

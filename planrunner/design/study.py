@@ -130,8 +130,8 @@ class RateSet:
     rate. `loss`: −ln|M| or tr M⁻¹, for terms divided by their magnitudes.
 
     `efficiency`: efficiency relative to the best rates found for the same number of observations. `per_hour`: efficiency relative
-    to the best use of the same time. `variance`: variance of a predicted output at each rate of `FoundRates.course`, in units of
-    the variance of one observation at the largest rate. `predicted`: predicted results of the plan with these rates. `total`:
+    to the best use of the same time. `variance`: variance of a predicted output at each of the rates `FoundRates.course`, in units
+    of the variance of one observation at the largest rate. `predicted`: predicted results of the plan with these rates. `total`:
     duration [s] of this plan.
     """
 
@@ -149,9 +149,9 @@ class RateSet:
 class FoundRates:
     """The result of a design of rates.
 
-    `sets`: the sets of rates named `planned` and `best`. `course`: rates [rad/s] at which `RateSet.variance` is given. `excess`:
-    the ratio of the largest derivative of the criterion to the mean derivative, minus 1; 0 at the optimum. `repeats`: number of
-    repeats of each rate in the plan. `text`: the plan with the best rates.
+    `sets`: the sets of rates named `planned` and `best`. `course`: the rates [rad/s] for which `RateSet.variance` is given.
+    `excess`: the ratio of the largest derivative of the criterion to the mean derivative, minus 1; 0 at the optimum. `repeats`:
+    number of repeats of each rate in the plan. `text`: the plan with the best rates.
     """
 
     estimate: str

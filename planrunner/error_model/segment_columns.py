@@ -2,9 +2,10 @@
 stimulus.
 
 An effect gives the values of its columns at single moments, and the mean of a product is not the product of means. Each segment is
-therefore represented by a few nodes: evenly spaced angles of a turning table, and Gauss–Legendre nodes along a ramp of temperature.
-Over whole turns, the result is exact for polynomials up to the seventh degree in quantities that turn with the table. Along a ramp,
-it is exact for polynomials up to the fifth degree in time. The mean over a segment is computed as the weighted mean over its nodes.
+therefore represented by a few quadrature nodes: evenly spaced angles of a turning table, and Gauss–Legendre nodes along a ramp of
+temperature. Over whole turns, the result is exact for polynomials up to the seventh degree in quantities that turn with the table.
+Along a ramp, it is exact for polynomials up to the fifth degree in time. The mean over a segment is computed as the weighted mean
+over its nodes.
 """
 
 from __future__ import annotations

@@ -63,9 +63,9 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
 
 
 def planned_basis(request: DesignRequest[object], blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
-    """Checks the same as `require_basis`, but for planned segments. Returns a remark that is an error if there are only as many
-    segments as coefficients, or if no segment has two samples. If there are fewer segments than coefficients, another check reports
-    that the rank is deficient."""
+    """Makes the same checks as `require_basis`, but for planned segments. Returns a remark that is an error if there are only as
+    many segments as coefficients, or if no segment has two samples. If there are fewer segments than coefficients, another check
+    reports that the rank is deficient."""
     for block in blocks:
         n, p = block.matrix.shape
         if basis == "residual" and n == p:

@@ -232,8 +232,8 @@ def _hidden(
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """A `DoubtedDrift` for each recorded temperature that changed and that the segments hardly separate from a coefficient, unless
-    it is already in doubt, or cannot be separated at all."""
+    """Makes a `DoubtedDrift` for each recorded temperature that changed and that the segments hardly separate from a coefficient. A
+    temperature is left out if it is already in doubt, or if it cannot be separated at all."""
     known = {one.course.name for one in doubted}
     return tuple(
         DoubtedDrift(

@@ -98,9 +98,9 @@ class _Design:
     """The design of one output for the planned segments.
 
     `matrix`: array of shape (n, p), the columns divided by their magnitudes, and the rows multiplied by their weights. `weights`:
-    array of shape (n,). `start`, `seconds`: arrays of shape (N,), start and duration of all segments of the estimate, s. `rows`:
-    array of shape (n,), indices of the segments that this output uses, in the order of `block`. `orders`: number of powers of the
-    time in the drift.
+    array of shape (n,), weight of each row. `start`, `seconds`: arrays of shape (N,), start and duration of all segments of the
+    estimate, s. `rows`: array of shape (n,), indices of the segments that this output uses, in the order of `block`. `orders`:
+    number of powers of the time in the drift.
     """
 
     block: DesignBlock

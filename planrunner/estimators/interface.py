@@ -50,9 +50,9 @@ R = TypeVar("R", bound=Record)
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """One estimated quantity with its standard uncertainty, both in `unit`. `period`: for a circular quantity, its period in
-    `unit`, such as 360 for a heading in deg; values that differ by the period are equivalent. For any other quantity, the period is
-    infinite."""
+    """One estimated quantity with its standard uncertainty, both of which are in `unit`. `period`: for a circular quantity, its
+    period in `unit`, such as 360 for a heading in deg; values that differ by the period are equivalent. For any other quantity, the
+    period is infinite."""
 
     name: str
     value: float
@@ -64,7 +64,8 @@ class Coefficient:
     role: CoefficientRole = CoefficientRole.LOCATION
 
     def near(self, place: float) -> float:
-        """The value in `unit`. For a circular quantity, this is the equivalent value that is nearest to `place`."""
+        """The value in `unit`. For a circular quantity, this is the equivalent value that is nearest to `place`, which is in `unit`
+        too."""
         return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 

@@ -104,8 +104,8 @@ class _Shifts:
     """The effects of one additional column, computed for each segment separately.
 
     `errors`: array of shape (n,), the error δ of each segment. `drops`: array of shape (n,), the decrease of χ² due to the
-    additional column. For a segment that the model fits regardless of its reading, both are 0. `redundancy`: array of shape (n,),
-    redundancy of each segment. `chi_squared`: χ² without the additional columns.
+    additional column. For a segment that the model fits regardless of its reading, `errors` and `drops` are 0. `redundancy`: array
+    of shape (n,), redundancy of each segment. `chi_squared`: χ² without the additional columns.
     """
 
     errors: Array

@@ -372,8 +372,8 @@ class _Weighting:
         return _Fitted(fits, gains, spreads, np.zeros(len(fits)), _factors(self.plain()), whitening)
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
-        """The degrees of freedom of the mean of the outputs' variance factors. They are those of a χ² variable with the same mean
-        and variance (Satterthwaite)."""
+        """The degrees of freedom of the mean of the outputs' variance factors. The degrees of freedom are those of a χ² variable
+        with the same mean and variance (Satterthwaite)."""
         m, p, n = found.gains.shape
         if found.whitening is None:
             return float((n - p) * m**2 / np.sum(correlation**2))
@@ -407,7 +407,8 @@ def _factors(fits: Sequence[LinearFit]) -> Array:
 
 
 def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
-    """The matrices (AᵀV⁻¹A)⁻¹·AᵀV⁻¹ (m, p, n), which compute the coefficients from the observations. `weighted`: V⁻¹A, (m, n, p)."""
+    """The matrices (AᵀV⁻¹A)⁻¹·AᵀV⁻¹ (m, p, n), which compute the coefficients from the observations. `weighted`: array of shape (m,
+    n, p), the product V⁻¹A."""
     return np.asarray(np.array([one.cofactor for one in fits]) @ weighted.swapaxes(1, 2))
 
 

@@ -247,7 +247,7 @@ class Summarises(Protocol):
 @runtime_checkable
 class StreamsSamples(Protocol):
     def channels(self) -> Mapping[str, str]:
-        """The unit of each channel by name, in the order of the recording's columns."""
+        """Maps the name of each channel to its unit, in the order of the recording's columns."""
 
     def stream(self, segment: Segment) -> Iterator[Block]:
         """Yields the samples of one segment's dwell as they arrive, in blocks of bounded size. The stream ends with the dwell.
@@ -260,10 +260,10 @@ class StreamsSamples(Protocol):
 class Condition:
     """The current state of an instrument, as the instrument measures it.
 
-    `values`: live quantities in SI units by name. Standard names are `position_error` [rad] (following error, the largest of all
-    axes), `rate_error` [rad/s] and `temperature` [K]. `faults`: reasons why the instrument cannot continue, in words (interlock
-    open, over-temperature, axis fault); a fault ends the run. `doubts`: reasons why the samples may be invalid (status bits); the
-    plan defines what then happens.
+    `values`: maps the name of each live quantity to its value in SI units. Standard names are `position_error` [rad] (following
+    error, the largest of all axes), `rate_error` [rad/s] and `temperature` [K]. `faults`: reasons why the instrument cannot
+    continue, in words (interlock open, over-temperature, axis fault); a fault ends the run. `doubts`: reasons why the samples may
+    be invalid (status bits); the plan defines what then happens.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
@@ -320,8 +320,8 @@ class FrameCounts:
     """Counts of the frames in one segment's stream.
 
     `lost`: frames that are missing according to the counter. `corrupt`: frames with a wrong checksum. `overflowed`: frames that
-    were lost because the computer did not read them in time. `skipped_bytes`: bytes between frames. `details`: further values by
-    name, such as latency_s or clock_skew_ppm.
+    were lost because the computer did not read them in time. `skipped_bytes`: bytes between frames. `details`: maps names such as
+    latency_s or clock_skew_ppm to further values.
     """
 
     received: int = 0

@@ -175,7 +175,8 @@ class OutputModel:
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """The sensor under test. `nominal`: declared coefficients (SI values by name), at which predictions are linearised.
+    """The sensor under test. `nominal`: maps the name of each declared coefficient to its SI value. Predictions are linearised at
+    these values.
 
     `modes`: operating modes that the driver can set, such as caged or navigation; empty if the sensor has only one. `one_rate`:
     True if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. `thermal_lag`: time constant

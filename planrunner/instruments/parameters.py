@@ -15,7 +15,7 @@ from planrunner.plan.units import unit
 
 @dataclass(frozen=True, slots=True)
 class QuantityLike:
-    """A quantity with the dimension of `unit`, such as `(deg/h)/(pulse/s)`, or of one of the units `others`. `sign`: as in
+    """A quantity with the dimension of `unit`, such as `(deg/h)/(pulse/s)`, or of one of the units `others`. `sign`: the same as in
     `QuantityOf`."""
 
     unit: str

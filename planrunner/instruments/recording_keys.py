@@ -130,7 +130,7 @@ class ChannelColumn(Record):
 
     def white(self, sample_rate: float) -> float:
         """The random-walk coefficient N of the white noise, in the unit of the channel times √s; 0 if no noise is declared.
-        `sample_rate`: in Hz."""
+        `sample_rate`: sample rate of the channel, Hz."""
         factor = unit(self.unit).factor
         if self.noise is not None:
             return width(self.noise) / factor / math.sqrt(sample_rate)
@@ -146,8 +146,9 @@ class ChannelColumn(Record):
 
 
 def seconds_in_unit(cell: str, unit: str, where: str) -> float:
-    """The time [s] that a cell of a table states. `unit`: one of `TIME_UNITS`. `where`: the place of the cell, used in messages. Raises
-    `ValueError` if the cell is not a number, and `InstrumentError` if it is not a date or a time of day although it should be one."""
+    """The time [s] that a cell of a table states. `unit`: one of `TIME_UNITS`. `where`: a text that names the file and the cell; it
+    is used in messages. Raises `ValueError` if the cell is not a number, and `InstrumentError` if it is not a date or a time of day
+    although it should be one."""
     return seconds_of(cell, where) if unit in WRITTEN else float(cell) * SECONDS[unit]
 
 

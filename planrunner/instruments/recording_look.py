@@ -560,7 +560,7 @@ def _channels(
 
 
 def _integrated(one: Guess, period: float) -> float:
-    """Time [s] over which a column integrates the output of its sensor; 1 if it contains the output itself."""
+    """Time [s] over which a column integrates the output of its sensor; 1 if the column contains the output itself."""
     return period if one.increments else 1.0
 
 

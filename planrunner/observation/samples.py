@@ -55,12 +55,13 @@ def observed(
 
     `only`: names of the channels to use, by default all. `measured`: channels that are used as measurements, whatever their names
     and units. By default, the name of a channel gives its axis (`axis_of`), and its unit makes it a gyro (angular rate) or an
-    accelerometer (acceleration). `angle_channel`: encoder of the table. `temperature_channel`: thermometer. `supply_channel`:
-    voltmeter of the supply. `pressure_channel`: barometer. If the channel of a quantity is not given, the values of this quantity
-    in the plan are used. `power_on`: time of power-on, in the time of the recording, s. `free_angle`: True if an input that varies
-    once per turn with an unknown phase counts as noise, as in a diagnosis (`Observed.unknown_phase`). If it is True, the angle of a
-    table without encoder is the one that agrees best with the Earth's rate. If it is False, the angle of a table without encoder is
-    zero at the first sample, unless gravity shows the angle. Raises `ObservationError` if the recording cannot be diagnosed.
+    accelerometer (acceleration). `angle_channel`: channel of the table's encoder. `temperature_channel`: channel of the
+    thermometer. `supply_channel`: channel of the voltmeter for the supply. `pressure_channel`: channel of the barometer. If the
+    channel of a quantity is not given, the values of this quantity in the plan are used. `power_on`: time of power-on, in the time
+    of the recording, s. `free_angle`: True if an input that varies once per turn with an unknown phase counts as noise, as in a
+    diagnosis (`Observed.unknown_phase`). If it is True, the angle of a table without encoder is the one that agrees best with the
+    Earth's rate. If it is False, the angle of a table without encoder is zero at the first sample, unless gravity shows the angle.
+    Raises `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")

@@ -645,8 +645,8 @@ class Screening:
         return [*found, *self._flat_tops(k, found), *self._steps(k, found)]
 
     def _judged(self, one: Find) -> Find:
-        """Decides whether a burst counts as bad. A burst at the start or the end of a segment may be motion, so it is only reported
-        there."""
+        """Decides whether a burst counts as bad. A burst at the start or the end of a segment may be caused by motion; such a burst
+        is reported, but its samples are kept."""
         at_an_end = one.first < _SPIKE or one.first + one.rows > self.row - _SPIKE
         return replace(one, bad=False) if one.kind is FindKind.BURST and at_an_end else one
 

@@ -127,7 +127,8 @@ def period_of(motion: Motion) -> float:
 
 def fading(motion: Motion, size: int, rate: float) -> float:
     """The factor by which averaging over a bin of `size` samples reduces the rate of a rocking table. It is Dirichlet's kernel
-    sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. `rate`: samples per second."""
+    sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. `rate`: number of samples per
+    second."""
     if size == 1 or not isinstance(motion, Rock):
         return 1.0
     half = np.pi * motion.frequency / rate

@@ -226,7 +226,7 @@ def _prompts(
 
 
 def _check_unique(segments: list[StatedSegment], log: Findings) -> None:
-    """Adds one finding for each place in the plan that makes repeated labels, however many labels it repeats."""
+    """Adds one finding for each position in the plan that makes repeated labels, however many labels are repeated."""
     first: dict[str, Mark] = {}
     repeated: dict[Mark, list[str]] = {}
     for segment in segments:

@@ -373,8 +373,8 @@ class WordOr:
 class Origin:
     """The positions in the file at which the keys of a record stand. The mapping is empty for a record that was made in code.
 
-    `broken`: the keys whose values could not be read completely. `meant`: maps an absent key to the places of the unknown keys that
-    may be misspellings of it.
+    `broken`: the keys whose values could not be read completely. `meant`: maps an absent key to the positions of the unknown keys
+    that may be misspellings of the key.
     """
 
     def __init__(

@@ -257,7 +257,7 @@ def read_quantity(
     """Reads the quantity in a node, which is a text or a mapping. Returns None after a finding was added to `log`.
 
     `uncertain`: True if results use the uncertainty; if it is False, a stated uncertainty causes a finding. `elsewhere`: text that
-    says where to state the uncertainty instead; '' if there is no such place.
+    says where to state the uncertainty instead; '' if it cannot be stated anywhere.
     """
     if uncertain:
         return _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)

@@ -1,4 +1,4 @@
-"""Rewrites orientations, dwells, moves or rates in the text of a plan. Only these places change; comments and layout stay.
+"""Rewrites orientations, dwells, moves or rates in the text of a plan. Only the rewritten values change; comments and layout stay.
 
 Orientations are written as the nearest orientation in words plus turns about the sensor's axes, so that a reviewer can picture them.
 """
@@ -24,7 +24,7 @@ DECIMALS = 2  # decimals of turns in degrees: 0.005 deg is 18 arcsec, a second-o
 
 
 class RewriteError(ValueError):
-    """The plan states the value in a form that cannot be changed in place. The message gives the place and the remedy."""
+    """The error for a plan that states the value in a form that cannot be rewritten. The message gives the position and the remedy."""
 
 
 @functools.cache

@@ -1,8 +1,8 @@
 """A Jinja environment in which a template can only arrange its data.
 
 The environment is sandboxed. Text is escaped unless it was made by this program. An undefined name is an error. Templates are read
-from the user's folder, if one is named, and then from the shipped folder. Every failure is a `ReportError` with its place and
-reason.
+from the user's folder, if one is named, and then from the shipped folder. Every failure is a `ReportError` that names the template,
+the line and the reason.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _reason(error: Exception) -> str:
 
 
 def _place(error: Exception, name: str) -> str:
-    """The place, as `template:line`, of the innermost template line through which the error passed."""
+    """The position, as `template:line`, of the innermost template line through which the error passed."""
     place, trace = name, error.__traceback__
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename

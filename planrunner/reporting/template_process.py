@@ -82,7 +82,7 @@ def _watch(name: str, seconds: float) -> None:
 
 
 def _place(frame: FrameType | None) -> str | None:
-    """The place, as `template:line`, of the innermost template in the call stack of a frame, found as in jinja2.debug."""
+    """The position, as `template:line`, in the innermost template in the call stack of a frame, found as in jinja2.debug."""
     while frame is not None:
         template = frame.f_globals.get("__jinja_template__")
         if template is not None:

@@ -125,8 +125,8 @@ class KeptApprovals:
     """The approval data in a run folder.
 
     `plan`, `bench`: canonical JSON of the meanings that the approvals cover. `ring`: text of the key ring at the beginning of the
-    run. `day`: date on which the run began. `approvals`: the approvals that counted. `keys`, `folder`: the places where the key
-    ring and the approvals were found.
+    run. `day`: date on which the run began. `approvals`: the approvals that counted. `keys`: path of the key ring. `folder`: path
+    of the folder with the approvals.
     """
 
     plan: str

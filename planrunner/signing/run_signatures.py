@@ -71,7 +71,7 @@ class BenchSigning:
 
 def bench_signing(bench: bytes | None, earlier_seals: Iterable[str] = ()) -> BenchSigning:
     """Reads what the files of a run state about the signatures of its bench. `bench`: text of the run's bench file.
-    `earlier_seals`: as in `BenchSigning`."""
+    `earlier_seals`: the same as in `BenchSigning`."""
     stated, name = declared(bench, "signing"), declared(bench, "name")
     text = stated.get("key") if isinstance(stated, dict) else None
     try:

@@ -145,8 +145,8 @@ def _verified(found: Examined, name: StampName, authority: StampAuthority | None
 
 
 def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str, str]:
-    """The fault of a stamp that belongs neither to the present journal nor to a seal of the run, as a code and a message; both are
-    empty if there is no fault."""
+    """The fault of a stamp that belongs neither to the present journal nor to a seal of the run, as a code and a message. The code
+    and the message are empty if there is no fault."""
     if found.scan is None or found.state is None:
         return "", ""
     if name.events is None:
@@ -161,8 +161,8 @@ def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str,
 
 
 def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str, str]:
-    """The fault of a stamp whose data state a later time than the stamp itself, as a code and a message; both are empty if there is
-    no fault."""
+    """The fault of a stamp whose data state a later time than the stamp itself, as a code and a message. The code and the message
+    are empty if there is no fault."""
     if found.scan is None:
         return "", ""
     stated = found.scan.times.get(name.events) if name.events is not None else None

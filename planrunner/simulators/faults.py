@@ -117,8 +117,8 @@ class FaultScript(Record):
 
 
 def read_script(path: Path, roles: Mapping[str, str]) -> tuple[Fault, ...]:
-    """Reads the faults of a script. `roles`: role of each instrument of the bench, by name. Raises `InputError` with all findings
-    if the script is not valid."""
+    """Reads the faults of a script. `roles`: maps the name of each instrument of the bench to its role. Raises `InputError` with
+    all findings if the script is not valid."""
     data = source.read_bytes(path, str(path))
     log = Findings()
     script: FaultScript | None = RecordOf(FaultScript).read(

@@ -40,7 +40,8 @@ class SensorUnit(Protocol):
 
 @dataclass(slots=True)
 class Outputs:
-    """Converts the outputs of a virtual sensor to the units of a frame. `units`: units of the sensor's channels, by name."""
+    """Converts the outputs of a virtual sensor to the units of a frame. `units`: maps the name of each channel of the sensor to its
+    unit."""
 
     units: Mapping[str, str]
 

@@ -170,8 +170,7 @@ def check_plan(
     name that it shows. Approvals are searched only next to the file of a path. A `Document` can therefore pass the checks, but does
     not run on a bench that requires approvals. `bench`: the bench to use instead of the one in the plan: the name of a shipped
     bench, a path relative to the working folder, or a `Document`. `today`: the day on which calibrations must be valid; by default,
-    the current day. `parameters`: values for parameters of the plan. Findings about such a value state the place where the value
-    was given.
+    the current day. `parameters`: values for parameters of the plan. Findings about such a value state where the value was given.
     """
     file = plan_file.shown if isinstance(plan_file, Document) else str(plan_file)
     checked = Checked(file, Findings(), {name: given.value for name, given in parameters.items()})
@@ -195,7 +194,7 @@ def check_plan(
 
 
 def _where_given(finding: Finding, parameters: Mapping[str, Given], places: Mapping[str, Mark]) -> Finding:
-    """Moves a finding about the value of a parameter to the place where the value was given."""
+    """Moves a finding about the value of a parameter to the position at which the value was given."""
     for name, place in places.items():
         if place.covers(finding.mark):
             given = parameters[name]

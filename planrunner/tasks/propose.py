@@ -127,8 +127,8 @@ def _oblique() -> list[Array]:
 
 
 def _largest_rate(recorded: Sequence[Segment], models: BenchModels) -> float:
-    """Largest rate [rad/s] that the table and the full scale of the gyros allow. For a recording that is played back, it is chosen
-    so that the fastest option has the largest recorded rate."""
+    """Largest rate [rad/s] that the table and the full scale of the gyros allow. For a recording that is played back, this rate is
+    chosen so that the fastest option has the largest recorded rate."""
     visited = max((abs(item.motion.rate) for item in recorded if isinstance(item.motion, Spin)), default=0.0)
     if models.table is None:
         return visited / RATE_SHARES[0]

@@ -95,7 +95,7 @@ def check_virtual(sound: Sound) -> None:
 
 def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
     """The effects to add, each with all its parameters. `effects`: maps the name of each effect to the stated values of its
-    parameters. `mark`: place where the effects are stated. Raises `InputError`."""
+    parameters. `mark`: position at which the effects are stated. Raises `InputError`."""
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 

@@ -170,7 +170,7 @@ def verification(
 
 
 def runs_beneath(archive: Path) -> list[Path]:
-    """All run folders in a folder and its subfolders, sorted by name; links are not followed. Raises `InputError` if there is no
+    """All run folders in a folder and its subfolders, sorted by name. Links are not followed. Raises `InputError` if there is no
     run folder."""
     found = runs_in(archive)
     if not found:

@@ -53,8 +53,8 @@ class Propagated:
 
     `intervals`: the result for each coefficient. `draws`: number of draws that were made. `stabilised`: True if the results
     stabilised before the largest number of draws was reached. `spread`: array of shape (m,), half-width of the 95 % confidence
-    interval for the ends of each coefficient's interval (Student's t over the blocks). It is the larger of the values for the two
-    ends. It is infinite if there is only one block.
+    interval for the ends of each coefficient's interval (Student's t over the blocks). `spread` is the larger of the values for the
+    two ends. It is infinite if there is only one block.
     """
 
     intervals: tuple[Interval, ...]

@@ -45,8 +45,8 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
-    """The averaging factors to use: those of the times `taus` that fit at least twice into the longest run, or octaves if `taus` is
-    empty. Raises `EstimationError` if there is no such factor."""
+    """The averaging factors to use. These are the factors of the times `taus` that fit at least twice into the longest run; if
+    `taus` is empty, they are octaves. Raises `EstimationError` if there is no such factor."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)

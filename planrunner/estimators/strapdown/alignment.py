@@ -89,10 +89,10 @@ def align(
 ) -> Aligned:
     """Aligns the sensor, and so determines its attitude at the end of a segment.
 
-    `site`: the place, with its latitude, height and gravity. `constant`: array of shape (6,), standard uncertainty of the constant
-    errors of gyros and accelerometers, rad/s and m/s²; used only if the sensor is turned during the alignment. `follow`: passed on
-    to `FineAlignment`. `lasting`: total time of alignment and navigation, s. Raises `EstimationError` if the segment is unsuitable
-    for an alignment.
+    `site`: the point on the Earth at which the sensor is aligned, with its latitude, height and gravity. `constant`: array of shape
+    (6,), standard uncertainty of the constant errors of gyros and accelerometers, rad/s and m/s²; used only if the sensor is turned
+    during the alignment. `follow`: passed on to `FineAlignment`. `lasting`: total time of alignment and navigation, s. Raises
+    `EstimationError` if the segment is unsuitable for an alignment.
     """
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
@@ -278,7 +278,7 @@ def _rate_error(mean: Array, site: Site) -> float:
 
 
 def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
-    """The horizontal and the upward component (2,) of the mean rate, and those of the Earth's rate, rad/s."""
+    """The horizontal and the upward component (2,) of the mean rate, and the same components of the Earth's rate, rad/s."""
     rate = float(np.linalg.norm(mean[:3]))
     up = float(mean[:3] @ mean[3:]) / float(np.linalg.norm(mean[3:]))
     earth = site.earth_rate * np.array([math.cos(site.latitude), math.sin(site.latitude)])

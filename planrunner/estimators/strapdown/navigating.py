@@ -147,11 +147,11 @@ class StrapdownNavigationParameters(Record):
 class Navigated:
     """The result of a navigation.
 
-    `site`: the place at which the navigation starts. `final`: array of shape (4,), east and north errors of position [m] and of
-    velocity [m/s] at the end. `seconds`: duration of the navigation, s. `start`: time at which the navigation begins, s. `gap`:
-    time without samples after the alignment, s. `wandering`: response of the navigation to biases that change over time. `opposed`:
-    indices of the gyros that seem to have the wrong sign. `drift`: what the stops show about a drift; None if the stops cannot show
-    a drift, or if the carrier moves.
+    `site`: the point on the Earth at which the navigation starts. `final`: array of shape (4,), east and north errors of position
+    [m] and of velocity [m/s] at the end. `seconds`: duration of the navigation, s. `start`: time at which the navigation begins, s.
+    `gap`: time without samples after the alignment, s. `wandering`: response of the navigation to biases that change over time.
+    `opposed`: indices of the gyros that seem to have the wrong sign. `drift`: what the stops show about a drift; None if the stops
+    cannot show a drift, or if the carrier moves.
     """
 
     site: Site
@@ -186,9 +186,9 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
-    """The place at which the alignment takes place. Each coordinate is taken from the run information; if it is not given there,
-    from the reference channels; otherwise from the bench's site. `factor`: gravity at the site divided by normal gravity. Raises
-    `EstimationError` for run information that is not a place on Earth."""
+    """The point on the Earth at which the sensor is aligned. Each coordinate is taken from the run information; if it is not given
+    there, from the reference channels; otherwise from the bench's site. `factor`: gravity at the site divided by normal gravity.
+    Raises `EstimationError` for run information that is not a place on Earth."""
 
     def place(coordinate: _Coordinate) -> float | None:
         if text := request.setup.information.get(coordinate.information, "").strip():
@@ -364,7 +364,7 @@ def _begin(
     aligned: Aligned,
     every: int,
 ) -> tuple[Navigator, Site]:
-    """The navigator at the start of the first interval, and the place at which it starts."""
+    """The navigator at the start of the first interval, and the point on the Earth at which it starts."""
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     stated = request.setup.information

@@ -46,8 +46,9 @@ class Situation:
 
     `answers`: for each group, sensitivities (n, m, 5) of its quantities to its outputs. `gradient`: derivatives of
     `TiltedResults.vector` with respect to the means of all groups. `segments`: the segments with their attitude at the start of the
-    recording. `seconds`: recorded durations, s. `home`: the home orientation in words. `units`: units of the outputs. `fixture`:
-    array of shape (m, r) in rad, influences on the angles of the axes, if these angles come from a calibration instead of the plan.
+    recording. `seconds`: recorded durations of the segments, s. `home`: the home orientation in words. `units`: units of the
+    outputs. `fixture`: array of shape (m, r) in rad, influences on the angles of the axes, if these angles come from a calibration
+    instead of the plan.
     """
 
     groups: tuple[Group, ...]

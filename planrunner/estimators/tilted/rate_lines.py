@@ -23,9 +23,10 @@ TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding
 class RateLines:
     """The fits of q series of n rates on m axes.
 
-    `slope`: array of shape (q, m). `offset`: array of shape (q, m). `residuals`: array of shape (q, n, m). `asymmetry`: array of
-    shape (q, m), 2·(K₊ − K₋)/(K₊ + K₋), NaN if the rates do not allow it. `response`: array of shape (q, m), change of the output
-    between the two lowest rates, divided by the change according to the line.
+    `slope`: array of shape (q, m), slopes K of the lines. `offset`: array of shape (q, m), offsets F_0 of the lines. `residuals`:
+    array of shape (q, n, m). `asymmetry`: array of shape (q, m), 2·(K₊ − K₋)/(K₊ + K₋), NaN if the rates do not allow it.
+    `response`: array of shape (q, m), change of the output between the two lowest rates, divided by the change according to the
+    line.
     """
 
     slope: Array

@@ -48,7 +48,7 @@ class NoiseOfMeans:
 
     `rates`: array of shape (g, n, m), standard uncertainties of the outputs at the rates, in the outputs' units. `rest`: array of
     shape (g, m), standard uncertainties of the rest values F_r. `correlation`: array of shape (m, m), correlation between outputs.
-    `degrees_of_freedom`: array of shape (m,).
+    `degrees_of_freedom`: array of shape (m,), degrees of freedom of these uncertainties for each output.
     """
 
     rates: tuple[Array, ...]

@@ -35,7 +35,7 @@ def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[floa
     """The mean angular rate (n, 3) relative to inertial space in the fixture's frame, rad/s. The segments must have the attitudes
     that they have at the start of the recording.
 
-    `durations`: recorded durations, s. Raises `EstimationError` for an unknown orientation.
+    `durations`: recorded durations of the segments, s. Raises `EstimationError` for an unknown orientation.
     """
     try:
         return segment_means(segments, site, durations).omega

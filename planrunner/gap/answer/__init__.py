@@ -1,1 +1,2 @@
-"""What a diagnosis answers: the posterior, the verdict, the place of the gap, the closure, and what to measure next."""
+"""What a diagnosis answers: the posterior, the verdict, the part of the recording that shows the gap, the closure, and what to
+measure next."""

@@ -367,7 +367,7 @@ def _left(
 ) -> _Left:
     """Fits a choice to all segments and returns its residuals.
 
-    `group`: as in `MeasuredNoise`."""
+    `group`: the same as in `MeasuredNoise`."""
     count = 2 * len(KINDS)
     one = tuple(np.ones(len(own)) for own in group)
     (fit,) = _fits(weighing, MeasuredNoise(tuple(weights), one, group, np.full(count, np.inf)), [choice])
@@ -498,7 +498,7 @@ def _measured_rows(
     beyond: float,
     degrees: Array,
 ) -> Closure:
-    """The closure computed from the selected `rows` of every fold. `degrees`: as in `MeasuredNoise`."""
+    """The closure computed from the selected `rows` of every fold. `degrees`: the same as in `MeasuredNoise`."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []

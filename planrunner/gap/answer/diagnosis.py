@@ -362,8 +362,8 @@ def _parameters(
     apart: Apart,
     ratios: Array | None,
 ) -> list[ParameterEstimate]:
-    """Estimates the parameters of the effects that the verdict names. The effects of a set are fitted together. `ratios`: as in
-    `estimates.amplitudes`."""
+    """Estimates the parameters of the effects that the verdict names. The effects of a set are fitted together. `ratios`: the same
+    as in `estimates.amplitudes`."""
     listed: list[ParameterEstimate] = []
     walking = any(
         isinstance(e, OutsideCoefficients) and e.outside == "random walk" and e.id in said.effects for e in effects

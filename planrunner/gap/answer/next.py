@@ -85,7 +85,7 @@ def foresee(
     standard deviation of the white noise of a sample.
 
     `columns`: function that computes groups of columns for a recording. `widths`: number of columns in each group. A column is
-    identified by its place among the columns of all groups. A column is zero in a channel that it does not affect.
+    identified by its index among the columns of all groups. A column is zero in a channel that it does not affect.
     """
     noise = white / math.sqrt(observed.sample_rate)
     flicker = np.array([channel.flicker for channel in observed.channels])
@@ -114,7 +114,8 @@ def foresee(
 def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array, seconds: float) -> Array:
     """Information (P, P) per second that a segment loses because the angle of the turning table is unknown.
 
-    `rows`: for each channel, the columns (n, P). `noise`: array of shape (K,), white noise density. `seconds`: dwell.
+    `rows`: for each channel, the columns (n, P) at the samples. `noise`: array of shape (K,), white noise density. `seconds`:
+    length of the dwell, s.
 
     A component c·√2·cos θ, which is in phase with the turning, competes with the input of amplitude A and unknown phase
     (`Observed.unknown_phase`). Let the samples have the covariance σ²·I + A²·w·wᵀ, where w = cos θ and |w|² = T/2 for a dwell T and

@@ -66,9 +66,9 @@ def amplitudes(
 
 
 def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array | None) -> list[ParameterEstimate]:
-    """Increases the uncertainties of shape estimates, because the residuals are more than noise. `ratios`: as in `amplitudes`. The
-    variances of the shape are multiplied by the average of `ratios`, in which each channel has the weight of the effect's energy in
-    it."""
+    """Increases the uncertainties of shape estimates, because the residuals are more than noise. `ratios`: the same as in
+    `amplitudes`. The variances of the shape are multiplied by the average of `ratios`, in which each channel has the weight of the
+    effect's energy in it."""
     if ratios is None:
         return list(listed)
     energy = np.array([float((own**2).sum()) for own in weighed.by_channel])

@@ -28,8 +28,8 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 
 @dataclass(frozen=True)
 class Rival:
-    """A rival explanation after a recording. `columns`: array of shape (p,), indices of the rival's columns among all columns; mean
-    (p,) and precision (p, p): posterior of the amplitudes of these columns."""
+    """A rival explanation after a recording. `columns`: array of shape (p,), indices of the rival's columns among all columns.
+    `mean` (p,) and `precision` (p, p) describe the posterior of the amplitudes of these columns."""
 
     name: str
     probability: float
@@ -42,8 +42,8 @@ class Rival:
         cls, name: str, probability: float, columns: NDArray[np.int64], prior: Array, information: Array, score: Array
     ) -> Rival:
         """The rival with the posterior of its amplitudes after a recording. `prior`: array of shape (p,), precision of the
-        amplitudes about zero before the recording, 0 for a nominal parameter. information (P, P) and score (P,): information matrix
-        and score vector of the recording for all columns of all rivals, in units of the noise."""
+        amplitudes about zero before the recording, 0 for a nominal parameter. `information` (P, P) and `score` (P,): information
+        matrix and score vector of the recording for all columns of all rivals, in units of the noise."""
         own = information[np.ix_(columns, columns)]
         precision = own + np.diag(prior + _FLAT * np.maximum(np.diag(own), 1.0))
         mean = np.asarray(np.linalg.solve(precision, score[columns]))
@@ -100,7 +100,8 @@ def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
 
 def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> Array:
     """Averages a measure of the posterior odds against the true rival over the rivals and over the random log evidence. `evidence`:
-    array of shape (…, R, R); the result has the shape (…). `measure`: function of the odds."""
+    array of shape (…, R, R), expected log evidence of each rival against each other one. The result has the shape (…). `measure`:
+    function that is averaged; its argument is the odds against the true rival."""
     share = np.array([rival.probability for rival in rivals])
     share = share / share.sum()
     total = np.zeros(evidence.shape[:-2])

@@ -4,9 +4,9 @@ not contain the cause, the form of the gap along this factor.
 Factors are orientation, rate, temperature, time, angle of the table, and frequency band. The evidence for the patterns of the open
 set determines which factor the whitened residual of a channel follows. Levels are compared by a score, which is their energy in
 standard deviations of the energy of pure noise. With pure noise, levels have different degrees of freedom, and many levels are
-examined. The p-value of a place is therefore the probability that, for pure noise projected like the data, the highest score of all
-places is at least as high as the score of this place (max-statistic parametric bootstrap; Westfall and Young, Resampling-Based
-Multiple Testing, 1993).
+examined. The p-value of such a part of the recording is therefore the probability that, for pure noise projected like the data, the
+highest score of all parts is at least as high as the score of this part (max-statistic parametric bootstrap; Westfall and Young,
+Resampling-Based Multiple Testing, 1993).
 
 The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable of them determines the factor that an
 unknown gap follows. The residuals of the simulation give the form of this gap.
@@ -48,7 +48,7 @@ class MisfitPlace:
     `share`: fraction of the energy above the noise. Every factor divides the same energy: the shares of one factor, over all
     channels, add up to at most 1; shares of different factors overlap. `of`: the quantity of which `share` is a fraction. It is
     `gap`, or `noise` for energy outside the basis, which is compared with the noise of the channel. `p`: p-value, adjusted for the
-    number of places that are examined.
+    number of parts of the recording that are examined.
     """
 
     channel: str
@@ -60,8 +60,8 @@ class MisfitPlace:
 
 
 def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPlace]:
-    """Lists all places, the most conspicuous first. `kinds`: for each pattern outside the catalogue, the log Bayes factor (K,) of
-    the pattern in each channel alone.
+    """Lists all parts of the recording that were examined, the most conspicuous first. `kinds`: for each pattern outside the
+    catalogue, the log Bayes factor (K,) of the pattern in each channel alone.
 
     The best level of each channel and factor is ranked by the evidence that the residual of the channel follows the factor. This
     evidence is the mean over the patterns of the factor, which penalises factors with many levels. The other levels of a factor
@@ -100,7 +100,7 @@ def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
-    """The place that represents noise or a tone outside the basis. The p-value of this place is Markov's bound: for noise alone, a
+    """The entry that represents noise or a tone outside the basis. The p-value of this entry is Markov's bound: for noise alone, a
     Bayes factor of B or more has at most the probability 1/B."""
     declared = weighing.declared.channels[channel]
     level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[

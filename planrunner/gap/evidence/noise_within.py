@@ -265,12 +265,14 @@ def _carried(energy: Array, count: Array, above: float, carried: float) -> Array
 
 
 def moderated(energy: Array, count: Array) -> Array:
-    """Variances (S,) of one band in S segments, as a compromise between the energy of each segment and that of the other segments.
+    """Variances (S,) of one band in S segments. Each variance is a compromise between the energy of its segment and the energies of
+    the other segments.
 
     The variances of the segments are assumed to scatter as the inverse of a χ² variable, whose degrees of freedom follow from the
-    scatter of the energies (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). If the energies scatter no more than those of one and the
-    same variance, the result is 1. energy: (S,), relative to the common variance; count: (S,), number of coefficients. The result is
-    the variance of the predictive Student's t distribution of a further coefficient.
+    scatter of the energies (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). If the energies scatter no more than those of one and
+    the same variance, the result is 1. `energy`: array of shape (S,), energy of the band in each segment, relative to the common
+    variance. `count`: array of shape (S,), number of coefficients of the band in each segment. Each result is the variance of the
+    predictive Student's t distribution of a further coefficient.
     """
     from scipy.optimize import brentq
     from scipy.special import digamma, polygamma

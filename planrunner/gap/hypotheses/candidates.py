@@ -293,7 +293,7 @@ class Weighing:
 
     def seen(self, taken: Sequence[Array] | None = None) -> Observed:
         """The recording, to which the fitted output of the nominal model and the fitted response of each channel to the rate are
-        added. `taken`: as in `fitted`."""
+        added. `taken`: the same as in `fitted`."""
         observed, fitted = self.observed, self.fitted(taken)
         if observed.along is not None:
             return replace(observed, fitted=fitted)

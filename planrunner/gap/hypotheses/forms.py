@@ -84,8 +84,8 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """Does the same as `_curved`, for an effect with a shape. With the secants at the amplitudes of the most probable shape, the
-    shape is searched again, and the nominal parameters are fitted together with the effect."""
+    """Does the same as `_curved`, for an effect that has a shape. With the secants at the amplitudes of the most probable shape,
+    the shape is searched again, and the nominal parameters are fitted together with the effect."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])

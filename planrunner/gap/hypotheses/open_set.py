@@ -41,7 +41,7 @@ _BLOCKS = 1024  # of time, over which shifted samples are summed
 class Line:
     """A tone that keeps its phase over the whole run.
 
-    `frequency`: in Hz. `amplitude`: in the unit of the channel. `evidence`: log Bayes factor of the tone.
+    `frequency`: frequency of the tone, Hz. `amplitude`: in the unit of the channel. `evidence`: log Bayes factor of the tone.
     """
 
     channel: str

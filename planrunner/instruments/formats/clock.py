@@ -38,8 +38,8 @@ _FORMS = (
 def seconds_in(texts: pa.Array, where: str) -> Array:
     """The times (n,) [s] that texts state; NaN for an empty or missing text.
 
-    `where`: the place of the texts, used in messages. Raises `InstrumentError` for a text that is not a time, and if some texts contain
-    a date and others do not."""
+    `where`: a text that names the file and the column; it is used in messages. Raises `InstrumentError` for a text that is not a
+    time, and if some texts contain a date and others do not."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

@@ -79,8 +79,8 @@ class SampleRows(Protocol):
         """The values (count,) of a column. A missing number is NaN. Raises `InstrumentError` for a value that is not a number."""
 
     def times(self, column: str, where: str) -> Array:
-        """The times (count,) [s] in a column of dates or times of day; a missing time is NaN. `where`: the place of the rows, used in
-        messages. Raises `InstrumentError` for a value that is not a time."""
+        """The times (count,) [s] in a column of dates or times of day; a missing time is NaN. `where`: a text that names the file
+        and the column; it is used in messages. Raises `InstrumentError` for a value that is not a time."""
 
 
 @dataclass

@@ -168,8 +168,8 @@ class LikelyTime:
 class StatedRate:
     """A rate that a file states before its header.
 
-    `rate`: Hz. `line`: the line of the file that states the rate, shortened. `of_samples`: True if the line says that this is the
-    rate of the samples.
+    `rate`: the stated rate, Hz. `line`: the line of the file that states the rate, shortened. `of_samples`: True if the line says
+    that this is the rate of the samples.
     """
 
     rate: float
@@ -280,7 +280,7 @@ def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
 
 
 def _cells(line: str, word: str, separator: str) -> list[str]:
-    """The cells of a line. `word`: the separator by its word in a bench file. `separator`: its character."""
+    """Splits a line into its cells. `word`: the name of the separator in a bench file. `separator`: the character of the separator."""
     if word == "blanks":
         return line.split()
     whole = line.strip(" \r\n") if word == "tab" else line.strip()
@@ -293,10 +293,10 @@ def _numeric(row: Sequence[str]) -> bool:
 
 
 def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
-    """The names (width,) of the columns, if the line before the first row does not state all of them; empty if it does.
+    """The names (width,) of the columns, if the line before the first row does not state all names; empty if it does.
 
-    A line of units follows the names in some files; the unit is then added to the name. The line of names may have more or fewer
-    cells than the rows, or begin with a comment sign. `lines`: the cells of the lines before the first row."""
+    In some files, a line of units follows the names; each unit is then added to the name of its column. The line of names may have
+    more or fewer cells than the rows, or begin with a comment sign. `lines`: the cells of the lines before the first row."""
     numbered = tuple(f"column_{k + 1}" for k in range(width))
     if not lines:
         return numbered
@@ -453,7 +453,7 @@ def guessed_time(
 
 
 def _written_time(column: str, values: Array, rate: float) -> LikelyTime:
-    """Describes a column of dates or times of day. `values`: its first times, s. `rate`: sample rate, Hz."""
+    """Describes a column of dates or times of day. `values`: the first times in the column, s. `rate`: sample rate, Hz."""
     of_day = float(np.nanmax(values)) < 2 * DAY
     return LikelyTime(column, "time_of_day" if of_day else "date_time", rate, wraps=DAY if of_day else None)
 
@@ -461,8 +461,8 @@ def _written_time(column: str, values: Array, rate: float) -> LikelyTime:
 def _number_time(
     column: str, values: Array, first: Mapping[str, Array], stated: Sequence[StatedRate], *, regular: bool = False
 ) -> LikelyTime | None:
-    """Describes the time in a column of numbers; None if the column does not look like a time. `regular`: only a column with equal
-    steps counts."""
+    """Describes the time in a column of numbers; None if the column does not look like a time. `regular`: True if only a column
+    with equal steps counts as a time."""
     if len(values) < 3 or not np.all(np.isfinite(values)):
         return None
     steps = np.diff(values)
@@ -478,7 +478,8 @@ def _number_time(
 
 
 def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> float | None:
-    """The median step of a time between samples; None if the time does not increase. `wraps`: value at which it returns to zero."""
+    """The median step of a time between samples; None if the time does not increase. `wraps`: value at which the time returns to
+    zero."""
     if len(values) < 3 or not np.all(np.isfinite(values)):
         return None
     steps = np.diff(values)

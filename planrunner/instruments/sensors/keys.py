@@ -96,8 +96,8 @@ def sensor_model(
 ) -> SensorModel:
     """Makes the model of a sensor.
 
-    `channels`: the unit of each channel, by name. `resolutions`: size of one count of each channel, in the unit of the channel.
-    `inclinometers`: channels in units of acceleration that are not accelerometers.
+    `channels`: maps the name of each channel to its unit. `resolutions`: size of one count of each channel, in the unit of the
+    channel. `inclinometers`: channels in units of acceleration that are not accelerometers.
     """
     outputs = tuple(
         _output(name, text, resolutions.get(name, 0.0), parameters, name not in inclinometers)

@@ -64,7 +64,7 @@ class Decoder(Protocol):
     @property
     def counter(self) -> FrameCounter: ...
     def channels(self) -> Mapping[str, str]:
-        """The unit of each channel, by name."""
+        """Maps the name of each channel to its unit."""
 
     def decode(self, frames: Frames) -> Samples: ...
 

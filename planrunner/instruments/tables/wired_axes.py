@@ -63,7 +63,7 @@ class CountedAxis:
     """An axis as its controller counts it.
 
     `number`: number that the controller gives to the axis. `zero`: reading [deg] of the controller at the joint angle zero.
-    `sense`: 1 or −1.
+    `sense`: 1 if the readings of the controller increase with the joint angle, −1 if they decrease.
     """
 
     number: int

@@ -91,7 +91,8 @@ class Flicker:
 
 
 class RandomWalk:
-    """A bias that is a random walk: after T s, its standard deviation is `coefficient`·√T [unit]. `coefficient`: K, in unit/√s."""
+    """A bias that is a random walk: after T s, its standard deviation is `coefficient`·√T [unit]. `coefficient`: coefficient K of
+    the random walk, in unit/√s."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -121,7 +122,8 @@ class RandomWalk:
 
 
 class GaussMarkov:
-    """A bias with the covariance σ²·exp(−|t − t'|/τ) [unit²]. `sigma`: σ, in the output's unit. `tau`: τ, s."""
+    """A bias with the covariance σ²·exp(−|t − t'|/τ) [unit²]. `sigma`: standard deviation σ of the bias, in the output's unit.
+    `tau`: correlation time τ of the bias, s."""
 
     def __init__(self, sigma: float, tau: float):
         self.sigma, self.tau = sigma, tau

@@ -2,8 +2,8 @@
 sensor lags behind the air.
 
 The setpoint r changes linearly to its target and then stays there. The air temperature T and the sensor temperature S are
-first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T − S)/τ_s. Both are solved in closed form from the moment of the last command,
-so the result for a given moment is identical to the bit, whatever the number of earlier queries.
+first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T − S)/τ_s. Both equations are solved in closed form from the moment of the last
+command, so the result for a given moment does not depend on how often the temperatures were queried before.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from planrunner.base.dataclass import dataclass
 @dataclass(frozen=True, slots=True)
 class Lags:
     """Rates of change of the setpoint, the air and the sensor. `ramp`: rate of change of the setpoint, K/s. `air`, `sensor`: time
-    constants, s."""
+    constants with which the air and the sensor lag behind, s."""
 
     ramp: float
     air: float

@@ -75,8 +75,8 @@ class CarrierPlace:
 class Track:
     """A track over the Earth.
 
-    `latitude`, `longitude`, `heading`: values at the start, rad. `height`: in m. `aligned`: True if the bench turns with the
-    heading.
+    `latitude`, `longitude`, `heading`: values at the start, rad. `height`: height of the carrier above the ellipsoid, m. `aligned`:
+    True if the bench turns with the heading.
     """
 
     latitude: float
@@ -161,8 +161,8 @@ class Track:
         return CarrierPlace(latitude, longitude, *rates, self.heading if self.aligned else 0.0, 0.0)
 
     def _on_great_circle(self, times: Array) -> CarrierPlace:
-        """The place of the carrier on a great circle. If the normal is n = n₀·cos σ + d₀·sin σ, then sin φ = n_z, and for a given
-        σ̇, cos²φ·λ̇ = (n × ṅ)_z is the same at every place."""
+        """The position of the carrier on a great circle. If the normal is n = n₀·cos σ + d₀·sin σ, then sin φ = n_z, and for a
+        given σ̇, cos²φ·λ̇ = (n × ṅ)_z is the same at every position."""
         distance, speed, acceleration = (item / ellipsoid.MEAN_RADIUS for item in self.progress.follow(times))
         normal, forward = self._great_circle_axes()
         cosine, sine = np.cos(distance), np.sin(distance)

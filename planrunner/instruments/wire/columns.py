@@ -47,7 +47,7 @@ def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
 
 def alike(frames: Frames, places: NDArray[np.int64]) -> NDArray[np.bool_]:
     """For each frame, whether its bytes at `places` equal those of the first frame; `places` are counted from the start of a frame.
-    Every frame must be long enough to contain all places."""
+    Every frame must be long enough to contain the bytes at all `places`."""
     from planrunner.instruments.wire import kernels
 
     found: NDArray[np.bool_] = kernels.alike(frames.data, frames.starts, places)

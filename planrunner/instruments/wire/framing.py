@@ -1,8 +1,8 @@
 """Finds frames in a stream of bytes by their sync, length and checksum. Bytes that are not part of a frame are skipped and counted.
 
-A frame is valid if its checksum is correct. If the checksum of a frame is wrong, or no frame is at an expected place, a corrupt
-frame is counted. The search then continues one byte later, so that a frame after a false sync is never skipped. The bytes that are
-kept between two calls are shorter than the longest frame.
+A frame is valid if its checksum is correct. If the checksum of a frame is wrong, or if no frame is found where one is expected, a
+corrupt frame is counted. The search then continues one byte later, so that a frame after a false sync is never skipped. The bytes
+that are kept between two calls are shorter than the longest frame.
 """
 
 from __future__ import annotations

@@ -101,7 +101,8 @@ def centre_of(values: Array, u: Array, baseline: int = BASELINE) -> Centre:
 
 
 def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) -> Chart:
-    """The Shewhart chart with limits at mean ± width·σ_i. `values`, `sigma`: arrays of shape (n,)."""
+    """The Shewhart chart with limits at mean ± width·σ_i. `values`, `sigma`: arrays of shape (n,), the values and their standard
+    deviations about the mean."""
     half = width * sigma
     return _chart(values, np.broadcast_to(mean - half, values.shape), np.broadcast_to(mean + half, values.shape))
 
@@ -109,8 +110,8 @@ def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) 
 def ewma(
     values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
 ) -> Chart:
-    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. `values`: array of shape (n, …).
-    `sigma`: array of shape (n,), or of the shape of `values`.
+    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. `values`: array of shape (n, …), the
+    values in the order of time. `sigma`: array of shape (n,), or of the shape of `values`.
 
     The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default V_0 = 0, so that the first limits are narrower. `steady`: if
     True, the recursion starts instead from the limit value for the first σ, V_0 = λ/(2 − λ) σ², as in the handbook.
@@ -130,8 +131,8 @@ def cusum(
     values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
 ) -> tuple[Chart, Chart]:
     """The tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i,
-    with the limits ±h. `values`: array of shape (n, …). `sigma`: array of shape (n,), or of the shape of `values`; all elements are
-    positive."""
+    with the limits ±h. `values`: array of shape (n, …), the values in the order of time. `sigma`: array of shape (n,), or of the
+    shape of `values`; all elements are positive."""
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     up, down = np.empty_like(values), np.empty_like(values)
     high, low = np.zeros(values.shape[1:]), np.zeros(values.shape[1:])

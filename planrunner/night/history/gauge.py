@@ -38,7 +38,7 @@ class MeanSquare:
     """One mean square of the analysis of variance.
 
     `factors`: the factors whose effect or interaction the mean square measures; empty for the mean square of the repetitions. `df`:
-    degrees of freedom."""
+    degrees of freedom of the mean square."""
 
     factors: tuple[str, ...]
     sum_of_squares: float

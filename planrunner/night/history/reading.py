@@ -210,7 +210,7 @@ def _scalar(root: source.Node | None, *keys: str) -> str:
 
 
 def _content(node: source.Node) -> Json:
-    """The content of a node as plain data, without its place in the file."""
+    """The content of a node as plain data, without its position in the file."""
     if isinstance(node, source.Scalar):
         return node.text
     if isinstance(node, source.Sequence):
