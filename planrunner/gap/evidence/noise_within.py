@@ -25,6 +25,7 @@ from planrunner.gap.evidence.spectrum import UPPER, SpectralBasis, Spectrum
 from planrunner.plan.schedule import Rest
 
 CARRIED = 4.0  # coefficients' worth of the next higher band that every band of a common spectrum counts in addition
+OWN = 16.0  # the same for the spectrum of one segment
 _ROUNDS = 2  # alternations of levels and spectra
 _LEAKAGE_ROUNDS = 10  # steps that remove the leakage of the cosine transform from a spectrum
 _KEPT = 0.3  # share of a density that they leave at least, because noise that is not stationary leaks differently
@@ -181,7 +182,10 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
         level[:, channel] = each if differing[channel] else 1.0
     predicted = level[:, None] * spectra[moving]
     own = np.ones_like(predicted)
-    for kind, channel in np.argwhere(coloured | differing).tolist():
+    for channel in np.flatnonzero(differing).tolist():
+        for index, (seen, size) in enumerate(zip(energy[:, :, channel] / predicted[:, :, channel], count, strict=True)):
+            own[index, :, channel] = _carried(seen, size, 1.0, OWN)
+    for kind, channel in np.argwhere(coloured & ~differing).tolist():
         here = np.flatnonzero(moving == kind)
         for band in range(len(centre)):
             own[here, band, channel] = moderated(
