@@ -94,7 +94,9 @@ class FineAlignment:
         self._covariance = np.diag([0.0, 0, STILLNESS**2, STILLNESS**2, *[_PRIOR**2] * 3, *before**2])
         self._squares, self._count, self._largest = 0.0, 0, 0.0
         self._each = None if follow is None else follow / seconds  # knots in an interval
-        self._followed = np.zeros((_ALL, 0))
+        # For each interval: what its sensor errors leave at its end, and the transition of errors from its start to its end.
+        self._left: list[Array] = []
+        self._passed: list[Array] = []
 
     def take(self, velocities: Array, rotations: Array, turns: Array) -> None:
         """Processes the measurements at the next m knots.
@@ -137,13 +139,22 @@ class FineAlignment:
         self._largest = max(self._largest, *map(abs, innovation.tolist()))
 
     def _follow(self, kept: Array, transition: Array, interval: int) -> None:
-        """Updates the errors that remain after a measurement because of sensor errors in this interval and in earlier intervals.
-        These sensor errors are not in the initial states of the alignment, so the responses to them start at zero."""
-        missing = INPUTS * (interval + 1) - self._followed.shape[1]
-        errors = np.hstack([self._followed, np.zeros((_ALL, max(missing, 0)))])
-        errors = transition @ errors
-        errors[:SIZE, INPUTS * interval : INPUTS * (interval + 1)] += transition[:SIZE, SIZE : SIZE + INPUTS]
-        self._followed = kept @ errors
+        """Updates the errors that remain after a measurement because of sensor errors in this interval. These sensor errors are not
+        in the initial states of the alignment, so the responses to them start at zero."""
+        while len(self._left) <= interval:
+            self._left.append(np.zeros((_ALL, INPUTS)))
+            self._passed.append(_UNCHANGED)
+        step = kept @ transition
+        self._left[-1] = step @ self._left[-1] + kept[:, :SIZE] @ transition[:SIZE, SIZE : SIZE + INPUTS]
+        self._passed[-1] = step @ self._passed[-1]
+
+    def _followed(self) -> Array:
+        """The errors (16, 6, m) that remain because of sensor errors in each of the m intervals."""
+        found, since = np.zeros((_ALL, INPUTS, len(self._left))), _UNCHANGED
+        for k in reversed(range(len(self._left))):
+            found[:, :, k] = since @ self._left[k]
+            since = since @ self._passed[k]
+        return found
 
     def finish(self, rotation: Array) -> Alignment:
         """Returns the result of the alignment. `rotation`: array of shape (3, 3), attitude of the navigator less than one knot
@@ -151,5 +162,4 @@ class FineAlignment:
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
         constant = self._state[SIZE : SIZE + INPUTS].copy()
-        followed = self._followed.reshape(_ALL, -1, INPUTS).swapaxes(1, 2)
-        return Alignment(aligned, self._covariance.copy(), constant, consistency, self._largest, followed)
+        return Alignment(aligned, self._covariance.copy(), constant, consistency, self._largest, self._followed())

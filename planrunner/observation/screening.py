@@ -573,10 +573,12 @@ class Screening:
                 0.6 * float(np.median(np.abs(np.diff(x, 2)))),  # in a steep ramp, many samples are the median
                 window.count / 2,
             )
-            off, scale = _off(x, size, looked), np.full(len(looked), usual)
-            if not self.steady:
-                scale = np.maximum(scale, _JERK * self._changes_around(x, changes, looked, g * wider * usual))
-            outlying |= off > g * wider * scale
+            off, noise = _off(x, size, looked), g * wider * usual
+            far = np.flatnonzero(off > noise)
+            if not self.steady and len(far):
+                around = self._changes_around(x, changes, looked[far], noise)
+                far = far[off[far] > g * wider * _JERK * around]
+            outlying[far] = True
         found = looked[outlying]
         for group in np.split(found, np.flatnonzero(np.diff(found) > _TOGETHER) + 1) if len(found) else ():
             self._note(k, window, int(group[0]), int(group[-1]) + 1)

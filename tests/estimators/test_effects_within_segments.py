@@ -106,34 +106,40 @@ SLOWLY = [*statics(), *rates(50, seconds=20.2), *rocks((1, 0.5), seconds=8.3)]
 """The table turns by a little less than three turns: the Earth's rate does not average out."""
 
 
-def begun_late(world: World, seed: int) -> list[RecordedSegment]:
-    """Turning segments begin at any angle: a part of each is cut off, up to a third."""
+def begun_anywhere(world: World, seed: int) -> list[RecordedSegment]:
+    """Turning segments of one length that begin at any angle of a whole turn: the rest of each is cut off on both sides."""
     draw, found = np.random.default_rng([seed, 9]), []
     for item in world.recording(seed):
-        if not isinstance(item.segment.motion, Spin):
+        motion, rows = item.segment.motion, item.statistics.count
+        if not isinstance(motion, Spin):
             found.append(item)
             continue
+        turn = round(2 * math.pi / abs(motion.rate) / item.statistics.duration * rows)
+        first = int(draw.integers(0, turn))
+        kept = slice(first, first + rows - turn)
         blocks = list(item.blocks(tuple(item.units)))
-        cut = int(draw.integers(0, item.statistics.count // 3))
-        time = np.concatenate([block.time for block in blocks])[cut:]
-        channels = {name: np.concatenate([block.channels[name] for block in blocks])[cut:] for name in item.units}
+        time = np.concatenate([block.time for block in blocks])[kept]
+        channels = {name: np.concatenate([block.channels[name] for block in blocks])[kept] for name in item.units}
         found.append(from_samples(item.segment, time, channels, item.units))
     return found
 
 
 @pytest.mark.slow
 def test_an_angle_that_nothing_shows_is_in_the_uncertainty() -> None:
-    """If the angle counted as zero, the errors of the misalignments would be about twice their standard uncertainties. 20 recordings: the
-    root mean square of one has a standard deviation of 0.16."""
+    """If the angle counted as zero, the errors of the misalignments would be several times their standard uncertainties. If the Earth rate
+    once per turn counted as noise, the errors of the lag would be 0.4 of theirs. 20 recordings: the root mean square of one has a standard
+    deviation of 0.16."""
     outputs = {"gyro_x": (*GYRO, "gyro_bandwidth")}
     world, errors = World(timed(SLOWLY), single("gyro_bandwidth", 20e-3), outputs, noisy=0.2), []
     names = ("gyro_misalignment_towards_y_x", "gyro_misalignment_towards_z_x", "gyro_bandwidth_tau_x")
     for seed in range(20):
-        request = EstimateRequest("model", tuple(begun_late(world, seed)), world.parameters, world.site, world.model)
+        recorded = tuple(begun_anywhere(world, seed))
+        request = EstimateRequest("model", recorded, world.parameters, world.site, world.model)
         found, true = ErrorModelEstimator().estimate(request), truth(world, seed)
+        assert not any("coloured" in str(text) or "white noise" in str(text) for text in found.warnings)
         errors.append([(found[name].value - true[name]) / found[name].standard_uncertainty for name in names])
     size = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert (size < 1.3).all() and size.max() > 0.5
+    assert (size > 0.6).all() and (size < 1.5).all()
 
 
 @pytest.mark.parametrize(("moved", "named"), [(rates(50, seconds=20.2), 1), ([], 0)])

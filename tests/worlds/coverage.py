@@ -23,7 +23,7 @@ from tests.worlds.faults import ARCSEC, WORLDS, Recorded, World
 from tests.worlds.felt import felt
 
 Array = NDArray[np.float64]
-BLOCK = 997  # rows
+BLOCK = 9973  # rows
 THERMOMETER = "sensor_temperature"
 
 

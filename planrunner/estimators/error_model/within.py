@@ -509,14 +509,20 @@ class _Problem:
 
     def _once_per_turn(self) -> Array:
         """The k components (k, N) of the error of the input once per turn, in the output's unit, if its phase is unknown."""
+        return errors_of_phase([self._turning[part] for part in self.output.observed.segments()])
+
+    @cached_property
+    def _turning(self) -> NDArray[np.complex128]:
+        """The part (N,) of the input that varies once per turn with an unknown phase, in the output's unit, as `errors_of_phase`
+        takes it."""
         observed = self.output.observed
         k = [channel.name for channel in observed.channels].index(self.output.errors.output)
-        each = observed.unknown_phase[self.owner, k] * self.output.nominal * np.exp(1j * observed.angle)
-        return errors_of_phase([each[part] for part in observed.segments()])
+        return np.asarray(observed.unknown_phase[self.owner, k] * self.output.nominal * np.exp(1j * observed.angle))
 
     def _colour(self, left: Array) -> float:
         """The ratio of the variance of batch means to the variance that white noise explains; 1 if it is not significantly larger.
-        `left`: array of shape (N,), residuals minus the mean of the residuals in each segment."""
+        An input once per turn with an unknown phase is no noise, so this part is fitted to the batch means first. `left`: array of
+        shape (N,), residuals minus the mean of the residuals in each segment."""
         from scipy.special import chdtrc
 
         total, freedom = 0.0, 0
@@ -524,14 +530,17 @@ class _Problem:
             length = (part.stop - part.start) // _BATCHES
             if length < 4 or not own > 0:
                 continue
-            batches = left[part][: length * _BATCHES].reshape(_BATCHES, length).mean(axis=1)
+            within = np.array([left[part], self._turning[part].real, self._turning[part].imag])[:, : length * _BATCHES]
+            batches, *turning = within.reshape(3, _BATCHES, length).mean(axis=2)
+            known = np.array([np.ones(_BATCHES), *(one for one in turning if one.any())]).T
+            rest = batches - known @ np.linalg.lstsq(known, batches, rcond=None)[0]
             variance = own**2 / length + self.output.flicker**2 * math.log(_BATCHES) / math.pi
-            total += float(np.sum((batches - batches.mean()) ** 2)) / variance
-            freedom += _BATCHES - 1
+            total += float(np.sum(rest**2)) / variance
+            freedom += _BATCHES - known.shape[1]
         return total / freedom if freedom and chdtrc(freedom, total) < SIGNIFICANCE else 1.0
 
 
-def errors_of_phase(turning: Sequence[Array]) -> Array:
+def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
     """The k components (k, N) of the error of an input once per turn whose phase is unknown. The sum over k of the squares of the
     components has the second moments of the error. `turning`: for each segment, the input at its samples as the fit assumes it
     (real part), and a quarter of a turn earlier or later (imaginary part); complex, zero if the phase is known. N is the number of
