@@ -129,7 +129,7 @@ def _unreadable(path: Path, error: OSError) -> IntegrityError:
 
 
 def numbers(run: GuardedFolder) -> tuple[int, ...]:
-    """The numbers of a run's analyses, in order. Raises `OSError`."""
+    """The numbers of a run's analyses, in order. Raises `OSError` if the folder of the analyses cannot be read."""
     if run.entry(FOLDER) is None:
         return ()
     found = [

@@ -54,7 +54,7 @@ def require_own_digest(data: bytes, value: JsonObject, path: Path) -> None:
 
 
 def from_bytes(data: bytes) -> Json:
-    """Reads JSON data; refuses NaN, infinities and excessive nesting. Raises ValueError."""
+    """Reads JSON data; refuses NaN, infinities and excessive nesting. Raises ValueError for any other text."""
     try:
         value = _decode(data.decode("utf-8"))
     except RecursionError:

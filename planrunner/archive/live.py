@@ -194,7 +194,7 @@ def _value(value: Json) -> float:
 
 
 def publish(run: GuardedFolder, state: LiveState) -> None:
-    """Replaces the live state in the run folder. Raises `OSError`."""
+    """Replaces the live state in the run folder. Raises `OSError` if the file cannot be written."""
     _STORAGE.write_whole(run, NAME, formats.to_bytes(state.to_json()))
 
 
@@ -212,7 +212,7 @@ def read_live(run: GuardedFolder) -> LiveState | None:
 
 
 def write_answer(run: GuardedFolder, answer: Answer) -> None:
-    """Writes the answer to a prompt. Raises `OSError`."""
+    """Writes the answer to a prompt. Raises `OSError` if the file cannot be written."""
     data = {"planrunner_answer": FORMAT, "question": answer.question, "by": answer.by}
     _STORAGE.write_whole(run, ANSWER, formats.to_bytes(data))
 

@@ -1,4 +1,4 @@
-"""Requests from any process that a run pause at the next segment boundary, by means of a file in the run folder."""
+"""Lets any process request that a run pause at the next segment boundary. The request is a file in the run folder."""
 
 from __future__ import annotations
 

@@ -298,7 +298,8 @@ class RunWriter:
         self._append(event, data)
 
     def take_watchdog_report(self) -> None:
-        """Enters into the journal the actions that a watchdog has taken since the end of the run. Raises `OSError`."""
+        """Enters into the journal the actions that a watchdog has taken since the end of the run. Raises `OSError` if the journal
+        cannot be written."""
         report = read_report(self.folder)
         if report is not None:
             self.note("rescued", report=report)

@@ -159,7 +159,7 @@ class RunLog:
 
     @classmethod
     def of(cls, archive: Path, storage: Storage | None = None) -> RunLog | None:
-        """The log of a folder that contains runs; None if the folder has no log. Raises `OSError`."""
+        """The log of a folder that contains runs; None if the folder has no log. Raises `OSError` if the folder cannot be read."""
         try:
             above = GuardedFolder.open(archive)
         except FileNotFoundError:
@@ -241,7 +241,8 @@ class RunLog:
             return grown
 
     def write_beside(self, name: str, data: bytes) -> None:
-        """Writes a file into the folder of the log, such as a signed head. The caller must hold the lock. Raises `OSError`."""
+        """Writes a file into the folder of the log, such as a signed head. The caller must hold the lock. Raises `OSError` if the
+        file cannot be written."""
         self._storage.write_whole(self.folder, name, data)
 
     @contextmanager

@@ -33,7 +33,7 @@ class StampName:
 
 
 def stamp_names(folder: GuardedFolder) -> tuple[StampName, ...]:
-    """The names of the stamps of a run in the order of their numbers. Raises `OSError`."""
+    """The names of the stamps of a run in the order of their numbers. Raises `OSError` if the folder of the stamps cannot be read."""
     if folder.entry(FOLDER) is None:
         return ()
     matches = [match for match in map(_FILE.match, folder.folder(FOLDER).entries()) if match is not None]
@@ -45,7 +45,7 @@ def stamp_names(folder: GuardedFolder) -> tuple[StampName, ...]:
 
 
 def keep_stamp(folder: GuardedFolder, storage: Storage, what: str, token: bytes) -> str:
-    """Writes a stamp into a run folder; returns the name of the file in `stamps/`. Raises `OSError`."""
+    """Writes a stamp into a run folder; returns the name of the file in `stamps/`. Raises `OSError` if the stamp cannot be written."""
     if folder.entry(FOLDER) is None:
         storage.make_folder(folder, FOLDER)
         storage.sync_folder(folder)

@@ -80,7 +80,7 @@ class GuardedFolder:
 
     @classmethod
     def open(cls, path: Path) -> GuardedFolder:
-        """Opens a folder that the user named. `path` itself may contain links. Raises `OSError`."""
+        """Opens a folder that the user named. `path` itself may contain links. Raises `OSError` if the folder cannot be opened."""
         if not RELATIVE:
             status = os.stat(path)
             if not stat.S_ISDIR(status.st_mode):

@@ -84,13 +84,14 @@ def open_regular(
 
 
 def read_regular(path: Path | str, limit: int, *, folder: int | None = None, links: bool = True) -> bytes:
-    """The contents of a regular file of at most `limit` bytes (see `open_regular`). Raises `RefusedFileError`."""
+    """The contents of a regular file of at most `limit` bytes (see `open_regular`). Raises `RefusedFileError` for any other file."""
     with open_regular(path, limit, folder=folder, links=links) as file:
         return read_bounded(file, limit)
 
 
 def read_bounded(file: BinaryIO, limit: int) -> bytes:
-    """The rest of an open file, at most `limit` bytes even if the file grows while it is read. Raises `RefusedFileError`."""
+    """The rest of an open file, at most `limit` bytes even if the file grows while it is read. Raises `RefusedFileError` if the
+    file is larger or cannot be read."""
     try:
         data = file.read(min(limit, _USUAL) + 1)  # a larger buffer is costly, and most files need none
         if data is not None and _USUAL < len(data) <= limit:

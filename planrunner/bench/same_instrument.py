@@ -25,8 +25,8 @@ _HOST_AND_PORT = re.compile(r"\[?([^\]/]+)\]?:(\d+)/?")
 
 def names_of(address: str) -> frozenset[str]:
     """All names under which the instrument at `address` can be addressed on this computer. An address is a VISA resource, a serial
-    port as pyserial names it, or a text that only its driver understands, which is then the only name. Never empty; an unknown host
-    keeps its name."""
+    port as pyserial names it, or a text that only its driver understands, which is then the only name. The result is never empty;
+    an unknown host keeps its name."""
     text = address.strip()
     if found := _SOCKET.fullmatch(text):
         return _of_host(found[1], f"port {int(found[2])}")

@@ -1,11 +1,11 @@
 """The watchdog process, started by `planrunner.bench.watchdog` through `planrunner.bench.watchdog_start`.
 
 From standard input it reads which bench to guard, then heartbeats and the names of the instruments that planrunner controls. If the
-heartbeat stops for too long, it ends planrunner, which may hold exclusive connections and might continue to send commands. Then,
-and also if the input ends without the word `safe`, it makes the bench safe: it connects to every real instrument that planrunner
-controlled, using only the bench file, brings it to its safe state, and reports to the run folder and on its standard error stream.
-Instruments that planrunner only connected to are left as they are. If an instrument hangs or fails, the watchdog continues with the
-next. While it exists, no other run gets the bench (`bench.lock`).
+heartbeat stops for too long, it ends planrunner, which may hold exclusive connections and might continue to send commands. Then it
+makes the bench safe; it does the same if the input ends without the word `safe`. To make the bench safe, it connects to every real
+instrument that planrunner controlled, using only the bench file, and brings the instrument to its safe state. It reports to the run
+folder and on its standard error stream. Instruments that planrunner only connected to are left as they are. If an instrument hangs
+or fails, the watchdog continues with the next. While it exists, no other run gets the bench (`bench.lock`).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ _ASIDE = "watchdog.partial"
 
 
 def append_report(run: Path, text: str) -> None:
-    """Appends text to the report atomically. Raises `OSError`."""
+    """Appends text to the report atomically. Raises `OSError` if the report cannot be written."""
     folder = GuardedFolder.open(run)
     before = b""
     with contextlib.suppress(FileNotFoundError, NotOrdinaryError):  # an entry that is not a report is replaced
@@ -27,7 +27,7 @@ def append_report(run: Path, text: str) -> None:
 
 
 def read_report(run: GuardedFolder) -> str | None:
-    """Reads the report; returns None if there is none. Raises `OSError`."""
+    """Reads the report; returns None if there is none. Raises `OSError` if the report cannot be read."""
     if run.entry(NAME) is None:
         return None
     return run.read(NAME, MOST_BYTES).decode("utf-8", "replace")

@@ -41,7 +41,7 @@ class Derived:
     """q quantities computed from the r coefficients of several fits. The coefficients of all fits form one sequence.
 
     `values`: array of shape (q,), in the quantities' units. `gradient`: array of shape (q, r), derivatives with respect to the
-    fitted coefficients. `between`: for each kind of uncertainty, (r, r), the covariance between the coefficients of different fits;
+    fitted coefficients. `between`: for each kind of uncertainty, the covariance (r, r) between the coefficients of different fits;
     by default, the fits are independent.
     """
 
@@ -119,10 +119,10 @@ def derived(
 ) -> Derived:
     """Evaluates a formula of fitted coefficients, with its derivatives.
 
-    `formula`: a function that converts (r, n) to (q, n); its argument contains the coefficients of all outputs in sequence. `at`:
-    array of shape (r,), values of the coefficients for which the formula is evaluated, if the fits give only small changes of these
-    values. `between`: for each kind of uncertainty, (r, r), the covariance between the coefficients of different fits. Passes on
-    the exceptions that the formula raises.
+    `formula`: a function that converts an array (r, n) of coefficients to an array (q, n) of quantities; its argument contains the
+    coefficients of all outputs in sequence. `at`: array of shape (r,), values of the coefficients for which the formula is
+    evaluated, if the fits give only small changes of these values. `between`: for each kind of uncertainty, the covariance (r, r)
+    between the coefficients of different fits. Passes on the exceptions that the formula raises.
     """
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits, between or {})

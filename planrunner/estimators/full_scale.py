@@ -117,8 +117,8 @@ def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAx
 
 
 def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]) -> Array:
-    """For each of n segments and m input axes, the fraction (n, m) of the rate that acts along the axis. `directions`: each axis in
-    the sensor's frame, (3,), or None; for None, the fraction is one."""
+    """For each of n segments and m input axes, the fraction (n, m) of the rate that acts along the axis. `directions`: each input
+    axis as a vector (3,) in the sensor's frame, or None; for None, the fraction is one."""
     shares = np.zeros((len(segments), len(directions)))
     for row, segment in enumerate(segments):
         about = _axis(segment.motion)

@@ -1,5 +1,5 @@
-"""Warns about flicker noise whose size neither the bench file nor the data limit, so that the intervals of an estimate may be too
-narrow."""
+"""Warns about flicker noise whose size is limited neither by the bench file nor by the data, so that the intervals of an estimate
+may be too narrow."""
 
 from __future__ import annotations
 

@@ -565,7 +565,7 @@ def _integrated(one: Guess, period: float) -> float:
 
 
 def _large(mean: Array) -> float:
-    """A large absolute value of the means of a gyro."""
+    """A high quantile of the absolute means of a gyro, which is insensitive to single outliers."""
     known = np.abs(mean[np.isfinite(mean)])
     return float(np.quantile(known, _LARGE)) if len(known) else 0.0
 

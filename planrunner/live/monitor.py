@@ -221,7 +221,7 @@ class Monitor:
             raise self._refused(run, f"the run folder cannot be written: {error.strerror or error}") from None
 
     def answer(self, run: str, question: str, by: str) -> None:
-        """Confirms the prompt that a run shows. `by`: name of the person. Raises `InputError`."""
+        """Confirms the prompt that a run shows. `by`: name of the person. Raises `InputError` if the run shows no such prompt."""
         folder = self._written(run)
         name = " ".join(by.split())
         if not name or len(name) > LONGEST_NAME or not name.isprintable():

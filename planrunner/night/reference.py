@@ -1,6 +1,6 @@
 """Generates the reference of all keys of a suite, `docs/suite-keys.md`, from the record classes with which suites are read.
 
-`python -m planrunner.night.reference docs` writes it. A test checks that the file is up to date.
+The command `python -m planrunner.night.reference docs` writes this file. A test checks that the file is up to date.
 """
 
 from __future__ import annotations

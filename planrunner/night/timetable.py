@@ -127,7 +127,7 @@ class _Bench:
 @dataclass(slots=True)
 class NightCourse:
     """The state of a night, and the rules by which the night continues. `durations`: planned time of each test, s; None if it is
-    unknown, in which case the test counts as short.
+    unknown. A test of unknown duration counts as short.
 
     The next action is found without examining every test: the computing time for a night grows in proportion to the number of its
     tests and dependencies, not with the square of this number.

@@ -272,7 +272,7 @@ def rows_of(
 
 
 def _expected(item: RecordedSegment, channels: Sequence[Channel], names: Sequence[str], size: int) -> Averaged:
-    """The times of the planned samples; every value is the expected mean."""
+    """Makes the planned samples of a schedule: their times, and the expected mean as the value of every sample."""
     known = item.statistics
     time: Array = known.start + known.period * (
         np.arange(known.count // size, dtype=np.float64) * size + (size - 1) / 2

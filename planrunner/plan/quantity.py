@@ -99,7 +99,8 @@ def takes_bare_number(dimension: str | None) -> bool:
 
 @lru_cache(maxsize=4096)
 def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
-    """Parses the quantity in `text`, of the named dimension (see `units.DIMENSIONS`) if one is given. Raises `QuantityError`.
+    """Parses the quantity in `text`, of the named dimension (see `units.DIMENSIONS`) if one is given. Raises `QuantityError` if the
+    text is not such a quantity.
 
     `54.7 deg ± 0.1 deg`, `54.7 deg ± 6 arcmin`, `54.7 deg ± 0.1` and `54.7 ± 0.1 deg` all mean a standard uncertainty.
     """
@@ -128,7 +129,7 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
 
 def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
     """Parses the values of a sweep, such as `±300, ±150 deg/s` or `10, 20, 30 deg`; ± stands for the positive value and then the
-    negative value. Raises `QuantityError`.
+    negative value. Raises `QuantityError` if the text is not such a list.
 
     A unit after the last value applies to values without a unit. A comma must be followed by a space, so that a decimal comma does not
     separate two values.
@@ -154,7 +155,8 @@ def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
 
 
 def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
-    """Parses `±300 deg/s` as +300 and −300 deg/s, and a text without a leading ± as one quantity. Raises `QuantityError`."""
+    """Parses `±300 deg/s` as +300 and −300 deg/s, and a text without a leading ± as one quantity. Raises `QuantityError` if the
+    text is not such a quantity."""
     signed = _SIGNED.fullmatch(text)
     quantity = parse_quantity(signed[2] if signed else text, dimension)
     if not signed or quantity.value == 0:
@@ -178,7 +180,8 @@ def is_signed(text: str) -> bool:
 
 
 def parse_symmetric(text: str) -> Quantity | None:
-    """The positive bound of `±0.5 deg/h`, or None if the text has no leading ±. Raises `QuantityError`."""
+    """The positive bound of `±0.5 deg/h`, or None if the text has no leading ±. Raises `QuantityError` if the text after the ± is
+    not a quantity."""
     signed = _SIGNED.fullmatch(text)
     return parse_quantity(signed[2]) if signed else None
 

@@ -40,7 +40,7 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
 
 def gather_for_issue(names: Collection[str], settings: Sequence[str], file: Path | None) -> dict[str, str]:
     """The run information that the user gives when a report is issued after the run. `names`: the permitted items. Raises
-    `InputError`."""
+    `InputError` for an item that is unknown or unreadable."""
     log = Findings()
     given = _read(settings, file, log)
     _check(names, "docs/certificates.md lists the names that a certificate uses", given, log)

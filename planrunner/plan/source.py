@@ -89,8 +89,8 @@ class _Placed:
 
 
 class Scalar(_Placed):
-    """A scalar: `text` is the text as written, `value` is its value in the core schema of YAML 1.2 (a quoted scalar is always a
-    string)."""
+    """A scalar. `text` is the text as written, and `value` is its value in the core schema of YAML 1.2; the value of a quoted
+    scalar is always a string."""
 
     __slots__ = ("text", "value")
 
@@ -169,7 +169,8 @@ def refused_input(refused: RefusedFileError, name: str) -> InputError:
 
 
 def decode(data: bytes, name: str) -> str:
-    """Decodes a UTF-8 file, with or without a byte-order mark. Raises `InputError`. `name`: file name that findings state."""
+    """Decodes a UTF-8 file, with or without a byte-order mark. Raises `InputError` if the bytes are not UTF-8. `name`: file name
+    that findings state."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -193,7 +194,8 @@ def load(path: Path, shown: str | None = None, log: Findings | None = None) -> M
 def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
     """Parses the mapping in `text`. `file`: file name that findings state.
 
-    Raises `InputError`. If `log` is given, faults that leave the rest readable, such as duplicate keys, are added to it instead.
+    Raises `InputError` if the text is not a mapping that can be read. If `log` is given, faults that leave the rest readable, such
+    as duplicate keys, are added to it instead.
     """
     if forbidden := _forbidden(text):
         raise _not_allowed(forbidden[0], _mark_at(text, forbidden.start(), file))

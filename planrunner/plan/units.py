@@ -208,7 +208,7 @@ _SQRT = re.compile(r"sqrt *\(([A-Za-zµμ%*/ ]*)\)")
 
 @lru_cache(maxsize=4096)
 def unit(text: str) -> Unit:
-    """The unit that `text` names, for example `deg/s`. Raises `UnknownUnitError`."""
+    """The unit that `text` names, for example `deg/s`. Raises `UnknownUnitError` if the text is not a unit."""
     text = text.strip()
     if text in _DAILY:
         return _DAILY[text]

@@ -60,7 +60,7 @@ class DiagnosisContext:
 
 
 def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
-    """Renders one self-contained HTML page. Raises `ReportError`."""
+    """Renders one self-contained HTML page. Raises `ReportError` if the page cannot be rendered."""
     from planrunner.reporting.diagnosis_pictures import pictures
 
     found = context.diagnosis

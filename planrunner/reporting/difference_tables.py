@@ -115,7 +115,7 @@ def _segments(segments: Sequence[SegmentChange]) -> Table:
 
 
 def _segment_rows(item: SegmentChange) -> Iterator[tuple[str, str, str]]:
-    """Yields the changes of one segment: what changed, the text before the change, and the text after it."""
+    """Yields the changes of one segment, each as three texts: what changed, the value before the change, and the value after it."""
     if item.before is None or item.after is None:
         text = cut(", ".join(f"{_key(change.place)} {change.shown[0] or change.shown[1]}" for change in item.changes))
         yield ("added", "–", text) if item.before is None else ("removed", text, "–")

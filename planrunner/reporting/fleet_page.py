@@ -274,7 +274,7 @@ def render_page(
     found: Data, remarks: Sequence[str] = (), origin: DataOrigin | None = None, folder: Path | None = None
 ) -> str:
     """Renders one self-contained HTML page. `remarks`: warnings about the recordings. `origin`: whether the samples are measured,
-    simulated or played back. Raises `ReportError`."""
+    simulated or played back. Raises `ReportError` if the page cannot be rendered."""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import plot_svg

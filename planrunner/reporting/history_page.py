@@ -17,7 +17,7 @@ from planrunner.reporting.view import named, stamped, table_view
 
 
 def render_history(found: Trend) -> str:
-    """Renders one self-contained HTML page. Raises `ReportError`."""
+    """Renders one self-contained HTML page. Raises `ReportError` if the page cannot be rendered."""
     from markupsafe import Markup
 
     origins = {point.run.origin for point in found.points}

@@ -98,7 +98,7 @@ def _bar(slot: Slot, begins: float, ends: float, room: int) -> str:
 
 
 def timetable_page(table: Timetable, warnings: Sequence[str]) -> str:
-    """Renders one self-contained HTML page. The same data give the same text. Raises `ReportError`."""
+    """Renders one self-contained HTML page. The same data give the same text. Raises `ReportError` if the page cannot be rendered."""
     from markupsafe import Markup
 
     from planrunner.reporting.templates import render

@@ -54,7 +54,7 @@ class ReviewContext:
 
 
 def render_review(context: ReviewContext) -> str:
-    """Renders one self-contained HTML page. Raises `ReportError`."""
+    """Renders one self-contained HTML page. Raises `ReportError` if the page cannot be rendered."""
     view = report_view(context.report)
     anchors = {item["name"]: item["anchor"] for item in view["estimates"]}
     places = {item.segment.label: f"s{number}" for number, item in enumerate(context.report.segments, 1)}

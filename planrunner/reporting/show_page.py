@@ -46,7 +46,8 @@ class ShowContext:
 
 
 def render_show(context: ShowContext) -> str:
-    """Renders one self-contained HTML page. The same context gives the same text. Raises `ReportError`."""
+    """Renders one self-contained HTML page. The same context gives the same text. Raises `ReportError` if the page cannot be
+    rendered."""
     return render("show.html", show_view(context))
 
 

@@ -11,7 +11,7 @@ from planrunner.reporting.view import named, table_view
 
 
 def render_page(study: Study, folder: Path | None = None) -> str:
-    """Renders one self-contained HTML page. Raises `ReportError`."""
+    """Renders one self-contained HTML page. Raises `ReportError` if the page cannot be rendered."""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import plot_svg

@@ -268,7 +268,7 @@ def render_report(context: ReportContext, template: str, folder: Path | None = N
     """Renders the report of the context with `template` (such as `report.html` or `summary.md`): one self-contained text.
 
     `folder`: a user's template folder, which is searched before the shipped one. The same context gives the same text. Raises
-    `ReportError`.
+    `ReportError` if the report cannot be rendered.
     """
     return render(template, report_view(context), folder)
 

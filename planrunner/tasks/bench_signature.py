@@ -155,7 +155,7 @@ def locked(folder: GuardedFolder) -> Iterator[None]:
 def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[int, Results]) -> None:
     """Makes the signatures that should have been made automatically: of the seal of a verified run, and of analyses that were
     recomputed. The caller must hold the lock of the run folder. `proven`: maps the number of each recomputed analysis to its
-    results. Raises `InputError` and `OSError`."""
+    results. Raises `InputError` if a signature cannot be made, and `OSError` if a file cannot be written."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     run = reader.run["run"]
     good = [one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid" and one.by_bench]
@@ -167,7 +167,7 @@ def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[
 
 def unsigned_analyses(reader: RunReader) -> tuple[int, ...]:
     """Numbers of the analyses without a good signature. A signature is good if it is valid, or if it cannot be verified only
-    because no key ring is given. Raises `OSError`."""
+    because no key ring is given. Raises `OSError` if a file cannot be read."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     good = [one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid"]
     covered = {number for one in good for number in one.analyses}

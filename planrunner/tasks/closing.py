@@ -200,7 +200,7 @@ def close(
     notice: Announce | None = None,
 ) -> Closed:
     """Repeats four steps until none of the remaining gap can be attributed to a named effect: diagnoses, enters the effects found,
-    simulates, and compares. Raises `InputError`."""
+    simulates, and compares. Raises `InputError` if the recording cannot be diagnosed or simulated."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
     computed = computed_from_recording(recorded, simulation)

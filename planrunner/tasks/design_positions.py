@@ -375,7 +375,8 @@ def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> 
 
 
 def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells: Mapping[_Mark, float]) -> str:
-    """The text of the plan with other orientations and, if they are given, with other dwells [s]. Raises `EstimationError`."""
+    """The text of the plan with other orientations and, if they are given, with other dwells [s]. Raises `EstimationError` if an
+    orientation cannot be written to the plan."""
     text = source.decode(checked.plan_bytes, checked.file)
     try:
         if dwells:

@@ -188,7 +188,8 @@ def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]
 
 
 def _without(observed: Observed, stated: Mapping[str, Mapping[str, str]], nominal: tuple[str, ...]) -> Observed:
-    """The samples after subtracting the effects whose values are stated. Raises `InputError`."""
+    """The samples after subtracting the effects whose values are stated. Raises `InputError` for an effect that cannot be
+    subtracted."""
     if not stated:
         return observed
     from planrunner.error_model.added import added, addition
@@ -259,7 +260,7 @@ def _noise(found: Diagnosis) -> dict[Sense, float]:
 
 def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptions) -> Diagnosed:
     """Diagnoses the same recording again after effects were subtracted from its samples. The new diagnosis proposes nothing to
-    measure next. Raises `InputError`."""
+    measure next. Raises `InputError` if the recording cannot be diagnosed."""
     from planrunner.gap.answer.diagnosis import diagnose
     from planrunner.observation.refusals import ObservationError
 
@@ -528,7 +529,7 @@ def recorded_file(
 
     `bench`: bench file that assigns the columns to channels; by default, the bench of the plan. `segments`: table with the label,
     the beginning and the end of each segment; by default, the table that the bench file names, next to the recording. `notice`:
-    receives the progress of reading. Raises `InputError`.
+    receives the progress of reading. Raises `InputError` if the file cannot be read or does not fit the plan.
     """
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     parameters = _parameters(sound.bench, sound.file)

@@ -95,7 +95,8 @@ def kind_of(path: Path) -> ComparedKind:
 
 
 def meaning_of_file(path: Path) -> Meaning:
-    """The meaning of a plan or bench file. The meaning of a plan then contains only the name of its bench. Raises `InputError`."""
+    """The meaning of a plan or bench file. The meaning of a plan then contains only the name of its bench. Raises `InputError` if
+    the file cannot be read or has errors."""
     if kind_of(path) == "bench":
         return meaning_of_bench(_bench(path))
     return meaning_of_plan(_plan(source.read_bytes(path), str(path)))

@@ -43,7 +43,7 @@ def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path
     """The approval data that the analysis with an amended plan must contain. None if the bench requires no approvals, or if too few
     of the approvals next to the plan file are valid.
 
-    Raises `InputError` if the approvals or the key ring cannot be read, and `IntegrityError`.
+    Raises `InputError` if the approvals or the key ring cannot be read, and `IntegrityError` if a file of the run was changed.
     """
     rule = bench.approvals
     if rule is None or reader.approvals is None:

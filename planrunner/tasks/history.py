@@ -56,7 +56,8 @@ class Freshness:
 
 
 def opened(archive: Path, index: str | None, fresh: Freshness) -> Index:
-    """Opens the index of an archive and updates it. The caller must close the index. Raises `InputError`."""
+    """Opens the index of an archive and updates it. The caller must close the index. Raises `InputError` if the index cannot be
+    used."""
     found = Index.open(archive, index)
     try:
         if fresh.refresh or fresh.rebuild:

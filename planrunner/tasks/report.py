@@ -68,7 +68,7 @@ def report_context(
 
 
 def printed_signatures(reader: RunReader, ring: KeyRing | None) -> Iterator[PrintedSignature]:
-    """The signatures of a run in their present state, for a report. Raises `OSError`."""
+    """The signatures of a run in their present state, for a report. Raises `OSError` if a signature cannot be read."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     for one in signatures_of(reader.folder, ring, signing):
         yield PrintedSignature(

@@ -531,7 +531,7 @@ def stored_results(analysis: StoredAnalysis) -> Results:
 
 def _read_results(analysis: StoredAnalysis) -> Json:
     """The stored results of an analysis as JSON data. Results that older versions stored may lack keys that the present schema
-    requires. Raises `IntegrityError`."""
+    requires. Raises `IntegrityError` if the results were changed."""
     try:
         return from_bytes(analysis.read(RESULTS))
     except ValueError as error:
@@ -540,7 +540,7 @@ def _read_results(analysis: StoredAnalysis) -> Json:
 
 def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
     """The stored results of an analysis as JSON data, and the versions of the software that computed them, if these versions are
-    stored. Raises `IntegrityError`."""
+    stored. Raises `IntegrityError` if the results were changed."""
     data = _read_results(analysis)
     stated = data.get("computed_with", {}) if isinstance(data, Mapping) else {}
     return data, {str(name): str(version) for name, version in stated.items()}
@@ -550,13 +550,13 @@ def recompute(
     reader: RunReader, analysis: StoredAnalysis, notice: Announce | None = None, workers: Workers = ALONE
 ) -> Results:
     """Recomputes the results from the samples, with the plan that the analysis used; writes nothing. `workers`: processes that
-    share the Monte Carlo draws. Raises `IntegrityError`."""
+    share the Monte Carlo draws. Raises `IntegrityError` if a file of the run was changed."""
     return _estimated(reader, evaluated_as(reader, analysis), notice, workers)[1]
 
 
 def evaluated_as(reader: RunReader, analysis: StoredAnalysis) -> Sound:
     """The checked plan and bench of a run; if the analysis used an amended plan, the plan is that one. Raises `InputError` if that
-    plan no longer passes its checks, and `IntegrityError`."""
+    plan no longer passes its checks, and `IntegrityError` if a file of the run was changed."""
     if EVALUATED_PLAN not in analysis.files:
         return sound_run(reader)
     return _evaluated(reader, Document(analysis.read(EVALUATED_PLAN), str(analysis.path / EVALUATED_PLAN)))

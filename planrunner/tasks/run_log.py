@@ -313,7 +313,7 @@ def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
 
 def append_run(log: RunLog, run: Path) -> TreeHead | None:
     """Adds the present seal of a run to the log; returns the new tree head, or None if the log already contains this seal. Raises
-    `InputError` and `IntegrityError`."""
+    `InputError` if the log cannot be written, and `IntegrityError` if the log or the run was changed."""
     found = _examined(run)
     if found.seal_digest is None:
         message = "only a finished, sealed run can be added to the log"

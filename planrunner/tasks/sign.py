@@ -57,7 +57,7 @@ def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, .
 
     The whole run is verified first. An analysis is signed only if its results can be recomputed from the samples. `signer`: the key
     of the bench, if the user gives it. By default, the key is searched for on this computer, which must be the computer that made
-    the run. Raises `InputError` and `IntegrityError`.
+    the run. Raises `InputError` if something cannot be signed, and `IntegrityError` if the run was changed.
     """
     folder = open_run(run)
     with locked(folder):
@@ -94,7 +94,7 @@ def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, .
 
 def _verified(folder: GuardedFolder) -> Examined:
     """Verifies that a sealed run has not been changed. Signatures that its bench must make may still be missing. Raises
-    `IntegrityError` and `InputError`."""
+    `IntegrityError` if the run was changed, and `InputError` if it is not sealed."""
     found = examine(folder, samples="digests")
     run_approvals(found, None)
     found.require_whole()

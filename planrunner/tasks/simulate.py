@@ -95,7 +95,8 @@ def check_virtual(sound: Sound) -> None:
 
 def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
     """The effects to add, each with all its parameters. `effects`: maps the name of each effect to the stated values of its
-    parameters. `mark`: position at which the effects are stated. Raises `InputError`."""
+    parameters. `mark`: position at which the effects are stated. Raises `InputError` for an effect, a parameter or a value that is
+    not possible."""
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 

@@ -33,7 +33,7 @@ def stamper_of(bench: Bench) -> Stamper | None:
 
 def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, storage: Storage | None = None) -> str:
     """Stamps the present seal of a run. The caller must hold the lock of the run folder. Returns the time that the stamp states.
-    Raises `StampError` and `OSError`."""
+    Raises `StampError` if no valid time stamp is obtained, and `OSError` if the stamp cannot be written."""
     seal = folder.read(seals.NAME, seals.MOST_BYTES)
     token, at = request_stamp(url, seal, digest(seal), authority)
     keep_stamp(folder, storage or Storage(), f"seal-{digest(token)[:DIGITS]}", token)

@@ -66,8 +66,8 @@ def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedConditio
 def influences_on_several(
     formula: Callable[[Sequence[C]], Array], stated: Iterable[StatedCondition[C]]
 ) -> tuple[Influence, ...]:
-    """The influences of stated inputs on the results (m,) of a formula that takes k conditions at once and returns the results (k,
-    m)."""
+    """The influences of stated inputs on the m results of a formula that is evaluated for k conditions in one call; it returns an
+    array (k, m)."""
     inputs = [one for one in stated if one.parts]
     moved: list[C] = []
     for one in inputs:

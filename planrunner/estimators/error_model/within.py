@@ -225,13 +225,13 @@ class _Problem:
         return {shape.id: value for shape, value in zip(self.shapes, values, strict=True)}
 
     def linear(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The output (N,) in its unit, before effects on the output (such as a limit) act on it."""
+        """The output (N,) in its own unit, before effects on the output (such as a limit) act on it."""
         columns = self.columns(values, amplitudes)
         ideal = 0.0 if self.output.gain else columns.own / self.factor
         return np.asarray(ideal + amplitudes @ columns.rows)
 
     def values(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The output (N,) according to the model, in its unit."""
+        """The output (N,) according to the model, in the unit of the output."""
         linear = self.linear(values, amplitudes)
         return self.model.output(linear * self.factor, self._named(values)) / self.factor
 

@@ -1,10 +1,10 @@
 """The diagnosis of a recording: where it differs from its simulation, which effect explains the difference, and by how much the gap
 shrinks.
 
-The steps are: compute spectra and noise, and project the nominal parameters out (`weighing`); evaluate the evidence for every
-installed effect (`candidates`), for pairs, and for patterns outside the catalogue (`posterior`, `open_set`); derive a verdict,
-which names a class as a whole if the plan cannot separate its members (`verdict`); locate the gap (`where`); and
-compute its closure on held-out segments (`closure`).
+The diagnosis has five steps. It computes spectra and noise, and projects the nominal parameters out (`weighing`). It evaluates the
+evidence for every installed effect (`candidates`), for pairs, and for patterns outside the catalogue (`posterior`, `open_set`). It
+derives a verdict, which names a class as a whole if the plan cannot separate its members (`verdict`). It locates the gap (`where`).
+Finally, it computes the closure of the gap on held-out segments (`closure`).
 """
 
 from __future__ import annotations

@@ -229,8 +229,8 @@ def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, 
 def _of_effects(
     weighing: Weighing, candidates: Sequence[Candidate], noise: _NoiseOnly, refit: bool = True
 ) -> tuple[dict[str, float], dict[str, EffectSet]]:
-    """Returns the log evidence, relative to "none", of "none", single effects and sets of effects; and the sets that were evaluated
-    in full."""
+    """Returns the log evidence, relative to "none", of the hypothesis "none", of single effects and of sets of effects; and the
+    sets that were evaluated in full."""
     nothing = np.zeros(len(weighing.base))
     start = weighing.evidence(nothing) + noise.declared
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}

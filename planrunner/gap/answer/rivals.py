@@ -165,8 +165,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """Adds the probability of a set to that of one of its subsets if the subset is more probable, because the additional effect may
-    be absent."""
+    """If a subset of a set is more probable than the set, adds the probability of the set to the probability of the subset, because
+    the additional effect may be absent."""
     found: dict[str, float] = {}
     for name, value in sorted(total.items(), key=lambda item: item[0].count("+")):
         parts = set(name.split("+"))

@@ -260,7 +260,7 @@ def _typical(observed: Observed, spectrum: Spectrum) -> Array:
 
 def _carried(energy: Array, count: Array, above: float, carried: float) -> Array:
     """Levels (B,) of the bands, computed from the highest band down. Each band is smoothed towards the next higher band, and the
-    highest band towards `above`: the higher level enters as if it came from `carried` additional coefficients."""
+    highest band towards the level `above`. In this average, the higher level has the weight of `carried` additional coefficients."""
     out = np.ones(len(energy))
     for band in range(len(energy) - 1, -1, -1):
         above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)

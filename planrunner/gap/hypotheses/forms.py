@@ -4,8 +4,8 @@ has a sharp peak. Strong effects are evaluated in a nonlinear form.
 An effect that its shape determines completely (a lag, a delay, a dead zone, a limit) has no amplitude. If such an effect is weak,
 it is evaluated like the others, with an amplitude in addition to its shape, because the data cannot separate the two. If it is
 strong, it is evaluated with the amplitude 1, and its shape is found exactly. If a strong effect acts on the output of the sensor,
-the nominal parameters are fitted together with it: Gauss–Newton in these parameters, a search in the shape. Nominal parameters
-fitted without the effect would absorb a part of it and give a wrong output.
+the nominal parameters are fitted together with it: the nominal parameters by Gauss–Newton steps, and the shape by a search. Nominal
+parameters fitted without the effect would absorb a part of it and give a wrong output.
 """
 
 from __future__ import annotations

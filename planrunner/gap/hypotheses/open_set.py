@@ -1,10 +1,10 @@
 """Patterns outside the catalogue that compete with the effects, so that a diagnosis can report "something that the catalogue does
 not contain".
 
-Such a competitor is a pattern of the whitened residual, in one channel or in a triad. Possible patterns are offsets, scale-like
-errors, transients and waveforms per turn or per rocking period, which differ at random from segment to segment or change smoothly
-with rate, gravity, temperature or time; a deviation in a single segment; a periodic bias; bursts; and a tone that keeps its phase
-over the whole run. The competitors are evaluated like effects, individually and in combination.
+Such a competitor is a pattern of the whitened residual, in one channel or in a triad. Some patterns differ at random from segment
+to segment, or change smoothly with rate, gravity, temperature or time: offsets, scale-like errors, transients, and waveforms per
+turn or per rocking period. Further patterns are a deviation in a single segment, a periodic bias, bursts, and a tone that keeps its
+phase over the whole run. The competitors are evaluated like effects, individually and in combination.
 """
 
 from __future__ import annotations

@@ -58,8 +58,8 @@ class Repeating:
         return found
 
     def _edged(self, peaks: NDArray[np.int64], channels: Sequence[Left]) -> float:
-        """The log Bayes factor of a waveform with edges. The mean over periods near the `peaks` counts as the only contribution to
-        the mean over the whole finer grid."""
+        """The log Bayes factor of a waveform with edges. The waveform is evaluated only at periods near the `peaks`; all other
+        periods of the finer grid are assumed to contribute nothing to the mean over this grid."""
         steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
         near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
         waves = self.waves(near, EDGED)

@@ -245,8 +245,8 @@ class Cycling:
 
 
 def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[float], float]) -> list[Stretch]:
-    """The intervals of smooth motion between two times, divided at the given breaks. `pace`: function that returns the pace of an
-    interval from the time in its middle."""
+    """The intervals of smooth motion between two times, divided at the given breaks. `pace`: function that returns, for the time in
+    the middle of an interval, the largest rate of change of the phases."""
     times = [begin, *sorted(time for time in set(breaks) if begin < time < end), end]
     return [Stretch(first, last, pace((first + last) / 2)) for first, last in pairwise(times)]
 

@@ -68,8 +68,8 @@ class RingEncoders:
 
 
 def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
-    """Outer, middle and inner gimbal angle [rad], each (n,). `base`, `element`: axes of the base and of the element as rows; both
-    arrays have the shape (n, 3, 3).
+    """Outer, middle and inner gimbal angle, three arrays of shape (n,) in rad. `base`, `element`: axes of the base and of the
+    element as rows; both arrays have the shape (n, 3, 3).
 
     The outer gimbal turns about the x axis of the base, the middle gimbal about its own y axis, and the inner gimbal, which carries
     the element, about its own z axis.

@@ -87,7 +87,7 @@ class LinkFailure(Exception):  # noqa: N818 - reported to users as an Instrument
 
 class Wire(Protocol):
     """The part of a PyVISA resource that this module uses. `timeout`: longest time to wait for data, ms. `baud_rate`,
-    `bytes_in_buffer`: exist only for a serial line."""
+    `bytes_in_buffer`: attributes that only a serial line has."""
 
     timeout: float
     read_termination: str | None

@@ -7,7 +7,8 @@ k + 1, the likelihood ratio compares two means:
 
 The most likely position of a change has the largest T_k (Hawkins, Journal of the American Statistical Association 72, 1977). The
 p-value of this position is bounded by the sum over all positions (Bonferroni), p ≤ (n − 1)·P(χ²₁ > T). The test is therefore
-conservative. Each side is then searched again (binary segmentation; Scott and Knott, Biometrics 30, 1974).
+conservative. The values on each side of the change are then searched in the same way (binary segmentation; Scott and Knott,
+Biometrics 30, 1974).
 """
 
 from __future__ import annotations
