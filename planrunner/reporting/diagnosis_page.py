@@ -266,7 +266,7 @@ def closure_words(found: Data) -> str:
         )
     if not closure["resolvable"] or closure["shrinks_by"] is None:
         default = "This recording cannot show by how much the gap of withheld segments shrinks."
-        return NOT_MEASURED.get(closure.get("reason"), default)
+        return NOT_MEASURED.get(closure.get("reason"), default) + _repetition_words(closure.get("repetition"))
     text = f"The gap of withheld segments {_change(closure['shrinks_by'])}"
     if closure["interval_90"] is not None:
         text += f" (90 % interval {_interval(*closure['interval_90'])})"
@@ -275,6 +275,14 @@ def closure_words(found: Data) -> str:
     if unpredicted:
         text += f". The gap that remains includes {listed(unpredicted)}, which is random and cannot be predicted from other segments"
     return text + "."
+
+
+def _repetition_words(repetition: Data | None) -> str:
+    """States by how much the gap would change in a repetition of the same segments; empty if this is not known."""
+    if repetition is None:
+        return ""
+    text = f" In a repetition of the same segments, the gap {_change(repetition['shrinks_by'])}"
+    return f"{text} (90 % interval {_interval(*repetition['interval_90'])}) if the named effects are added to the simulation."
 
 
 def expected_words(found: Data) -> str:

@@ -172,6 +172,10 @@ def test_the_closure_with_its_interval_or_not_resolvable():
     assert "cannot show by how much" in closure_words(diagnosis(closure=cannot))
     repeat = closure_words(diagnosis(closure={**cannot, "reason": "not repeated"}))
     assert repeat.endswith("Repeat the segments that show the effect.")
+    again = {"shrinks_by": 0.97, "interval_90": [0.92, 0.98]}
+    repeated = closure_words(diagnosis(closure={**cannot, "reason": "not repeated", "repetition": again}))
+    assert repeated.startswith(repeat)
+    assert "In a repetition of the same segments, the gap shrinks by 97 % (90 % interval 92 % to 98 %)" in repeated
     walk = {"unpredicted": ["gyro_bias_random_walk"]}
     alone = closure_words(diagnosis(closure={**cannot, **walk, "reason": "random"}))
     assert alone.startswith("gyro_bias_random_walk cannot be predicted from other segments, because it is random.")

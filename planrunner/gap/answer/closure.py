@@ -89,6 +89,15 @@ class NotMeasured(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Repetition:
+    """By how much the effects, fitted to all segments, would reduce the gap in a repetition of the same segments. `shrinks_by`,
+    `interval_90`: as in `Closure`."""
+
+    shrinks_by: float
+    interval_90: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Closure:
     """Result of the check on held-out data, which shows how much of the gap the effects explain.
 
@@ -96,7 +105,8 @@ class Closure:
     over coefficients. `shrinks_by`: relative reduction, 1 for a closed gap. `interval_90`: 90 % interval of `shrinks_by`. `reason`:
     why the data do not determine the reduction (all numbers are then NaN), or None. `channels`: one entry for each channel whose
     data determine the reduction. `unpredicted`: named effects whose part of the gap remains, because the other segments cannot
-    predict it.
+    predict it. `repetition`: if the reason is `NOT_REPEATED`, the reduction in a repetition of the same segments, or None if the data
+    do not determine it.
     """
 
     before: float
@@ -106,6 +116,7 @@ class Closure:
     reason: NotMeasured | None = None
     channels: tuple[ChannelClosure, ...] = ()
     unpredicted: tuple[str, ...] = ()
+    repetition: Repetition | None = None
 
     @property
     def resolvable(self) -> bool:
@@ -305,7 +316,10 @@ def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoi
     likeliest = int(np.argmax(shares)) if shares.any() else len(choices) - 1
     (alone,) = _fits(weighing, noise, [replace(choices[likeliest], point=None)])
     if _told(choices[likeliest].widths, alone, likeliest, folds) < TOLD:
-        return not_measured(NotMeasured.NOT_REPEATED)
+        return replace(
+            not_measured(NotMeasured.NOT_REPEATED),
+            repetition=_repetition(weighing, noise, choices, [fit.amplitudes for fit in fits], shares, beyond),
+        )
     amplitudes = [fit.amplitudes for fit in fits]
     every = [np.ones(len(fold.channel), dtype=bool) for fold in folds]
     whole = _measured_rows(folds, every, amplitudes, shares, beyond, noise.degrees)
@@ -319,6 +333,45 @@ def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoi
             residual = np.concatenate([fold.residual[at] for fold, at in zip(folds, rows, strict=True)])
             channels.append(_in_unit(weighing, noise, index, own, residual))
     return replace(whole, channels=tuple(channels))
+
+
+def _repetition(
+    weighing: Weighing,
+    noise: MeasuredNoise,
+    choices: Sequence[FoldChoice],
+    amplitudes: Sequence[Amplitudes],
+    shares: Array,
+    beyond: float,
+) -> Repetition | None:
+    """By how much the most probable choice, fitted to all segments, would reduce the gap in a repetition of these segments, in which
+    only the noise differs; None if the data do not determine this. The nominal parameters are fitted to each repetition. `amplitudes`:
+    those of each choice; `shares`: the probabilities of the choices."""
+    fits = _fits(weighing, noise, [replace(choice, point=None) for choice in choices])
+    likeliest = int(np.argmax(shares if shares.any() else [fit.log_bayes for fit in fits]))
+    signatures = [np.concatenate(fit.columns) for fit in fits]
+    moving = [_projected_change(fit, choice) for fit, choice in zip(fits, choices, strict=True)]
+    difference = signatures[likeliest] @ fits[likeliest].amplitudes.mean
+    known = []
+    for one, more, fitted, share in zip(signatures, moving, amplitudes, shares, strict=True):
+        signature = np.hstack([one, more])
+        known.append(KnownCause(float(share), signature.T @ signature, signature.T @ difference, fitted))
+    residual = np.concatenate([rows.residual for rows in fits[likeliest].rows])
+    degrees = noise.degrees[np.concatenate(noise.group)]
+    fitted_too = sum(rows.basis.shape[1] for rows in fits[likeliest].rows) + signatures[likeliest].shape[1] - 1
+    found = measured(residual, difference, known, beyond, degrees, fitted_too)
+    return Repetition(found.shrinks_by, found.interval_90) if found.resolvable else None
+
+
+def _projected_change(fit: _Fit, choice: FoldChoice) -> Array:
+    """The change (m, q) of the whitened signature of an effect on the output, per change of each nominal parameter, over all channels;
+    without columns for other effects."""
+    from scipy.linalg import block_diag
+
+    changes = [] if choice.point is None else choice.point.change
+    blocks = [
+        rows.project(change if change.any() else change[:, :0]) for rows, change in zip(fit.rows, changes, strict=False)
+    ]
+    return np.asarray(block_diag(*blocks)) if blocks else np.zeros((sum(len(rows.residual) for rows in fit.rows), 0))
 
 
 def measured_noise(
@@ -583,11 +636,14 @@ def measured(
     known: Sequence[KnownCause] = (),
     beyond: float = 1.0,
     degrees: Array | None = None,
+    fitted: int = 0,
 ) -> Closure:
     """Computes the closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). `beyond`: the
     probability that the cause is none of `known`. `beyond` and the probabilities of `known` are used only in proportion to each
     other; their sum need not be 1. `degrees`: array of shape (m,), degrees of freedom of the measured noise of each residual;
-    residuals with equal degrees share one noise level. None means that the noise level is known."""
+    residuals with equal degrees share one noise level. None means that the noise level is known.
+    `fitted`: number of
+    parameters that were fitted to the residuals themselves."""
     m = len(residual)
     if float(np.linalg.norm(difference)) < 1e-9 or m < 3:
         return not_measured(NotMeasured.WIDE)
@@ -596,7 +652,9 @@ def measured(
     counts = np.diff(np.round(DRAWS * np.concatenate(([0.0], np.cumsum(share))) / share.sum()).astype(int))
     levels = np.ones((1, m)) if degrees is None else _levels(degrees, draw)
     dealt = np.diff(np.round(np.linspace(0, counts[0], len(levels) + 1)).astype(int))
-    drawn = [_unknown(residual, difference, level, int(n), draw) for level, n in zip(levels, dealt, strict=True) if n]
+    drawn = [
+        _unknown(residual, difference, level, int(n), draw, fitted) for level, n in zip(levels, dealt, strict=True) if n
+    ]
     drawn += [
         _explained(one, float(difference @ difference), int(n), draw) for one, n in zip(known, counts[1:], strict=True)
     ]
@@ -623,13 +681,15 @@ def _levels(degrees: Array, draw: np.random.Generator) -> Array:
     return out
 
 
-def _unknown(residual: Array, difference: Array, level: Array, count: int, draw: np.random.Generator) -> Array:
+def _unknown(
+    residual: Array, difference: Array, level: Array, count: int, draw: np.random.Generator, fitted: int = 0
+) -> Array:
     """Draws random values (count, 2) of the squared size of the gap before and after, if the composition of the gap is unknown.
     `level`: array of shape (m,), variance of the noise of each residual; for the part of the gap orthogonal to `difference`, the
     mean of `level` is used."""
     from scipy.special import chndtr
 
-    m, size = len(residual), float(np.linalg.norm(difference))
+    m, size = max(len(residual) - fitted, 2), float(np.linalg.norm(difference))
     along = float(residual @ difference) / size
     mean = float(np.mean(level))
     rest = (float(residual @ residual) - along**2) / mean

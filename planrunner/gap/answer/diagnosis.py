@@ -163,6 +163,7 @@ class Diagnosis:
                 "reason": shut.reason,
                 "unpredicted": list(shut.unpredicted),
                 "channels": [asdict(one) for one in shut.channels],
+                "repetition": None if shut.repetition is None else asdict(shut.repetition),
             },
             "unknown_form": None if self.unknown is None else self.unknown.to_json(),
             "rest": None if self.rest is None else asdict(self.rest),
