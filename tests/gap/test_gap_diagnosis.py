@@ -191,6 +191,7 @@ def test_the_json_is_plain_and_keeps_the_contract() -> None:
         "reason": "no effect",
         "unpredicted": [],
         "channels": [],
+        "repetition": None,
     }
 
 
