@@ -1,6 +1,6 @@
 """Slow noise: exact covariances of its means over segments, and its spectra for the remainder within a segment.
 
-Flicker is a sum of Ornstein–Uhlenbeck processes whose correlation times are one octave apart (Keshner, "1/f noise", Proc. IEEE 70,
+Flicker is a sum of Ornstein–Uhlenbeck processes whose correlation times are two octaves apart (Keshner, "1/f noise", Proc. IEEE 70,
 1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form.
 """
 
@@ -35,13 +35,13 @@ def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
 
 
 def flicker(starts: Array, ends: Array) -> Array:
-    """Covariance (S, S) of the segment means of flicker noise whose bias instability (floor of the Allan deviation) is 1.
+    """Covariance (S, S) of the segment means of flicker noise whose coefficient of bias instability B is 1.
 
-    Flicker noise of the density h/f has the Allan variance 2·ln 2·h (IEEE Std 952, annex C), which is 1 here. It is represented by
-    a sum of processes of variance v whose correlation times differ by a factor r. The total density of the processes between their
-    corner frequencies is v/(ln r·f), so v = ln r/(2·ln 2).
+    Flicker noise has the one-sided density B²/(π·f), and the Allan deviation √(2·ln 2/π)·B = 0.664·B (IEEE Std 952, annex C). It is
+    represented by a sum of processes of variance v whose correlation times differ by a factor r. The total density of the processes
+    between their corner frequencies is v/(ln r·f), so v = ln r/π.
     """
-    level = math.log(OCTAVES[1] / OCTAVES[0]) / (2 * math.log(2))
+    level = math.log(OCTAVES[1] / OCTAVES[0]) / math.pi
     total = np.zeros((len(starts), len(starts)))
     for tau in OCTAVES:
         total += level * ornstein_uhlenbeck(starts, ends, float(tau))
@@ -76,7 +76,7 @@ class SlowMeans:
 
 def flicker_spectrum(frequency: Array) -> Array:
     """One-sided spectral density of the noise of `flicker` at frequencies [Hz] above zero, 1/Hz."""
-    return np.asarray(1 / (2 * math.log(2)) / frequency)
+    return np.asarray(1 / (math.pi * frequency))
 
 
 def random_walk_spectrum(frequency: Array) -> Array:
