@@ -89,7 +89,7 @@ def _of_strength(kind: Kind, direction: Array, shape: tuple[float, ...], energy:
         if kind.name == "gyro_quantization" and ratio > COARSEST:
             return None
         step = work.sigma[0] * np.sqrt(12 * (ratio**2 - 1))
-        theta = step if kind.name == "gyro_quantization" else ratio * work.most_noise - 1
+        theta = step if kind.name == "gyro_quantization" else ratio * work.most_noise(kind.name) - 1
         return Fault(kind.name, np.array([theta])) if theta <= kind.largest else None
     for _ in range(1 if kind.linear else 25):
         found = work.energy(kind.fault(direction, amplitude, shape))
@@ -124,10 +124,14 @@ class Work:
         """Of a sample, per channel."""
         return self.around.sensor.sigma() * np.repeat(self.factors, 3)
 
-    @property
-    def most_noise(self) -> float:
-        """The largest gyro noise that a wrong declaration explains, in units of the true one."""
-        return WRONG_BY / self.factors[0]
+    def most_noise(self, effect: str) -> float:
+        """The largest noise that a wrong declaration explains, of the triad that the effect acts on, in units of the true one.
+
+        What is declared of real noise is the scatter of its samples, so their scatter is compared, not the level after a second.
+        """
+        triad = int(effect == "accel_noise_excess")
+        sensor = self.around.sensor
+        return WRONG_BY / self.factors[triad] * (real.true_factors(sensor.name)[triad] if sensor.real else 1.0)
 
     def noise_ratio(self, fault: Fault) -> float:
         """By how much the fault raises the gyros' noise."""
@@ -217,8 +221,9 @@ def overlapping(work: Work, first: Fault, second: Fault) -> bool:
 
 
 def strength_of(work: Work, fault: Fault) -> float:
-    if fault.effect == "gyro_noise_excess":
-        return excess_energy(work.noise_ratio(fault) / work.most_noise)
+    if fault.effect in ("gyro_noise_excess", "accel_noise_excess"):
+        ratio = noise_factor({fault.effect: fault}) * accel_noise_factor({fault.effect: fault})
+        return excess_energy(ratio / work.most_noise(fault.effect))
     return excess_energy(work.noise_ratio(fault)) if KINDS[fault.effect].covariance else work.energy(fault)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.blind import campaign, folder, generator, real
+from tests.blind.device import ideal
 from tests.blind.generator import make
 from tests.blind.plans import PLANS
 from tests.blind.product import diagnose
@@ -59,6 +60,20 @@ def test_cases_are_made_and_answered(tmp_path: Path) -> None:
     shown = folder.shown(tmp_path, "case-1")
     steps = np.diff(np.unique(shown.columns["gyro_x_deg_per_s"]))
     assert steps.min() == pytest.approx(shown.bench["channels"]["gyro_x"]["resolution"])
+
+
+@pytest.mark.parametrize("name", ["mpu6050", "ring_laser", "beside_a_turning_one"])
+def test_more_noise_is_more_than_a_wrong_declaration_explains(name: str) -> None:
+    """By the scatter of the samples, which is what is declared, whatever the level of the noise after a second."""
+    work = generator.Work(generator.signatures("poor", name), real.true_factors(name), ideal(real.sensor_called(name)))
+    kind, energy = generator.KINDS["gyro_noise_excess"], 400.0
+    fault = generator._of_strength(kind, np.ones(1), (), energy, work)
+    assert fault is not None and generator.strength_of(work, fault) == pytest.approx(energy)
+    schedule, sensor = work.around.schedule, work.around.sensor
+    factors = np.repeat(work.factors, 3) * np.r_[np.full(3, 1 + fault.theta[0]), np.ones(3)][: 3 * len(sensor.triads)]
+    scatter = real.noise(schedule, sensor, factors, np.random.default_rng(5)).std(axis=0)[:3].mean()
+    declared = sensor.sigma()[0]
+    assert scatter / declared == pytest.approx(2 * generator.excess_ratio(energy), rel=0.15)
 
 
 @pytest.mark.slow
