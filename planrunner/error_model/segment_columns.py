@@ -78,7 +78,7 @@ class SegmentStates:
         return SegmentStates(**{one.name: getattr(self, one.name)[place] for one in fields(self)})
 
     def measured(self, celsius: Array) -> SegmentStates:
-        """The states with the planned mean temperatures replaced by measured ones (n,), degC; the ramps stay as planned."""
+        """The states in which measured mean temperatures (n,), degC, replace the planned ones. The ramps stay as planned."""
         return replace(
             self, celsius=celsius, last_change=_last_changes(celsius - self.ramp / 2, celsius + self.ramp / 2)
         )

@@ -192,7 +192,8 @@ def _projections(matrix: Array) -> tuple[Array, Array, Array]:
 
 
 def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
-    """The blocks without repetitions of the same design, because the outputs of a triad often have the same design."""
+    """The blocks after leaving out each block whose design equals the design of an earlier block. The outputs of a triad often have
+    the same design."""
     found: dict[tuple[object, ...], DesignBlock] = {}
     for block in blocks:
         found.setdefault((block.labels, block.matrix.tobytes(), block.sigma.tobytes()), block)

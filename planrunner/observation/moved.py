@@ -1,4 +1,4 @@
-"""The motion of a sensor that no plan commands. Channels of the recording, which the plan names, show this motion."""
+"""The motion of a sensor, as channels of the recording show it, if no plan commands this motion. The plan names these channels."""
 
 from __future__ import annotations
 

@@ -52,7 +52,8 @@ def averaged(values: Array, size: int) -> Array:
 
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
     """The motion, computed from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to
-    East-North-Up. `force`: array of shape (n, 3), measured specific force; by default, that of a sensor that only rotates."""
+    East-North-Up. `force`: array of shape (n, 3), measured specific force; by default, the specific force of a sensor that only
+    rotates."""
     from scipy.spatial.transform import Rotation
 
     attitude = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().swapaxes(1, 2)
@@ -64,8 +65,8 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
     """The motion, computed from measured angular rates (n, 3) relative to inertial space. `start`: array of shape (3, 3), attitude
-    at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, that of a
-    sensor that only rotates. If the attitude is unknown, the specific force is zero unless `force` is given."""
+    at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, the specific
+    force of a sensor that only rotates. If the attitude is unknown, the specific force is zero unless `force` is given."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))

@@ -64,8 +64,8 @@ Branch = StatedValue | dict[str, "Branch"] | list["Branch"]
 class Meaning:
     """The meaning of a file.
 
-    `kind`: `plan` or `bench`. `content`: the parts of the meaning by key. `texts`: texts for readers, which are not part of the
-    meaning.
+    `kind`: `plan` or `bench`. `content`: maps each key to a part of the meaning. `texts`: texts for readers, which are not part of
+    the meaning.
     """
 
     kind: str

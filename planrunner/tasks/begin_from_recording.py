@@ -116,7 +116,7 @@ def bench_of(look: Look, name: str) -> str:
 
 
 def _labelled(look: Look) -> list[tuple[str, Span]]:
-    """The dwells of a recording with different rates, with their labels."""
+    """The dwells of a recording in which a table turned at different rates, each with its label."""
     return [(f"dwell_{number}", span) for number, span in enumerate(look.dwells, start=1)]
 
 

@@ -674,7 +674,7 @@ def _one_attributed(
     origins: Sequence[RunOrigin], amplitudes_: int, given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
 ) -> Attributed:
     """Attributes one amplitude to its sources. `amplitudes_`: number of all amplitudes examined, which the test for changes takes
-    into account. After a change, a device or bench counts as a different one."""
+    into account. After a change, a device or bench counts as a new one."""
     from threadpoolctl import threadpool_limits
 
     key, listed = given

@@ -301,8 +301,8 @@ def _resume(
 
 
 def _stand_in(reader: RunReader, bench: str) -> Document:
-    """Reads the bench file that replaces the one of the run. Raises `InputError` if the two differ in more than the addresses of
-    instruments."""
+    """Reads the bench file that replaces the bench file of the run. Raises `InputError` if the two differ in more than the
+    addresses of instruments."""
     path, shown = locate(bench, Path())
     data = source.read_bytes(path, shown)
     other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))

@@ -59,7 +59,7 @@ class StatedCondition(Generic[C]):
 
 
 def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedCondition[C]]) -> tuple[Influence, ...]:
-    """The influences of stated inputs on the results (m,) of a formula."""
+    """The influences of stated inputs on the m results of a formula."""
     return influences_on_several(lambda each: np.stack([formula(one) for one in each]), stated)
 
 

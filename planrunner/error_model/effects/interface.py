@@ -190,7 +190,8 @@ class OutsideCoefficients(Effect, Protocol):
 
 @runtime_checkable
 class OfAccelerometers(OutsideCoefficients, Protocol):
-    """An effect of the kind `OutsideCoefficients` on accelerometers; without this mark, such an effect acts on gyros."""
+    """An effect of the kind `OutsideCoefficients` that acts on accelerometers. An effect of this kind without the attribute
+    `of_accelerometers` acts on gyros."""
 
     of_accelerometers: Literal[True]
 

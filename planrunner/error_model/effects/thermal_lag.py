@@ -90,9 +90,9 @@ def lag(observed: Observed, tau: float) -> Array:
 
 
 def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind: float, tau: float) -> float:
-    """The lag Tₑ − T at the first instant of a record of temperatures `course`, K. `behind`: Tₑ − T at the end of the preceding
-    record `before`, K. Between the two records, T = T₁ + D·exp(−t/s). Tₑ − T₁ is then a sum of two terms: its first value, decaying
-    with the time constant τ, and the convolution of D·exp(−t/s) with exp(−t/τ)/τ."""
+    """The lag Tₑ − T [K] at the first instant of a record of temperatures, `course`. `behind`: the lag Tₑ − T [K] at the end of the
+    preceding record, `before`. Between the two records, T = T₁ + D·exp(−t/s). Tₑ − T₁ is then a sum of two terms: its first value,
+    decaying with the time constant τ, and the convolution of D·exp(−t/s) with exp(−t/τ)/τ."""
     if before is None:
         return 0.0
     gap = float(course.time[0] - before.time[-1])

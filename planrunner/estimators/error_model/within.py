@@ -383,7 +383,7 @@ class _Problem:
 
     def _reweighted(self, values: Sequence[float], observed: Array) -> float:
         """Computes the noise of samples and the noise of means anew from the residuals of a fit. Returns the factor by which the
-        ratio of the two changes."""
+        ratio of these two noises changes."""
         before = self.sigma / self.error
         amplitudes, _ = self.projected(values, observed)
         left = observed - self.values(values, amplitudes)

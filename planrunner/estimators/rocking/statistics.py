@@ -48,7 +48,7 @@ class StateDrifts:
 
     @property
     def runs(self) -> tuple[Array, Array]:
-        """The drifts of the static runs and the drifts of the dynamic runs, each (2q, k), deg/h."""
+        """The drifts of the static runs and the drifts of the dynamic runs, two arrays of shape (2q, k) in deg/h."""
         static, dynamic = self.drifts[:, [0, 3]], self.drifts[:, [1, 2]]
         return static.reshape(-1, static.shape[2]), dynamic.reshape(-1, dynamic.shape[2])
 

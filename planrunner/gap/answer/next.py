@@ -380,8 +380,8 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """Removes those of the chosen segments that are not needed, because the target is reached without them. If the target is out of
-    reach, the target is the probability that all chosen segments together give."""
+    """Removes those of the chosen segments that are not needed, because the target is reached without them. If all chosen segments
+    together do not reach the target, the probability that they give is used as the target."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:

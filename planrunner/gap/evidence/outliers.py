@@ -148,7 +148,8 @@ def _left(columns: Array, q: Array) -> Array:
 
 
 def _step(error: Array, row: int, root: Array, q: Array) -> float:
-    """The largest test statistic of a step near a row; it has the same scale as the statistic of an outlier."""
+    """The largest test statistic of a step near a row. It can be compared with the statistic of an outlier, because both have the
+    same scale."""
     from scipy.fft import dct
 
     count = len(error)

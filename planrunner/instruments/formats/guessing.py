@@ -492,7 +492,8 @@ def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> flo
 
 
 def _mean_step(values: Array) -> float | None:
-    """The mean step per row of a time that several rows share; None if the time decreases, or changes less than four times."""
+    """The mean step of the time per row, for a time that several rows have in common; None if the time decreases, or changes less
+    than four times."""
     if not np.all(np.isfinite(values)) or np.any(np.diff(values) < 0):
         return None
     changes = np.flatnonzero(np.diff(values) > 0) + 1

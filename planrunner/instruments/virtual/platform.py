@@ -212,7 +212,8 @@ class VirtualPlatform:
         )
 
     def _cage(self) -> None:
-        """Cages the element: it is level within the dead region, and its azimuth has the repeatability of the caging."""
+        """Cages the element. The element is then level within the dead region, and its azimuth differs from caging to caging by the
+        stated repeatability."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]
         up = base[:, 2]

@@ -66,7 +66,7 @@ class World:
     # -- motion --------------------------------------------------------------------------------------------------------
 
     def joints(self, time: float) -> tuple[Array, Array]:
-        """Joint angles [rad] and rates [rad/s] at one time, each (number of axes,)."""
+        """Joint angles [rad] and rates [rad/s] at one time, two arrays with one element for each axis."""
         followed = self.course.follow(np.array([time]))
         angles, rates = zip(*followed, strict=True) if followed else ((), ())
         return np.array([float(np.ravel(v)[0]) for v in angles]), np.array([float(np.ravel(v)[0]) for v in rates])

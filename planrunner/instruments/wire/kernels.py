@@ -42,7 +42,8 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _word(data, place, little):  # type: ignore[no-untyped-def]
-    """Four bytes, combined to a number. `place`: must be unsigned, so that numba need not check for a negative index."""
+    """Four bytes, combined to a number. `place`: index of the first byte; the type must be unsigned, so that numba need not check
+    for a negative index."""
     first, second = np.uint32(data[place]), np.uint32(data[place + np.uintp(1)])
     third, fourth = np.uint32(data[place + np.uintp(2)]), np.uint32(data[place + np.uintp(3)])
     if little:
