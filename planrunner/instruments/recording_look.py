@@ -26,6 +26,7 @@ from planrunner.instruments.formats.guessing import (
     guessed_format,
     guessed_time,
     not_numbers,
+    of_minutes,
     opened,
     sensors_in_rows,
     stated_rates,
@@ -204,7 +205,8 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         first = next((values for _, _, values in file.all_rows()), None)
         if first is None:
             raise InstrumentError(f"{path.name} holds no samples")
-        written = {} if rate is not None else columns_of_times(path, path.name, columns, given)
+        plain = [column for column in columns if not of_minutes(first[column])]
+        written = {} if rate is not None else columns_of_times(path, path.name, plain, given)
         time = guessed_time(first, written, stated_rates(path, path.name, given))
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
@@ -349,7 +351,8 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
         three = guesses[begin : begin + 3]
         norm = np.sqrt(sum(first[one.column] ** 2 for one in three))
         level = _median(norm)
-        if not any(abs(math.log(max(level, 1e-9) / one_g)) < GRAVITY_ALIKE for one_g in (STANDARD_GRAVITY, 1.0)):
+        alike = any(abs(math.log(max(level, 1e-9) / one_g)) < GRAVITY_ALIKE for one_g in (STANDARD_GRAVITY, 1.0))
+        if not alike and not (_of_counts(level) and _turns_with_the_sensor(first, three)):
             continue
         after = [guesses[k : k + 3] for k in range(begin + 3, len(guesses) - 2, 3)][:2]
         triads = [*after, guesses[max(begin - 3, 0) : begin]]
@@ -359,6 +362,13 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
             sensed |= _axes("gyro", gyros)
         return [Guess(one.column, *sensed.get(one.column, ("", "")), one.unit) for one in guesses]
     return guesses
+
+
+def _of_counts(level: float) -> bool:
+    """True if 1 g may be `level` counts: a power of two from 256, as in the registers of most accelerometers, or mg."""
+    return any(
+        abs(math.log(max(level, 1e-9) / one_g)) < GRAVITY_ALIKE for one_g in (1000.0, *(2.0**k for k in range(8, 17)))
+    )
 
 
 def _turns_with_the_sensor(first: Mapping[str, Array], three: Sequence[Guess]) -> bool:

@@ -27,11 +27,13 @@ def constant_rates(times: Array, period: float) -> Iterator[tuple[slice, float]]
         known = math.isnan(period) and len(steps) > 0
         yield slice(0, len(times)), float(np.median(steps)) if known else period
         return
-    pieces = np.array_split(steps, count)
-    edges = np.cumsum([0, *(len(piece) for piece in pieces)])
-    medians = np.array([np.median(piece) for piece in pieces])
+    medians = np.median(steps[: count * _ROWS].reshape(count, _ROWS), axis=1)
+    edges = _ROWS * np.arange(count + 1)
     period = float(medians[0]) if math.isnan(period) else period
     begin = 0
+    if np.abs(medians / period - 1).max() <= _OTHER:
+        yield slice(0, len(times)), period
+        return
     for k in range(count - 1):
         first, second = medians[k : k + 2]
         if min(abs(first / period - 1), abs(second / period - 1)) > _OTHER and abs(second / first - 1) < _OTHER:

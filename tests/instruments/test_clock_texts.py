@@ -59,6 +59,9 @@ def test_a_date_with_a_time(text: str, expected: datetime) -> None:
         ("23:59:59,5", 86399.5),
         ("1:00:00 pm", 46800),
         ("12:00:00:005", 43200.005),
+        ("00:01.25", 1.25),
+        ("59:59.9", 3599.9),
+        ("120000.005", 43200.005),
     ],
 )
 def test_a_time_of_day(text: str, expected: float) -> None:

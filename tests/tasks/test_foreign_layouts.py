@@ -251,6 +251,31 @@ def sqlite(folder: Path) -> Path:
     return folder / "r.sqlite"
 
 
+def racelogic(folder: Path) -> Path:
+    """Times of day as numbers: 59.98 s is followed by 100.00."""
+    stamp = at("%H%M%S.{f}", timedelta(seconds=30), digits=2)
+    lines = [
+        f"{stamp(t)} {row}" for t, row in zip(TIME.tolist(), rows(GYRO * DEG, ACCEL / G, separator=" "), strict=True)
+    ]
+    return text(folder / "r.txt", "time gx_dps gy_dps gz_dps ax_g ay_g az_g", lines)
+
+
+def minutes(folder: Path) -> Path:
+    """Minutes and seconds, as Excel shows and saves short times; names in German."""
+    stamp = at("%M:%S.{f}", digits=2)
+    names = [*(f"Drehrate {x} [°/s]" for x in "XYZ"), *(f"Beschleunigung {x} [m/s²]" for x in "XYZ")]
+    lines = [f"{stamp(t)};{row}" for t, row in zip(TIME.tolist(), rows(GYRO * DEG, ACCEL, separator=";"), strict=True)]
+    return text(folder / "r.csv", ";".join(["Zeit", *names]), lines, "latin-1")
+
+
+def witmotion(folder: Path) -> Path:
+    """Angles in degrees are no rates."""
+    units = [("a", "g"), ("w", "deg/s"), ("Angle", "deg")]
+    names = [f"{name}{axis if name != 'Angle' else axis.upper()}({unit})" for name, unit in units for axis in "xyz"]
+    lines = rows(TIME, ACCEL / G, GYRO * DEG, np.cumsum(GYRO * DEG, axis=0) / RATE, separator="\t")
+    return text(folder / "r.txt", "\t".join(["Time(s)", *names]), lines)
+
+
 NANOSECONDS = 1772625600005000000 + 20_000_000 * np.arange(len(TIME))
 DATE, OF_DAY = "date_time", "time_of_day"
 CASES: dict[str, tuple[Write, str | None, str, str]] = {
@@ -286,6 +311,9 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "epoch in ms": (stamped(lambda t: f"{1772625600005 + round(1000 * t)}"), "ms", "deg/s", "g"),
     "datenum": (stamped(lambda t: f"{740045.5 + t / 86400:.11f}"), "days", "deg/s", "g"),
     "excel's days": (stamped(lambda t: f"{46085.5 + t / 86400:.11f}"), "days", "deg/s", "g"),
+    "racelogic": (racelogic, OF_DAY, "deg/s", "g"),
+    "minutes": (minutes, OF_DAY, "deg/s", "m/s^2"),
+    "witmotion": (witmotion, "s", "deg/s", "g"),
     "gps": (stamped(lambda t: f"2408,{(604790 + t) % 604800:.3f}", "GPS_Week,GPS_SOW"), "s", "deg/s", "g"),
     "parquet": (parquet(pa.array(NANOSECONDS.astype("M8[ns]")), "timestamp"), DATE, "deg/s", "g"),
     "parquet in ns": (parquet(pa.array(NANOSECONDS), "timestamp"), "ns", "deg/s", "g"),
@@ -312,6 +340,18 @@ def test_time_units_and_axes_are_found(tmp_path: Path, capsys: pytest.CaptureFix
             noise = GYRO_NOISE / IN_RAD[gyro] if one["channel"].startswith("gyro") else ACCEL_NOISE / IN_M[accel]
             assert one["noise"] == pytest.approx(noise, rel=0.2), one["channel"]
     assert main(["check", str(plan), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+
+
+def test_raw_counts_without_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A clock in us, accelerometers with 16384 counts per g, and gyros with 131 counts per deg/s."""
+    lines = rows(1e6 * TIME + 3e6, (ACCEL / G * 16384).round(), (GYRO * DEG * 131).round(), form="%.0f")
+    file = text(tmp_path / "r.csv", lines[0], lines[1:])
+    assert main(["new", "--from-recording", str(file), str(tmp_path / "begun.yaml"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["time"]["unit"] == "us" and len(said["channels"]) == 6
+    found = {one["channel"]: one for one in said["channels"]}
+    assert all(one["counts"] for one in found.values())
+    assert found["accel_x"]["noise"] == pytest.approx(ACCEL_NOISE / G, rel=0.2)
 
 
 def words(folder: Path) -> Path:

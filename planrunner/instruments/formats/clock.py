@@ -23,16 +23,21 @@ if TYPE_CHECKING:
 DAY = 86_400.0
 """Seconds."""
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_TIME_OF_DAY = (
-    r"(?P<h>\d{1,2})[:.](?P<m>\d{2})(?:[:.](?P<s>\d{1,2})(?:[.,:](?P<f>\d{1,9})\d*)?)?"
-    r"\s*(?P<p>[AaPp])?(?:\.?[Mm]\.?)?\s*(?:Z|z|UTC|GMT)?(?P<z>[+-]\d{2}:?(?:\d{2})?)?(?:\[[^\]]*\])?\s*$"
-)
+_END = r"\s*(?P<p>[AaPp])?(?:\.?[Mm]\.?)?\s*(?:Z|z|UTC|GMT)?(?P<z>[+-]\d{2}:?(?:\d{2})?)?(?:\[[^\]]*\])?\s*$"  # half of the day, zone
+_COLONS = r"(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{1,2})(?:[.,:](?P<f>\d{1,9})\d*)?)?"
+_POINTS = r"(?P<h>\d{1,2})\.(?P<m>\d{2})\.(?P<s>\d{2})(?:[.,](?P<f>\d{1,9})\d*)?"
+_DATE = r"(?P<a>\d{1,4})(?P<sep>[-/. ])(?P<b>\d{1,2}|[A-Za-z]{3})[-/. ](?P<c>\d{1,4})(?:[T_,;-]\s*|\s+)"
+_NO_DATE = r"(?P<a>)(?P<sep>)(?P<b>)(?P<c>)"
 _FORMS = (
-    rf"^\s*(?:(?P<a>\d{{1,4}})(?P<sep>[-/. ])(?P<b>\d{{1,2}}|[A-Za-z]{{3}})[-/. ](?P<c>\d{{1,4}})(?:[T_,;-]\s*|\s+))?{_TIME_OF_DAY}",
+    rf"^\s*(?:{_DATE})?{_COLONS}{_END}",
+    rf"^\s*{_DATE}{_POINTS}{_END}",
     r"^\s*(?P<a>\d{4})(?P<b>\d{2})(?P<c>\d{2})[T_ -]?(?P<h>\d{2})(?P<m>\d{2})(?P<s>\d{2})(?:[.,](?P<f>\d{1,9})\d*)?"
     r"(?P<sep>)(?P<p>)(?:Z|z)?(?P<z>[+-]\d{2}:?(?:\d{2})?)?\s*$",
+    rf"^\s*{_NO_DATE}(?P<h>)(?P<m>\d{{1,3}}):(?P<s>\d{{2}})[.,](?P<f>\d{{1,9}})\d*(?P<p>)(?P<z>)\s*$",
+    rf"^\s*{_NO_DATE}(?P<h>\d{{2}})(?P<m>\d{{2}})(?P<s>\d{{2}})(?:\.(?P<f>\d{{1,9}})\d*)?(?P<p>)(?P<z>)\s*$",
 )
-"""A date in the order year, month, day, or month/day/year, or day.month.year, before a time of day; and both without separators."""
+"""A date in the order year, month, day, or month/day/year, or day.month.year, before a time of day; both without separators; minutes
+and seconds; and a time of day without separators, as in NMEA sentences."""
 
 
 def seconds_in(texts: pa.Array, where: str) -> Array:

@@ -228,7 +228,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
         )
     else:
         try:
-            keys = _text_keys(start.decode("utf-8-sig", "strict" if len(start) < MAX_HEADER else "ignore"), "utf-8")
+            whole = start if len(start) < MAX_HEADER else start[: start.rfind(b"\n") + 1] or start
+            keys = _text_keys(whole.decode("utf-8-sig"), "utf-8")
         except UnicodeDecodeError:
             keys = _text_keys(start.decode("latin-1"), "latin-1")
     if keys is None:
@@ -446,7 +447,7 @@ def guessed_time(
         if (step := _mean_step(values)) is not None:
             return replace(_written_time(column, values, 1 / step), shared=True)
     for column, values in named.items():
-        if (step := _mean_step(values)) is not None:
+        if (step := _mean_step(values)) is not None and not of_minutes(values):
             time = _time_of(column, step, None, stated, values)
             return None if time is None else replace(time, shared=True)
     return None
@@ -468,13 +469,22 @@ def _number_time(
     steps = np.diff(values)
     wraps = wrap_of(steps[steps <= 0], float(np.median(steps)), float(values.min()), float(values.max()))
     step = _step(values, first, wraps)
-    if step is None:
+    if step is None or of_minutes(values):
         return None
     if regular:
         steps = np.where(steps <= 0, steps + (wraps or 0.0), steps)
         if np.max(np.abs(steps / step - 1)) > 0.5:
             return None
     return _time_of(column, step, wraps, stated, values)
+
+
+def of_minutes(values: Array) -> bool:
+    """True if numbers such as 120059.99 state hours, minutes and seconds: seconds after 59.99 are missing, and steps of 40 replace
+    them. `values`: first values of the column."""
+    steps = np.diff(values)
+    jumps = steps[steps > 1]
+    after_a_minute = ((jumps > 40) & (jumps < 41)) | ((jumps > 4040) & (jumps < 4041))
+    return bool(len(jumps) and values.max() < 240_000 and np.all(values % 100 < 60) and after_a_minute.all())
 
 
 def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> float | None:
