@@ -244,7 +244,8 @@ def _whole_turns(
 
 
 def mean_left(turns: float) -> float:
-    """The largest possible mean, over all starting angles, of a sine wave of amplitude one during this number of turns.
+    """Returns the largest possible absolute mean of a sine wave with the amplitude one during `turns` turns. The mean depends on
+    the angle at which the sine wave starts; the largest mean over all such angles is returned.
 
     (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN): at most |sin πN|/(πN), and zero after whole turns.
     """

@@ -1,4 +1,5 @@
-"""Keys of a bench file about signatures: the approvals that it requires, its own key, and the authority of its time stamps (RFC 3161)."""
+"""Declares the entries of a bench file that concern signatures: the required approvals, the key with which the bench signs, and the
+authority that issues its time stamps (RFC 3161)."""
 
 from __future__ import annotations
 

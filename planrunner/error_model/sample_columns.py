@@ -56,8 +56,8 @@ class SampleColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSamples:
-    """The model of one output at samples. `observed`: the stimulus at N samples. The constructor `of` replaces the channels of a
-    recording by two ideal triads."""
+    """The model of one output at samples. `observed`: the stimulus at N samples. The constructor named `ErrorsAtSamples.of`
+    replaces the channels of a recording by two ideal triads."""
 
     observed: Observed
     errors: OutputErrors

@@ -171,7 +171,7 @@ _RESTS_ON = {
 
 
 def combined(estimate: Estimate) -> Estimate:
-    """The estimate with a budget for each coefficient, which combines the contribution of the data with all influences."""
+    """Adds a budget to each coefficient of an estimate. The budget combines the contribution of the data with all influences."""
     basis = estimate.settings.get("uncertainty", "")
     measured = [
         Measured(item.name, item.value, item.unit, item.standard_uncertainty, item.degrees_of_freedom)
@@ -196,8 +196,8 @@ def combined(estimate: Estimate) -> Estimate:
 def coarse_counts(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
-    """A warning for each channel whose noise, in at least one segment, is too small to average out the rounding to counts.
-    `channels`: the channels to check; if empty, all outputs of the sensor.
+    """Warns of each channel whose noise, in at least one segment, is too small to average out the rounding to counts. `channels`:
+    the channels to check; if empty, all outputs of the sensor.
 
     In such a channel, equal inputs have equal rounding errors. Neither the noise within the segments nor the scatter of repetitions
     shows these errors.
@@ -237,8 +237,8 @@ NAMED = 3
 
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
-    """Up to two sentences: one about samples that the segments lack, and one about gaps within the segments; a sentence is omitted
-    if it does not apply. `sample_rate`: sample rate [Hz] for segments that state none."""
+    """Reports samples that the segments lack, and gaps within the segments. Returns at most two sentences, one about each of these
+    faults. `sample_rate`: sample rate [Hz] for segments that state none."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics

@@ -1,5 +1,5 @@
-"""Checks of the two kinds of uncertainty, 'residual' and 'within_segment', and of their consistency, as notes and warnings for the
-report."""
+"""Checks the two kinds of uncertainty, `residual` and `within_segment`, and writes notes and warnings for the report. Also checks
+whether the two kinds are consistent."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
 
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
-    """Checks that the fit can give uncertainties of the kind that the plan requests. Raises `EstimationError` if the plan requests
+    """Checks that the fit can give the kind of uncertainty that the plan requests. Raises `EstimationError` if the plan requests
     uncertainties from residuals and there are too few segments, and `UnfitDataError` if it requests uncertainties from the noise
     within segments and the samples do not show this noise."""
     if fit.available(basis):
@@ -82,13 +82,12 @@ MORE_SEGMENTS = "add segments or write `uncertainty: within_segment`"
 
 
 def no_residual(count: int) -> str:
-    """A message which says that there are only as many segments as coefficients."""
+    """Returns a message which says that there are only as many segments as coefficients."""
     return f"{count} segments for {count} coefficients leave no residuals from which an uncertainty could be estimated"
 
 
 def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
-    """A warning about segments that are too short for batch means. The noise within a segment is computed from the scatter of these
-    means."""
+    """Warns of segments that are too short for batch means. The noise within a segment is computed from the scatter of these means."""
     short = [(count, one.label) for one in request.segments if 0 < (count := planned_samples(request, one)) < BATCHES]
     if not short:
         return ()
@@ -103,12 +102,12 @@ def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
 
 
 def planned_samples(request: DesignRequest[object], segment: Segment) -> int:
-    """The planned number of samples of a segment; 0 if the length of the segment is not known."""
+    """Returns the planned number of samples of a segment; 0 if the length of the segment is not known."""
     return max(1, round((segment.sample_rate or request.sensor.sample_rate) * segment.dwell)) if segment.dwell else 0
 
 
 def unlike_outputs(fit: OutputsFit) -> Said | None:
-    """A warning if the variance factors of the outputs differ too much for a pooled estimate."""
+    """Returns a warning if the variance factors of the outputs differ too much to be pooled."""
     from scipy.special import fdtrc
 
     factors = np.array([one.variance_factor for one in fit.fits])
@@ -145,7 +144,7 @@ class Judgement:
 
     @property
     def texts(self) -> tuple[Said, ...]:
-        """The texts of the notes, without the names of the outputs."""
+        """Returns the texts of the notes, without the names of the outputs."""
         return tuple(note.text for note in self.notes)
 
 

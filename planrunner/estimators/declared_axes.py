@@ -46,13 +46,13 @@ class AxisResponse:
 
     @property
     def largest(self) -> int:
-        """The axis along which the magnitude of the response is largest."""
+        """Returns the axis along which the response has the largest magnitude."""
         return max(self.ratios, key=lambda axis: abs(self.ratios[axis]))
 
 
 def contradictions(rows: Sequence[AxisResponse]) -> list[Said]:
-    """Warnings about the outputs of one triad that contradict their declaration. Only outputs that were excited along their own axes
-    are compared."""
+    """Returns warnings about outputs of one triad that contradict their declaration. Only outputs that were excited along their own
+    axes are compared."""
     excited = [row for row in rows if row.axis in row.ratios and any(row.ratios.values())]
     reversed_ = [row for row in excited if row.largest == row.axis and row.own < 0]
     found = _all_reversed(reversed_[0].unit) if len(reversed_) == 3 else [_reversed(row) for row in reversed_]
@@ -66,8 +66,8 @@ def contradictions(rows: Sequence[AxisResponse]) -> list[Said]:
 
 
 def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[Said]:
-    """Warnings about scale factors whose sign or size differs from the nominal value. Each factor is given as a tuple of its name,
-    the value found, and the nominal value in the bench file, which must not be zero."""
+    """Returns a warning for each scale factor whose sign or size differs from the nominal value. Each factor is given as a tuple of
+    its name, the value found, and the nominal value in the bench file, which must not be zero."""
     found = []
     for name, value, nominal in factors:
         ratio = value / nominal

@@ -38,7 +38,8 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Derived:
-    """q quantities computed from the r coefficients of several fits. The coefficients of all fits form one sequence.
+    """Contains q quantities that are computed from the coefficients of several fits. The r coefficients of all fits form one
+    sequence.
 
     `values`: array of shape (q,), in the quantities' units. `gradient`: array of shape (q, r), derivatives with respect to the
     fitted coefficients. `between`: for each kind of uncertainty, the covariance (r, r) between the coefficients of different fits;
@@ -53,15 +54,15 @@ class Derived:
     between: Mapping[str, Array] = field(default_factory=dict)
 
     def covariance(self, basis: str) -> Array:
-        """The covariance (q, q) of the quantities that comes from the data."""
+        """Returns the covariance matrix that the data give to the quantities, shape (q, q)."""
         data = independent([fit.covariance(basis) for fit in self.fits])
         if basis in self.between:
             data = data + self.between[basis]
         return np.asarray(self.gradient @ data @ self.gradient.T)
 
     def spread(self, basis: str) -> tuple[Array, Array]:
-        """The standard uncertainties (q,) that come from the data, and their effective degrees of freedom (q,) (Welch–Satterthwaite
-        over the fits)."""
+        """Returns two arrays of shape (q,): the standard uncertainties that the data give to the quantities, and their effective
+        degrees of freedom (Welch–Satterthwaite formula over the fits)."""
         variance, squares = np.zeros(len(self.values)), np.zeros(len(self.values))
         least = np.full(len(self.values), math.inf)
         for fit, own in zip(self.fits, self._by_fit(), strict=True):
@@ -83,19 +84,20 @@ class Derived:
         )
 
     def influences(self, acting: Sequence[Sequence[Influence]]) -> tuple[Influence, ...]:
-        """The influences on the quantities, computed from the influences on the coefficients of each fit. An input that acts on
+        """Computes the influences on the quantities from the influences on the coefficients of each fit. An input that acts on
         several fits counts as one input."""
         by_fit = zip(acting, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for influences, gradient in by_fit for one in influences)
 
     @property
     def unstated(self) -> tuple[UnstatedFlicker, ...]:
-        """The effect of flicker on the quantities, for flicker that the bench file neither states nor excludes."""
+        """Computes how the quantities change with flicker that the bench file neither states nor excludes."""
         by_fit = zip(self.fits, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for fit, gradient in by_fit for one in fit.unstated_flicker())
 
     def draws(self, basis: str, acting: Sequence[Sequence[Influence]]) -> Draws:
-        """Monte Carlo draws of the quantities, computed with the formula. Only the influences are approximated to first order.
+        """Draws the quantities by the Monte Carlo method; each draw is computed with the formula. Only the influences are
+        approximated to first order.
 
         The contribution of each fit is drawn from Student's t distribution, with the degrees of freedom of the variance of this
         fit. Outputs that are pooled share one variance.
@@ -143,8 +145,8 @@ def _through(formula: Formula, parts: Sequence[Draws], rng: np.random.Generator,
 
 
 def independent(blocks: Sequence[Array]) -> Array:
-    """The covariance matrix (Σn, Σn) of quantities in groups that are independent of each other. `blocks`: the covariance matrix
-    (n, n) of each group."""
+    """Returns the covariance matrix of several groups of quantities, shape (Σn, Σn). The groups are independent of each other.
+    `blocks`: for each group of n quantities, its covariance matrix, shape (n, n)."""
     if len(blocks) == 1:
         return blocks[0]
     size = sum(len(block) for block in blocks)

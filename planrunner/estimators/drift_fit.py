@@ -55,8 +55,8 @@ _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SuspectedDrift:
-    """A drift function that is not fitted, although the data do not exclude a drift large enough to matter. The fields describe the
-    coefficient that the drift function affects most.
+    """Describes a drift function that is not fitted, although the data do not exclude a drift large enough to matter. The fields
+    describe the coefficient that the drift function affects most.
 
     `output`, `term`: indices of the output and of the term of this coefficient. `growth`: factor by which the standard uncertainty
     of the coefficient grows if the drift function is fitted; infinite if the segments cannot separate the drift function from the
@@ -76,8 +76,8 @@ class SuspectedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DoubtedDrift:
-    """A drift function that is not fitted, although there is some evidence for it. `amplitudes`: array of shape (m, r), for each
-    output and each column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u.
+    """Describes a drift function that is not fitted, although there is some evidence for it. `amplitudes`: array of shape (m, r),
+    for each output and each column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u.
     `probability`: probability that chance alone gives amplitudes at least as large as the fitted ones, or residuals at least as
     large as those of the fit without drift, whichever is smaller; 1 for a drift function that was not tested."""
 
@@ -88,7 +88,7 @@ class DoubtedDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDrift:
-    """The result of the search for a drift in a fit.
+    """Contains the result of the search for a drift in a fit.
 
     `courses`: the fitted drift functions. `by_evidence`: True if they were chosen because the data show them, False if the plan
     asks for them. `judged`: True if a drift could have been found in the data. `without`: array of shape (m, p), the coefficients
@@ -114,7 +114,7 @@ class FittedDrift:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """For each of the q fitted amplitudes, the unit by which it is divided, such as h for a drift per hour."""
+        """Returns the denominator of the unit of each of the q fitted amplitudes, such as h for a drift per hour."""
         return tuple(course.per for course in self.courses for _ in course.parts)
 
 
@@ -124,13 +124,13 @@ Fits = Callable[[Array], Sequence[LinearFit]]
 
 
 def joined(matrix: Array, courses: Sequence[DriftCourse]) -> Array:
-    """The design matrix with the columns of the terms (n, p), followed by the columns of the drift functions."""
+    """Returns the design matrix: the columns of the terms, `matrix` (n, p), followed by the columns of the drift functions."""
     return np.hstack([matrix, *(course.columns for course in courses)]) if courses else matrix
 
 
 def sizes(magnitudes: Array, columns: Array) -> Array:
-    """The magnitudes of the columns that `joined` returns: the declared magnitudes of the terms, and the root mean squares of the
-    drift functions."""
+    """Returns the magnitude of each column that `joined` returns: for a term its declared magnitude, for a drift function its root
+    mean square."""
     further = columns[:, len(magnitudes) :]
     return np.concatenate([magnitudes, np.sqrt(np.mean(further**2, axis=0))]) if further.size else magnitudes
 
@@ -386,7 +386,8 @@ def _chance(
 
 
 def explained_by_noise(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> bool:
-    """Whether the noise within the segments explains the residuals of all outputs together (F-test); False if the noise is unknown."""
+    """Tests whether the noise within the segments explains the residuals of all outputs together (F-test). Returns False if the
+    noise is unknown."""
     found = _probability_of_residuals(after, noises)
     return found is not None and found >= SIGNIFICANCE
 

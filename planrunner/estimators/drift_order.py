@@ -1,5 +1,5 @@
-"""Checks whether the order of planned segments couples a drift to the coefficients: how much the uncertainties grow if the drift is
-fitted, and which order avoids this.
+"""Checks whether the order of planned segments couples a drift to the coefficients. Computes how much the uncertainties grow if the
+drift is fitted, and proposes an order that avoids this.
 
 Let A be the weighted design matrix of the terms, and T the weighted columns of the drift. If the drift is fitted, the covariance of
 the coefficients grows from C = (AᵀA)⁻¹ to C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix

@@ -33,9 +33,9 @@ _ALONG_UP = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What an estimator knows about the outputs; the keys are names of outputs. `responses`: the error model and its coefficients,
-    as declared for the sensor. `directions`: for each output, its input axis (3,) in the sensor's frame, if the keys of the
-    estimator define the axis."""
+    """States what an estimator knows about the outputs; the keys are names of outputs. `responses`: the error model and its
+    coefficients, as declared for the sensor. `directions`: for each output, its input axis (3,) in the sensor's frame, if the keys
+    of the estimator define the axis."""
 
     responses: Responses = field(default_factory=dict)
     directions: Mapping[str, Array] = field(default_factory=dict)
@@ -43,7 +43,7 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """A set of assumed values for quantities that neither plan nor bench state.
+    """Contains assumed values for quantities that neither the plan nor the bench file states.
 
     `noise`: standard error of a mean, in the output's unit. `gain`: output per SI unit of the sensed quantity. `kelvin`:
     temperature in K. `attitude`: array of shape (3, 3), the assumed attitude.

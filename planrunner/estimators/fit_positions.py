@@ -24,7 +24,7 @@ from planrunner.uncertainty.influences import Influence
 
 
 class FittedFromPositions(Protocol):
-    """The plan keys of an estimator that fits mean readings in several positions."""
+    """Declares the plan keys of an estimator that fits mean readings in several positions."""
 
     @property
     def uncertainty(self) -> str: ...
@@ -93,7 +93,8 @@ def fit_positions(
 def site_influences(
     request: EstimateRequest[FittedFromPositions], design: PositionsDesign, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """The influences of latitude and gravity on the coefficients, listed output after output, in the outputs' units per SI column."""
+    """Computes how the latitude and the magnitude of gravity influence the coefficients. The coefficients are listed output after
+    output, in the outputs' units per SI unit of the column."""
     errors = site_errors(design.model, design.segments, request.site, request.setup.inputs, fit.coefficients)
     functionals = functionals_of(fit.gains)
     return tuple(error.through(functionals) for error in errors)

@@ -15,7 +15,7 @@ from planrunner.uncertainty.decision import expanded_uncertainty
 
 
 def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) -> list[FilledColumn]:
-    """Two table columns for an output: the means of its segments and the residuals of the means."""
+    """Returns two table columns for an output: the means of its segments, and the residuals of these means."""
     name, unit = observations.channels[output], observations.units[output]
     return [
         (TableColumn(f"{name} mean", Role.VALUE, unit), observations.mean[:, output]),
@@ -24,8 +24,8 @@ def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) 
 
 
 def residual_table(title: str, observed: str, observations: Observations, fit: OutputsFit) -> Table:
-    """A table of the means, the residuals, and the uncertainty of each mean from the noise within its segment. `observed`: title of
-    the first column, such as `position`."""
+    """Makes a table of the means, their residuals, and the uncertainty that each mean has from the noise within its segment.
+    `observed`: title of the first column, such as `position`."""
     columns: list[FilledColumn] = [(TableColumn(observed), observations.labels)]
     for k, (name, unit) in enumerate(zip(observations.channels, observations.units, strict=True)):
         within = TableColumn(f"{name} u within segment", Role.STANDARD_UNCERTAINTY, unit)
@@ -34,7 +34,7 @@ def residual_table(title: str, observed: str, observations: Observations, fit: O
 
 
 def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
-    """A table of the drifts that are fitted together with the coefficients; no table if there are none."""
+    """Makes a table of the drifts that are fitted together with the coefficients. Returns no table if no drift is fitted."""
     rows: list[tuple[Cell, ...]] = []
     for fit in fits:
         spreads, p = fit.drift_spreads, fit.matrix.shape[1]
@@ -66,12 +66,12 @@ def drift_tables(fits: Sequence[OutputsFit], basis: str) -> tuple[Table, ...]:
 
 
 def bases_shown(chosen: str, fits: Sequence[OutputsFit]) -> list[str]:
-    """The kinds of uncertainty that a table shows: the chosen kind first, then the other kind if all fits have it."""
+    """Lists the kinds of uncertainty that a table shows: first the chosen kind, then the other kind if all fits have it."""
     return [chosen, *(other for other in BASES if other != chosen and all(fit.available(other) for fit in fits))]
 
 
 def spread_columns(basis: str) -> tuple[TableColumn, ...]:
-    """The columns for one kind of uncertainty: standard uncertainty, degrees of freedom and expanded uncertainty."""
+    """Makes the table columns for one kind of uncertainty: standard uncertainty, degrees of freedom and expanded uncertainty."""
     shown = basis.replace("_", " ")
     return (
         TableColumn(f"u ({shown})", Role.STANDARD_UNCERTAINTY),
@@ -81,8 +81,8 @@ def spread_columns(basis: str) -> tuple[TableColumn, ...]:
 
 
 def bases_table(found: Derived, chosen: str, count: int | None = None) -> Table:
-    """A table of the Type A uncertainties of the first `count` quantities, of the chosen kind, and also of the other kind if all
-    fits have it."""
+    """Makes a table of the Type A uncertainties of the first `count` quantities. It contains the chosen kind of uncertainty, and
+    also the other kind if all fits have it."""
     bases = bases_shown(chosen, found.fits)
     spreads = [found.spread(basis) for basis in bases]
     columns = [TableColumn("coefficient"), TableColumn("unit"), TableColumn("value", Role.VALUE)]
@@ -104,7 +104,7 @@ def residual_plot(
     x_title: str = "position",
     x: tuple[float | str, ...] = (),
 ) -> Plot:
-    """A plot of residuals with one series per output, in the unit of the first output. The abscissa is `x`, or the labels of the
+    """Plots the residuals with one series per output, in the unit of the first output. The abscissa is `x`, or the labels of the
     segments if `x` is not given."""
     n = len(observations.labels)
     series = {

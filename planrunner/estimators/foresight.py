@@ -33,7 +33,7 @@ def design_of(
     designs: Mapping[str, Design],
     setup: Setup | None = None,
 ) -> Design:
-    """Checks how the planned segments determine the results of one estimate, and predicts the coefficients of a run.
+    """Checks how the planned segments determine the results of one estimate. Also predicts the coefficients of a run.
 
     `designs`: designs of the estimates that come before this one. Raises `EstimationError` if the segments are not suitable for the
     estimator.
@@ -55,8 +55,8 @@ def design_of(
 
 
 def detection_of(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection | None:
-    """The settings with which spans are detected in the data; None if the plan names whole segments. Raises `EstimationError` if
-    spans are to be detected, but the estimator uses whole segments."""
+    """Returns the settings with which spans are detected in the data; None if the plan names whole segments. Raises
+    `EstimationError` if spans are to be detected, but the estimator uses whole segments."""
     if not isinstance(spec.segments, Detection):
         return None
     if not (isinstance(estimator, FindsSpans) and estimator.finds_spans):
@@ -67,5 +67,6 @@ def detection_of(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection 
 
 
 def patterns_of(spec: EstimateSpec) -> tuple[str, ...]:
-    """The label patterns of the segments that an estimate uses, or in which it detects spans."""
+    """Returns the label patterns of the segments that an estimate uses. If the estimate detects spans, these are the segments in
+    which it detects them."""
     return spec.segments.within if isinstance(spec.segments, Detection) else tuple(spec.segments)

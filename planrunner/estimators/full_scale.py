@@ -1,4 +1,4 @@
-"""Checks that planned rates act on the fitted outputs and do not exceed the full scale of these outputs.
+"""Checks that planned rates act on the fitted outputs and do not exceed their full scale.
 
 If an output saturates, its readings no longer lie on the straight line that gives the scale factor. If the input axis of an output
 is perpendicular to the rotation axis, the output senses the rotation only through its misalignment.
@@ -25,7 +25,7 @@ UP = (0.0, 0.0, 1.0)  # about which cycles turn
 
 
 def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
-    """An error for each output whose declared full scale is below its reading at the fastest planned rate.
+    """Returns an error for each output whose reading at the fastest planned rate exceeds its declared full scale.
 
     `shares`: array of shape (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's
     axis. An output of specific force is not checked. Any other output whose unit is not a rate is checked only if a scale factor
@@ -56,8 +56,8 @@ def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], sh
 
 
 def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
-    """A warning if the planned rates act on none of the outputs, for example because the table turns about an axis other than the
-    fitted one.
+    """Returns a warning if the planned rates act on none of the outputs, for example because the table turns about an axis other
+    than the fitted one.
 
     `shares`: array of shape (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's
     axis. Segments in unknown orientations and outputs of specific force are not checked.
@@ -110,15 +110,15 @@ def _axis(motion: Motion) -> tuple[float, float, float] | None:
 
 
 def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAxis], outputs: Sequence[str]) -> Array:
-    """For each of n segments and m outputs, the fraction (n, m) of the rate that acts along the output's input axis. The input axis
-    is the sensor axis in the output's name (gyro_x: x), or the direction that the plan's `mounting` gives for this axis. The
-    fraction is one if the name contains no axis, and zero if the orientation is unknown."""
+    """Computes which fraction of the rate acts along the input axis of each output. Returns an array of shape (n, m) for n segments
+    and m outputs. The input axis is the sensor axis in the output's name (gyro_x: x), or the direction that the plan's `mounting`
+    gives for this axis. The fraction is one if the name contains no axis, and zero if the orientation is unknown."""
     return shares_along(segments, [input_direction(mounting, name) for name in outputs])
 
 
 def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]) -> Array:
-    """For each of n segments and m input axes, the fraction (n, m) of the rate that acts along the axis. `directions`: each input
-    axis as a vector (3,) in the sensor's frame, or None; for None, the fraction is one."""
+    """Computes which fraction of the rate acts along each input axis. Returns an array of shape (n, m) for n segments and m axes.
+    `directions`: each input axis as a vector (3,) in the sensor's frame, or None; for None, the fraction is one."""
     shares = np.zeros((len(segments), len(directions)))
     for row, segment in enumerate(segments):
         about = _axis(segment.motion)
@@ -131,9 +131,10 @@ def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]
 
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
-    """The input axis (3,) of an output in the sensor's frame; None if the name of the output contains no axis. It is the direction
-    that `mounting` gives for the axis in the output's name, or this sensor axis itself if `mounting` does not contain it. If the
-    azimuth of the axis is not given, the other two components are set to zero, so that no valid rate is rejected."""
+    """Returns the input axis of an output as a vector (3,) in the sensor's frame; None if the name of the output contains no axis.
+    It is the direction that `mounting` gives for the axis in the output's name, or this sensor axis itself if `mounting` does not
+    contain it. If the azimuth of the axis is not given, the other two components are set to zero, so that no valid rate is
+    rejected."""
     axis = axis_of(output)
     if axis is None:
         return None

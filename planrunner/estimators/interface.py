@@ -50,9 +50,9 @@ R = TypeVar("R", bound=Record)
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """One estimated quantity with its standard uncertainty, both of which are in `unit`. `period`: for a circular quantity, its
-    period in `unit`, such as 360 for a heading in deg; values that differ by the period are equivalent. For any other quantity, the
-    period is infinite."""
+    """One estimated quantity and its standard uncertainty, both in the unit `unit`. `period`: for a circular quantity, its period
+    in `unit`, such as 360 for a heading in deg; values that differ by the period are equivalent. For any other quantity, the period
+    is infinite."""
 
     name: str
     value: float
@@ -71,8 +71,8 @@ class Coefficient:
 
 @dataclass(frozen=True, slots=True)
 class Unpredicted:
-    """A coefficient that a run will or may give, but whose uncertainty cannot be predicted. `why`: the reason why it cannot be
-    predicted."""
+    """Describes a coefficient whose uncertainty cannot be predicted. A run will give the coefficient, or may give it. `why`: the
+    reason why it cannot be predicted."""
 
     name: str
     unit: str
@@ -83,8 +83,8 @@ class Unpredicted:
 
 @dataclass(frozen=True)
 class Estimate:
-    """The result of an estimate: coefficients, their covariance (m, m) in the products of their units, and the information needed
-    to judge them.
+    """Contains the coefficients that an estimator found, their covariance, and the information that a reader needs to judge them.
+    The covariance has the shape (m, m); its elements are in the products of the coefficients' units.
 
     An estimator gives the covariance that comes from the data (type A), and the `influences`, which the data do not show. The
     analysis adds the influences to the covariance of the coefficients, and computes the `budgets`.
@@ -133,8 +133,8 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The test set-up apart from site and sensor: the table, the mounting of the sensor, the stated uncertainties, information on
-    this run (name → text), and whether the bench plays back a recording."""
+    """Describes the test set-up apart from site and sensor. It contains the table, the mounting of the sensor, the stated
+    uncertainties, information on this run (name → text), and whether the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)
@@ -145,7 +145,7 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class EstimateRequest(Generic[P]):
-    """A request to compute an estimate from a recording.
+    """Contains what an estimator needs to compute an estimate from a recording.
 
     `name`: name of the requested estimate in the plan. `parameters`: the values of the estimator's keys. `uses`: the estimates that
     this estimate uses, by their names in the plan. `detection`: the settings for detecting spans in the data
@@ -164,8 +164,9 @@ class EstimateRequest(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest(Generic[P]):
-    """A request to check an estimate before anything is recorded. If `detection` is given, spans will be detected in the data, so
-    they are not known yet. `uses`: designs of the estimates that this estimate uses, by their names in the plan."""
+    """Contains what an estimator needs to check an estimate before anything is recorded. If `detection` is given, spans will be
+    detected in the data, so they are not known yet. `uses`: designs of the estimates that this estimate uses, by their names in the
+    plan."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -179,7 +180,7 @@ class DesignRequest(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class DesignBlock:
-    """The linear model of one output at the planned stimulus.
+    """Describes the linear model of one output at the planned stimulus.
 
     `matrix`: array of shape (n, p), design matrix, SI. `terms`: the p names of the columns. `magnitudes`: array of shape (p,),
     declared size of each column (Earth rate, g …), by which the column is divided before rank and condition are judged. `sigma`:
@@ -269,19 +270,19 @@ class Design:
 
     @property
     def foreseen(self) -> Mapping[str, Coefficient | Unpredicted]:
-        """The predicted and the unpredicted coefficients of a run, by name; empty if the coefficients are not known."""
+        """Returns the predicted and the unpredicted coefficients of a run, by name; empty if the coefficients are not known."""
         predicted: dict[str, Coefficient | Unpredicted] = {item.name: item for item in self.predicted}
         return predicted | {item.name: item for item in self.unpredicted}
 
     @property
     def all_notes(self) -> tuple[str, ...]:
-        """The notes on the planned segments, and the notes on the prediction."""
+        """Returns the notes on the planned segments and the notes on the prediction."""
         return (*self.notes, *self.foresight().notes)
 
 
 @runtime_checkable
 class FindsSpans(Protocol):
-    """An estimator that can search for spans in the data if a plan contains `{detect: …}`; estimators without `finds_spans` use
+    """An estimator that can search the data for spans, as a plan with `{detect: …}` requests. Estimators without `finds_spans` use
     whole segments."""
 
     finds_spans: bool

@@ -1,4 +1,4 @@
-"""Weighted linear least squares with full covariance, used by all estimators.
+"""Solves weighted linear least-squares problems and gives the full covariance. All estimators use this module.
 
 The columns are divided by their declared magnitudes, and the augmented matrix [A | y] is reduced by QR. Rank, solution and
 covariance follow from the small triangular matrix (Golub and Van Loan, Matrix Computations, 5.3). If the data cannot separate some
@@ -19,7 +19,7 @@ from planrunner.observation.refusals import EstimationError, UnfitDataError
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """The fit of n observations with p coefficients.
+    """Contains a least-squares fit of p coefficients to n observations.
 
     `coefficients`: array of shape (p,), fitted values. `cofactor`: array of shape (p, p), the covariance of the coefficients if
     `sigma` is the true standard uncertainty of the observations. If `sigma` is only proportional to the true standard uncertainty,
@@ -37,7 +37,8 @@ class LinearFit:
 
     @property
     def variance_factor(self) -> float:
-        """The ratio of χ² to the degrees of freedom: about 1 if `sigma` describes all errors; NaN without degrees of freedom."""
+        """Returns χ² divided by the degrees of freedom; NaN without degrees of freedom. The ratio is about 1 if `sigma` describes
+        all errors."""
         return self.chi_squared / self.degrees_of_freedom if self.degrees_of_freedom else float("nan")
 
 
@@ -49,8 +50,8 @@ def fit(
     names: Sequence[str] = (),
     covariance: Array | None = None,
 ) -> LinearFit:
-    """Least-squares coefficients of one output from `matrix` (n, p) and `observed` (n,). The other arguments are described in
-    `fit_each`."""
+    """Fits the coefficients of one output by least squares. `matrix`: array of shape (n, p), design matrix. `observed`: array of
+    shape (n,). The other arguments are described in `fit_each`."""
     spread = None if sigma is None else np.asarray(sigma)[None]
     whitening = None if covariance is None else whitener(covariance[None])
     return fit_each(matrix, observed[None], spread, magnitudes, names, whitening)[0]
@@ -64,7 +65,8 @@ def fit_each(
     names: Sequence[str] = (),
     whitening: Array | None = None,
 ) -> tuple[LinearFit, ...]:
-    """Least-squares coefficients of m outputs from `matrix` (n, p) and `observed` (m, n). Each output is fitted separately.
+    """Fits the coefficients of m outputs by least squares. `matrix`: array of shape (n, p), design matrix. `observed`: array of
+    shape (m, n). Each output is fitted separately.
 
     `sigma`: array of shape (m, n), standard uncertainties, by default all 1. `magnitudes`: array of shape (p,), declared magnitudes
     of the columns, by default the root mean squares of the columns. `whitening`: array of shape (m, n, n), matrices from `whitener`

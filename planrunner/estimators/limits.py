@@ -124,7 +124,8 @@ def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficien
 
 
 def bounds(limit: Limit, coefficient: Coefficient) -> tuple[float, float]:
-    """The lower and the upper bound of a `plan.model.Limit`, in the coefficient's unit; infinite for a bound that is not given.
+    """Returns the lower and the upper bound of a `plan.model.Limit`, in the coefficient's unit; infinite for a bound that is not
+    given.
 
     Raises `EstimationError` for a limit of another dimension, for a limit without bounds, and for a limit that no value can meet.
     """

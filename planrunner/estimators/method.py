@@ -1,4 +1,4 @@
-"""The method that most estimators share: a result is a function of observations, and the same function predicts the results of a
+"""Defines the structure of most estimators: a result is a function of observations, and the same function predicts the results of a
 run.
 
     found = method.quantities(request)      the formula: coefficients, their covariance and their influences
@@ -66,7 +66,7 @@ class Quantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
-    """Tables, plots and notes of an estimate for readers. The fields are described in `interface.Estimate`."""
+    """Contains the tables, plots and notes that explain an estimate to readers. The fields are described in `interface.Estimate`."""
 
     headline: tuple[str, ...] = ()
     settings: Mapping[str, Json] = field(default_factory=dict)
@@ -82,8 +82,8 @@ Q = TypeVar("Q", bound=Quantities)
 
 
 class Method(ABC, Generic[P, Q]):
-    """An estimator that consists of a formula and of explanations for readers. P: type of the record that contains the values of
-    its keys; Q: type of the result of its formula."""
+    """Base class of an estimator that consists of a formula and of explanations for readers. P: type of the record that contains
+    the values of its keys; Q: type of the result of its formula."""
 
     summary: str
     Parameters: type[P]
@@ -137,8 +137,8 @@ class ForeseesResults(Protocol[F]):
 
 
 def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
-    """The design of an estimator for planned segments, with the prediction of a run. Raises `EstimationError` if the segments are
-    unsuitable."""
+    """Checks the planned segments for an estimator and predicts the results of a run. Returns both as a `Design`. Raises
+    `EstimationError` if the segments are unsuitable."""
     design = estimator.design(request) or Design(())
     if any(remark.error for remark in design.remarks):
         return design
@@ -164,7 +164,7 @@ def _foresees(estimator: type) -> bool:
 
 
 def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
-    """The general prediction for any estimator: its formula is applied to the expected recording."""
+    """Predicts the results of any estimator: applies its formula to the expected recording."""
     used = channels_of(request.parameters) or tuple(one.name for one in request.sensor.outputs if not one.constant)
     known = estimator.known(request) if isinstance(estimator, Method) else Known()
     first, *others = ASSUMPTIONS

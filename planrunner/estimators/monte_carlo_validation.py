@@ -75,8 +75,8 @@ def _rows_of(rows: Sequence[int], draws: Draws, rng: np.random.Generator, n: int
 def validated(
     estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_order: bool, workers: Workers = ALONE
 ) -> Estimate:
-    """The estimate with an additional table of Monte Carlo results. The table contains the headline coefficients, or all
-    coefficients if the estimate has no headline.
+    """Adds a table of Monte Carlo results to an estimate. The table contains the headline coefficients, or all coefficients if the
+    estimate has no headline.
 
     `first_order`: True if `draws` come from `linear_chain`. `workers`: processes that share the work of drawing.
     """

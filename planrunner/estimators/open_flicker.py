@@ -21,7 +21,7 @@ SUFFICIENT = 0.90
 
 @dataclass(frozen=True, slots=True)
 class OpenFlicker:
-    """The flicker of a channel, if it may be larger than an estimate assumes.
+    """Describes the flicker of a channel if it may be larger than an estimate assumes.
 
     `bound`: the largest bias instability B that the data do not exclude, in `unit`. `coefficient`: name of the coefficient whose
     interval would have to be widened most. `widening`: factor by which this interval would have to be wider if B were `bound`.
@@ -35,7 +35,7 @@ class OpenFlicker:
 
 
 def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
-    """The flicker that may make an interval of an estimate too narrow, with at most one entry for each unstated flicker.
+    """Finds flicker that may make an interval of an estimate too narrow. Returns at most one entry for each unstated flicker.
     `estimate`: an estimate whose standard uncertainties and degrees of freedom include the whole budget. Coefficients that measure
     scatter or that are a largest value are not examined, because they already contain the flicker."""
     found = []
@@ -59,8 +59,8 @@ def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
 
 
 def with_flicker_words(estimate: Estimate) -> Estimate:
-    """The estimate with a warning about flicker that may make its intervals too narrow, and with a note about the other channels
-    for which the bench file gives no flicker."""
+    """Adds a warning to an estimate about flicker that may make its intervals too narrow. Also adds a note about the other channels
+    for which the bench file states no flicker."""
     if not estimate.unstated:
         return estimate
     found = open_flicker(estimate)

@@ -30,7 +30,7 @@ _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are tho
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A segment that does not agree with the other segments.
+    """Describes a segment that does not agree with the other segments.
 
     `error`: difference between the segment's mean and the value that the other segments lead one to expect, in the output's unit.
     `deviations`: this difference in standard deviations. `probability`: probability that chance alone gives a difference at least

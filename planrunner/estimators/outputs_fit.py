@@ -38,7 +38,7 @@ _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the m
 
 @dataclass(frozen=True, slots=True)
 class OutputsFit:
-    """The fit of m outputs with p terms each, from n segments. The fit may also contain a drift with q columns.
+    """Contains the fit of m outputs to n segments, with p terms for each output. The fit may also contain a drift with q columns.
 
     `units`: units of the outputs.
     `labels`: labels of the segments.
@@ -85,28 +85,28 @@ class OutputsFit:
 
     @property
     def columns(self) -> Array:
-        """The columns (n, P) of the terms and of the fitted drift."""
+        """Returns the columns of the terms and of the fitted drift, shape (n, P)."""
         return joined(self.matrix, self.drift.courses)
 
     @property
     def all_coefficients(self) -> Array:
-        """The coefficients (m, P) of the terms and of the fitted drift."""
+        """Returns the coefficients of the terms and of the fitted drift, shape (m, P)."""
         return np.array([fit.coefficients for fit in self.fits])
 
     @property
     def coefficients(self) -> Array:
-        """The coefficients (m, p) of the terms."""
+        """Returns the coefficients of the terms, shape (m, p)."""
         return self.all_coefficients[:, : self.matrix.shape[1]]
 
     @property
     def gains(self) -> Array:
-        """The derivatives (m, p, n) of the coefficients of the terms with respect to the observations."""
+        """Returns the derivatives of the terms' coefficients with respect to the observations, shape (m, p, n)."""
         return self.all_gains[:, : self.matrix.shape[1]]
 
     @property
     def drift_spreads(self) -> Array:
-        """The standard uncertainties (m, q) of the amplitudes of the fitted drift, for weights that include the noise and all
-        effects. For the basis `residual`, they must be multiplied by the square roots of the variance factors."""
+        """Returns the standard uncertainties of the amplitudes of the fitted drift, shape (m, q). The weights include the noise and
+        all effects. For the basis `residual`, they must be multiplied by the square roots of the variance factors."""
         variances = np.einsum("apap->ap", self.all_cofactors["residual"])
         return np.asarray(np.sqrt(variances[:, self.matrix.shape[1] :]))
 
@@ -126,19 +126,20 @@ class OutputsFit:
 
     @property
     def variance_factors(self) -> Array:
-        """The variance factor (m,) of each output: residual variance divided by the variance expected from the weights. If the
-        outputs are pooled, all have the mean of these factors."""
+        """Returns the variance factor of each output, shape (m,): the residual variance divided by the variance that the weights
+        lead one to expect. If the outputs are pooled, all have the mean of these factors."""
         factors = np.array([fit.variance_factor for fit in self.fits])
         return np.full_like(factors, factors.mean()) if self.pooled else factors
 
     def observed(self, output: int, basis: str) -> Array:
-        """The covariance (n, n) of an output's observations on the given basis, without the variance factor."""
+        """Returns the covariance of an output's observations for the given kind of uncertainty, shape (n, n), without the variance
+        factor."""
         if basis == "within_segment":
             return np.diag(self.noises[output].sigma ** 2)
         return mixed(self.spreads[output], stacked_roots(self.effects, len(self.outputs), len(self.labels))[output])
 
     def covariance(self, basis: str) -> Array:
-        """The covariance (m·p, m·p) of all coefficients, output after output."""
+        """Returns the covariance of all coefficients, output after output, shape (m·p, m·p)."""
         m, p = self.coefficients.shape
         size = np.sqrt(self.variance_factors) if basis == "residual" else np.ones(m)
         cofactors = self.all_cofactors[basis][:, :p, :, :p]
@@ -146,9 +147,9 @@ class OutputsFit:
         return covariance
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
-        """The influences of the effects on the coefficients, output after output. If functionals (q, m, n) are given, the function
-        returns the influences on these linear functions of the observations instead. On the basis `residual`, the covariance
-        already includes the effects that the weights include."""
+        """Returns the influences that the effects have on the coefficients, output after output. If functionals (q, m, n) are
+        given, the function returns the influences on these linear functions of the observations instead. On the basis `residual`,
+        the covariance already includes the effects that the weights include."""
         acting = functionals_of(self.gains) if functionals is None else functionals
         doubted = tuple(one.through(acting) for one in self._doubted_drift())
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
@@ -167,8 +168,8 @@ class OutputsFit:
                     yield CorrelatedError(quantity, {output: column[:, None]})
 
     def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
-        """The effect on the coefficients of flicker whose size is not stated, output after output. If functionals (q, m, n) are
-        given, the function returns the effect on these linear functions of the observations instead."""
+        """Returns the change of the coefficients by flicker whose size is not stated, output after output. If functionals (q, m, n)
+        are given, the function returns the effect on these linear functions of the observations instead."""
         if not self.unstated:
             return ()
         acting = functionals_of(self.gains) if functionals is None else functionals
@@ -194,7 +195,8 @@ class OutputsFit:
         )
 
     def degrees_of_freedom(self, gradients: Array, basis: str) -> Array:
-        """The effective degrees of freedom (q,) of q quantities, whose gradients with respect to all coefficients are (q, m·p).
+        """Returns the effective degrees of freedom of q quantities, shape (q,). Their gradients with respect to all coefficients
+        have the shape (q, m·p).
 
         The Welch–Satterthwaite formula (JCGM 100:2008, G.4.1) combines the contributions of the outputs. If the variance is pooled,
         it has the degrees of freedom of all outputs together, or fewer if their residuals are correlated.
@@ -210,8 +212,8 @@ class OutputsFit:
 
 
 def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
-    """The coefficients (m, p) of every observed channel from a fit that is weighted only by the noise within the segments. Raises
-    `EstimationError` if the plan or the data are not suitable."""
+    """Fits every observed channel with weights that come only from the noise within the segments. Returns the coefficients, shape
+    (m, p). Raises `EstimationError` if the plan or the data are not suitable."""
     sigma = np.array([within_segment_noise(observations, k).sigma for k in range(len(observations.channels))])
     return _coefficients(
         matrix, observations.mean.T, sigma / sigma.max(axis=1, keepdims=True), magnitudes, tuple(names)
@@ -444,8 +446,8 @@ def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
 def between_segments(
     fitted: Callable[[Array], LinearFit], spread: Array, means: NDArray[np.bool_] | bool = True
 ) -> float:
-    """The standard deviation between segments that must be added to the noise `spread` (n,) to make χ²/dof equal to one (Mandel and
-    Paule, Anal. Chem. 54, 1982).
+    """Computes the standard deviation between segments that must be added to the noise `spread` (n,) to make χ²/dof equal to one
+    (Mandel and Paule, Anal. Chem. 54, 1982). Chem. 54, 1982).
 
     `fitted`: a function that computes the fit for a given spread. `means`: array of shape (n,), True for the observations to which
     the standard deviation is added. χ²/dof decreases as the added deviation grows, so a root search finds the deviation. The result

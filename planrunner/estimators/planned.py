@@ -20,7 +20,7 @@ from planrunner.plan.schedule import Rest, Segment
 def matrix_at_rest(
     model: ErrorModel, segments: Sequence[Segment], site: Site, needed: str, otherwise: str = ""
 ) -> Array:
-    """The design matrix (n, p), SI, for segments at rest.
+    """Returns the design matrix, SI, shape (n, p). All segments must be at rest.
 
     `needed`: the reason why segments must be at rest, which is part of the message about a segment that moves. `otherwise`: a text
     that is part of the message about an unknown orientation. Raises `EstimationError` in either case.
@@ -37,8 +37,8 @@ def matrix_at_rest(
 def planned_blocks(
     request: DesignRequest[object], outputs: Sequence[str], terms: tuple[str, ...], matrix: Array, magnitudes: Array
 ) -> tuple[DesignBlock, ...]:
-    """For each output, the design matrix (n, p) of segments at rest, SI, with the noise that the sensor declares for the planned
-    dwells.
+    """Returns, for each output, the design matrix of segments at rest, SI, shape (n, p). Also returns the noise that the sensor
+    declares for the planned dwells.
 
     A dwell of unknown length counts as one second. Raises `EstimationError` for an output that the sensor does not have.
     """

@@ -30,12 +30,12 @@ class MatrixRank:
 
     @property
     def determinant(self) -> float:
-        """The determinant of AᵀA for the scaled matrix A (the information matrix); zero if A does not have full rank."""
+        """Returns the determinant of the information matrix AᵀA, where A is the scaled matrix; zero if A does not have full rank."""
         return 0.0 if len(self.null) else float(np.prod(self.singular**2))
 
     @property
     def condition(self) -> float:
-        """The ratio of the largest to the smallest singular value; infinite if the matrix does not have full rank."""
+        """Returns the ratio of the largest to the smallest singular value; infinite if the matrix does not have full rank."""
         if len(self.null):
             return float("inf")
         return float(self.singular[0] / self.singular[-1])
@@ -78,7 +78,7 @@ def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, fl
 
 
 def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """The names of the terms that occur in the null space, in their original order. The data do not determine any of these terms
+    """Names the terms that occur in the null space, in their original order. The data do not determine any of these terms
     separately."""
     return tuple(
         name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6

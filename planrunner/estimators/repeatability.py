@@ -97,7 +97,8 @@ class Repeats:
     pauses: Array | None = None
 
     def on_circle(self, value: float) -> float:
-        """For a circular quantity, the equivalent value in the range from 0 to `period`; for any other quantity, the value itself."""
+        """Converts the value of a circular quantity to the equivalent value in the range from 0 to `period`. Returns the value of
+        any other quantity unchanged."""
         if math.isinf(self.period):
             return value
         return 0.0 if abs(math.remainder(value, self.period)) < 1e-9 * self.period else value % self.period
@@ -105,7 +106,7 @@ class Repeats:
 
 @dataclass(frozen=True, slots=True)
 class Variance:
-    """The result of a one-way analysis of variance of n values in k groups.
+    """Contains the result of a one-way analysis of variance. n values are divided into k groups.
 
     `mean`: mean of the group means. `within`: variance within groups. `between`: component of variance between groups, which can be
     negative. `total`: sum of `within` and `between`. Fields such as `mean_uncertainty` or `within_freedom` are the standard
@@ -128,12 +129,12 @@ class Variance:
 
     @property
     def total_interval(self) -> tuple[float, float]:
-        """The confidence interval of the total variance, with the confidence level `PROBABILITY`."""
+        """Returns the confidence interval of the total variance, with the confidence level `PROBABILITY`."""
         return _interval_of_sum(self.terms, (self.mean_freedom, self.within_freedom))
 
     @property
     def probability(self) -> float:
-        """The probability of an F at least as large as `ratio` if the groups do not differ."""
+        """Returns the probability of an F at least as large as `ratio` if the groups do not differ."""
         from scipy.special import fdtrc
 
         return float(fdtrc(self.mean_freedom, self.within_freedom, self.ratio))
@@ -141,7 +142,7 @@ class Variance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScatterQuantities(Quantities):
-    """Each quantity with its analysis of variance, and the reported coefficients."""
+    """Contains the analysis of variance of each quantity, and the reported coefficients."""
 
     splits: tuple[tuple[Repeats, Variance], ...]
 
@@ -314,7 +315,7 @@ def together(repeats: Sequence[Coefficient]) -> Array:
 
 
 def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float = math.nan) -> Variance:
-    """A one-way analysis of variance of values in groups. For a single group, it gives only the mean and the scatter.
+    """Computes a one-way analysis of variance of values in groups. For a single group, it gives only the mean and the scatter.
 
     The overall mean is the mean of the group means. The variance component between groups is (M_b − M_w)/n₀, where M_b and M_w are
     the mean squares between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. `expected`: a
@@ -363,7 +364,7 @@ def _interval_of_sum(terms: Sequence[float], freedom: Sequence[float]) -> tuple[
 
 
 def deviation_interval(variance: float, freedom: float) -> tuple[float, float]:
-    """The χ² confidence interval of a standard deviation, with the confidence level `PROBABILITY`."""
+    """Returns the χ² confidence interval of a standard deviation, with the confidence level `PROBABILITY`."""
     from scipy.special import chdtri
 
     low = math.sqrt(variance * freedom / float(chdtri(freedom, (1 - PROBABILITY) / 2)))
@@ -498,8 +499,8 @@ def _notes(one: Repeats, split: Variance) -> list[Said]:
 
 
 def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
-    """The probability that, in a random sequence, successive values would be at least as similar as these values are within their
-    groups; NaN for fewer than eight values within groups.
+    """Tests whether the order of the values is random. Returns the probability that successive values in a random order are at
+    least as similar as these values are within their groups; NaN for fewer than eight values within groups.
 
     The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1)
     (von Neumann); η/4 is close to a symmetric beta variable with these moments. In each group, x̄ is the mean of the group.

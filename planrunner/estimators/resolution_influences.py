@@ -22,7 +22,7 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def resolution_influences(
     request: EstimateRequest[object], outputs: Sequence[str], functionals: Array
 ) -> tuple[Influence, ...]:
-    """One influence for each of the m outputs whose resolution is stated. `functionals`: array of shape (q, m, n),
+    """Returns one influence for each of the m outputs whose resolution is stated. `functionals`: array of shape (q, m, n),
     ∂coefficient/∂(mean of output k over segment n); functionals of observations that are not means are ignored.
 
     If the noise is too small to dither the counts, a mean has the rounding error of a single sample. Otherwise the rounding errors

@@ -54,7 +54,7 @@ class Results:
     unfit: tuple[str, ...] = ()
 
     def to_json(self) -> JsonObject:
-        """The results as plain JSON data without NaN or infinities."""
+        """Converts the results to plain JSON data without NaN or infinities."""
         found: JsonObject = _plain(
             {
                 "planrunner_results": FORMAT,
@@ -94,7 +94,7 @@ class Results:
 
 
 def segment_statistics(recorded: RecordedSegment) -> JsonObject:
-    """The statistics of one recorded segment as plain data. Means and other values are given by channel, in the unit of the
+    """Returns the statistics of one recorded segment as plain data. Means and other values are given by channel, in the unit of the
     channel."""
     statistics = recorded.statistics
     deviation = np.sqrt(np.diag(np.atleast_2d(statistics.covariance)))
@@ -125,8 +125,8 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
 
 
 def comparable(data: Json) -> Json:
-    """The results as JSON data in a form in which results of formats 2 and 3 can be compared. The format, the versions that
-    computed the results, and data that serve only for translations are omitted."""
+    """Converts results to JSON data in which results of the formats 2 and 3 can be compared. The format, the versions that computed
+    the results, and data that serve only for translations are omitted."""
     if isinstance(data, list):
         return [comparable(item) for item in data]
     if not isinstance(data, dict):

@@ -296,8 +296,8 @@ def _common(
         return ()
 
     def answered(moved: Array) -> Array:
-        """The changes of the fitted coefficients for changed rates. The outputs do not change, so a change of their expected values
-        changes the fit with the opposite sign."""
+        """Returns, up to a constant, the coefficients that the fit would give at other rates, `moved`. The outputs stay the same,
+        so a change of their expected values changes the fit with the opposite sign."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])

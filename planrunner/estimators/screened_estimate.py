@@ -26,7 +26,8 @@ _SILENT = (FindKind.LOST,)  # the gaps in time have a warning of their own
 def estimated(
     segments: Sequence[RecordedSegment], outliers: str, estimate: Callable[[tuple[RecordedSegment, ...]], Estimate]
 ) -> tuple[Estimate, tuple[RecordedSegment, ...]]:
-    """The estimate as the option `outliers` requires it, with its warnings and tables; and the segments that were used.
+    """Computes an estimate with or without the bad samples, as the option `outliers` requires. Returns the estimate, to which
+    warnings and tables about these samples are added, and the segments that were used.
 
     Raises the `EstimationError` of the estimator, and `UnfitDataError` if there are bad samples and the plan refuses them.
     """

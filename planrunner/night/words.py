@@ -4,7 +4,8 @@ from __future__ import annotations
 
 
 def spell_out(seconds: float) -> str:
-    """A duration in words, such as `58 min` for `3484`: below two minutes in seconds, otherwise in hours and minutes."""
+    """Writes a duration in words, such as `58 min` for `3484`. A duration below two minutes is written in seconds, a longer one in
+    hours and minutes."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     hours, minutes = divmod(round(seconds / 60), 60)

@@ -54,11 +54,11 @@ def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> 
 
 
 def smoothed(time: Array, values: Array) -> Temperature:
-    """Fits a polynomial to the values (n,) of a segment; returns the polynomial and its derivative at the samples. The noise of the
-    thermometer is thus kept out of the data that an effect of temperature depends on.
+    """Fits a polynomial to the temperatures `values` (n,) of a segment, so that the noise of the thermometer does not enter an
+    effect of temperature. Returns the polynomial and its derivative at the samples.
 
-    Coefficients are added as long as each one increases twice the log likelihood by at least `_WORTH`. A constant temperature needs
-    one coefficient; an approach to a setpoint needs several.
+    The number of coefficients is the one for which twice the log likelihood, minus `_WORTH` for each coefficient, is largest. A
+    constant temperature needs one coefficient; an approach to a setpoint needs several.
     """
     middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
     scaled = (time - middle) / half

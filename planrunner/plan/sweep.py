@@ -117,7 +117,8 @@ def traits_of(state: type[Record]) -> dict[str, StateTraits]:
 
 @dataclass(frozen=True, slots=True)
 class SweptKey:
-    """A key of a state that `for_each` accepts. `quantity`: the kind of the values if they are quantities; otherwise None."""
+    """Describes one key of a state for which `for_each` can state a list of values. `quantity`: the kind of the values if they are
+    quantities; otherwise None."""
 
     name: str
     kind: Kind

@@ -109,8 +109,9 @@ def stated_effects(made: Diagnosed) -> Stated:
 
 
 def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) -> Stated:
-    """The effects of a diagnosis with their orientations numbered as in a simulation of these segments. A simulation numbers the
-    orientations of `segments` in the order of first use, and a diagnosis numbers the orientations of the recorded segments."""
+    """Renumbers the orientations in the effects of a diagnosis, so that the numbers are those of a simulation of `segments`. A
+    simulation numbers the orientations of `segments` in the order of first use, and a diagnosis numbers the orientations of the
+    recorded segments."""
     seen = list(dict.fromkeys(map(orientation_key, observed.attitude)))
     planned = list(dict.fromkeys(orientation_key(np.array(s.attitude)) for s in segments if s.attitude is not None))
     return [

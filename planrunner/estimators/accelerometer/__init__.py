@@ -1,1 +1,2 @@
-"""Calibration of accelerometer triads from positions at rest: with known orientations, or with the magnitude of gravity alone."""
+"""Calibrates accelerometer triads at rest in several positions. The orientations are known, or only the magnitude of gravity is
+known."""

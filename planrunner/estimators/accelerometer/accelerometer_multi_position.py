@@ -48,7 +48,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
         return Design(blocks, remarks=remarks)
 
     def known(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Known:
-        """The input axes of the outputs, which are x, y and z in the order in which the plan names the outputs."""
+        """Returns the input axes of the outputs: x, y and z, in the order in which the plan names the outputs."""
         return Known(directions=dict(zip(request.parameters.outputs, np.eye(3), strict=True)))
 
     def foresee(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Foresight:

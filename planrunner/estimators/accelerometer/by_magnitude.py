@@ -51,8 +51,8 @@ _SCALE = np.array([1 / unit(text).factor for text in _UNITS])
 
 
 def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design:
-    """Checks that the planned poses can determine the nine parameters, if attitudes or the number of poses are planned. Raises
-    `EstimationError` if the poses are at unsuitable attitudes or the channels do not fit."""
+    """Checks that the planned poses can determine the nine parameters. The poses are checked only if attitudes or the number of
+    poses are planned. Raises `EstimationError` if the poses are at unsuitable attitudes or the channels do not fit."""
     outputs, detection = request.parameters.outputs, request.detection
     if detection is not None:
         units = {output.name: output.unit for output in request.sensor.outputs}

@@ -39,7 +39,8 @@ _AXES = ("x", "y", "z")
 
 
 def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each axis for segments at rest. Raises `EstimationError` if a segment moves or its orientation is unknown."""
+    """Returns the design of each axis. All segments must be at rest. Raises `EstimationError` if a segment moves or its orientation
+    is unknown."""
     model, needed = error_model(terms), "an accelerometer can be compared with gravity only at rest"
     matrix = matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
     return PositionsDesign(model, tuple(segments), matrix, model.magnitudes)
@@ -47,7 +48,7 @@ def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxesQuantities(Quantities):
-    """The fitted response of each of the three axes to gravity."""
+    """Contains the fitted response of each of the three axes to gravity."""
 
     observations: Observations
     units: tuple[Unit, ...]

@@ -69,7 +69,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
 
 
 def too_few(count: int) -> str:
-    """A message which says that there are fewer poses than parameters."""
+    """Returns a message which says that there are fewer poses than parameters."""
     return f"{count_of(count, 'pose')} cannot determine {len(NAMES)} parameters"
 
 

@@ -1,4 +1,4 @@
-"""The keys in a plan for the calibration of accelerometers in many positions."""
+"""Declares the plan keys of the estimator `accelerometer_multi_position`."""
 
 from __future__ import annotations
 

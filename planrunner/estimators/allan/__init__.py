@@ -1,1 +1,1 @@
-"""Allan deviations of long records and the noise coefficients fitted to them."""
+"""Estimators that compute Allan deviations from long records and fit noise coefficients to them."""

@@ -37,8 +37,8 @@ _GRID = 600  # terms of a sum over lags
 
 
 def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
-    """The noise exponent α of averages over `factor` samples, from runs of the phase; None if there are fewer than `LEAST_POINTS`
-    averages.
+    """Determines the noise exponent α from averages over `factor` samples of the runs of the phase. Returns None if there are fewer
+    than `LEAST_POINTS` averages.
 
     `before`: the exponent found at the next shorter averaging time. The function returns `before`, unless the exponent of the
     averages differs from it by more than half a step plus two standard deviations. From thirty averages alone, white noise would be
@@ -78,7 +78,8 @@ def _delta(parts: Sequence[Array]) -> float:
 
 
 def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
-    """Equivalent degrees of freedom (EDF) of a variance with maximum overlap; 0 if the run is too short for a single difference.
+    """Returns the equivalent degrees of freedom (EDF) of a variance with maximum overlap; 0 if the run is too short for a single
+    difference.
 
     `order`: 2 for Allan, 3 for Hadamard. `factor`: averaging factor. `points`: number of phase points of the run.
 
@@ -112,8 +113,8 @@ def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modifie
 
 
 def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modified: bool = False) -> float:
-    """Equivalent degrees of freedom (EDF) of a variance over several runs, whose numbers of phase points are `lengths`. Runs are
-    independent of each other, so their degrees of freedom are added."""
+    """Returns the equivalent degrees of freedom (EDF) of a variance over several runs. `lengths`: number of phase points of each
+    run. Runs are independent of each other, so their degrees of freedom are added."""
     sizes, counts = np.unique(lengths, return_counts=True)
     pairs = zip(sizes.tolist(), counts.tolist(), strict=True)
     return float(sum(count * degrees_of_freedom(alpha, order, factor, size, modified) for size, count in pairs))
@@ -161,7 +162,8 @@ def _integrated(t: Array, alpha: int) -> Array:
 
 
 def interval(deviation: float, freedom: float, probability: float) -> tuple[float, float]:
-    """Two-sided confidence interval of a deviation whose variance follows a χ² distribution with `freedom` degrees of freedom."""
+    """Returns the two-sided confidence interval of a deviation. Its variance follows a χ² distribution with `freedom` degrees of
+    freedom."""
     from scipy.special import chdtri
 
     low = deviation * math.sqrt(freedom / float(chdtri(freedom, (1 - probability) / 2)))

@@ -45,7 +45,7 @@ _MOST_LENGTHS = 40
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """The result of a fit of noise coefficients.
+    """Contains the result of a fit of noise coefficients.
 
     `squares`: array of shape (4,), the estimates of Q²/τ0², N²/τ0, B² and K²·τ0 in the squared unit of the output, where τ0 is the
     time between phase points; 0 for omitted terms. An estimate may be negative if the output lacks this type of noise; a fit
@@ -63,8 +63,9 @@ class NoiseFit:
 
 
 def model_matrix(factors: Integers, order: int = ALLAN) -> Array:
-    """The design matrix (k, 4): the Allan (or Hadamard) variances at k averaging factors if one squared coefficient is 1 and the
-    others are 0. Each column belongs to one coefficient, in the order of `TERMS`."""
+    """Returns the design matrix (k, 4) of the Allan (or Hadamard) variances at k averaging factors. Each column belongs to one
+    squared coefficient, in the order of `TERMS`. The column contains the variances that result if this squared coefficient is 1 and
+    the others are 0."""
     m = factors.astype(float)
     quantisation, flat, walk = _FACTORS[order]
     return np.column_stack([quantisation / m**2, 1 / m, np.full(m.size, flat), walk * m])
@@ -89,7 +90,7 @@ class VarianceCovariance:
                 self.parts[i, j] = self.parts[j, i] = part
 
     def among(self, first: int, last: int) -> VarianceCovariance:
-        """The `VarianceCovariance` for the averaging factors with the indices `first` to `last` − 1."""
+        """Returns the `VarianceCovariance` of only those averaging factors whose index is at least `first` and less than `last`."""
         fewer = copy(self)
         fewer.parts = self.parts[first:last, first:last]
         return fewer
@@ -255,8 +256,8 @@ def _not_too_sure(
 
 
 def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:
-    """Predicts, before anything is recorded, the covariance (4, 4) of the squared coefficients that `fit_noise` would find for the
-    given noise."""
+    """Predicts, before anything is recorded, how well `fit_noise` would determine the squared coefficients for the given noise.
+    Returns their covariance, shape (4, 4)."""
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
     covariance = _sound(covariance_for(factors, lengths)(squares))
     white = np.linalg.solve(np.linalg.cholesky(covariance), model_matrix(factors)[:, chosen])

@@ -118,15 +118,15 @@ def integrate(values: Array, offset: float, carry: float, out: Array) -> float:
 
 
 def second_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_i (x_{i+2m} − 2x_{i+m} + x_i)² over all i, for each averaging factor m. `x`: array of shape (n,), phase. `factors`:
-    array of shape (k,), the averaging factors m. The result has the shape (k,)."""
+    """Computes Σ_i (x_{i+2m} − 2x_{i+m} + x_i)² over all i, for each averaging factor m. `x`: array of shape (n,), phase.
+    `factors`: array of shape (k,), the averaging factors m. The result has the shape (k,)."""
     partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
     (_second_parallel if x.size >= SHARED else _second_serial)(x, factors, partial)
     return np.asarray(partial.sum(axis=0))
 
 
 def third_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m. `x`: array of shape (n,),
+    """Computes Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m. `x`: array of shape (n,),
     phase. `factors`: array of shape (k,), the averaging factors m. The result has the shape (k,)."""
     partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
     (_third_parallel if x.size >= SHARED else _third_serial)(x, factors, partial)
@@ -134,8 +134,8 @@ def third_differences(x: Array, factors: Integers) -> Array:
 
 
 def averaged_second_differences(x: Array, factors: Integers) -> Array:
-    """The sum Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m. `x`: array of shape (n,),
-    phase. `factors`: array of shape (k,), the averaging factors m. The result has the shape (k,)."""
+    """Computes Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m. `x`: array of shape
+    (n,), phase. `factors`: array of shape (k,), the averaging factors m. The result has the shape (k,)."""
     sums = np.zeros(factors.size)
     (_modified_parallel if x.size >= SHARED else _modified_serial)(x, factors, sums)
     return sums

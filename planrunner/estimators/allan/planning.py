@@ -31,8 +31,8 @@ class PlannedRecord:
 
 
 def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
-    """The record that the planned segments will give; None if the length of a dwell is not known. Raises `EstimationError` if the
-    segments have different sample rates."""
+    """Predicts which record the planned segments will give. Returns None if the length of a dwell is not known. Raises
+    `EstimationError` if the segments have different sample rates."""
     hertz = {segment.sample_rate or request.sensor.sample_rate for segment in request.segments}
     if not request.segments or any(segment.dwell is None for segment in request.segments):
         return None
@@ -79,8 +79,8 @@ def planned_averaging(
     taus: Sequence[Quantity],
     fit_up_to: Quantity | None,
 ) -> tuple[Remark, ...]:
-    """Remarks about averaging times for which the planned record is too short. Raises `EstimationError` in the same cases as the
-    estimate."""
+    """Returns remarks about averaging times for which the planned record is too short. Raises `EstimationError` in the same cases
+    as the estimate."""
     record = planned_record(request)
     if record is None or not names:
         return ()

@@ -26,7 +26,7 @@ _COEFFICIENT = r"[A-Za-z][A-Za-z0-9_-]{0,39}\.[A-Za-z][^ \x00-\x1f]{0,59}"
 
 
 class ScaleFactorKind:
-    """The kind of plan value for a scale factor: a quantity, or a name of the form `estimate.coefficient`."""
+    """Reads a scale factor in a plan: a quantity, or a name of the form `estimate.coefficient`."""
 
     what = "a quantity or a coefficient"
 
@@ -44,7 +44,7 @@ class ScaleFactorKind:
 
 @dataclass(frozen=True, slots=True)
 class SensedBy:
-    """The conversion of an output's noise coefficients to noise coefficients of the sensed quantity.
+    """Converts the noise coefficients of an output to noise coefficients of the sensed quantity.
 
     `units`: for each of Q, N, B and K, the unit of the result, and the factor by which a coefficient of the output is multiplied.
     The coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). `power`: 1 if these factors are
@@ -131,15 +131,15 @@ _PULSES = {"Q": "pulse", "N": "pulse/sqrt(s)", "B": "pulse/s", "K": "pulse/s/sqr
 
 
 def named_units(dimension: Dimension) -> Mapping[str, str] | None:
-    """The usual unit of each of Q, N, B and K, for a quantity that is an angular rate or an acceleration; None for any other
-    quantity."""
+    """Returns the usual unit of each of the coefficients Q, N, B and K if the sensed quantity is an angular rate or an
+    acceleration; returns None for any other quantity."""
     return _NAMED.get(dimension)
 
 
 def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
-    """For each of Q, N, B and K, the unit in which the coefficient is reported, and the factor that converts the coefficient to
-    this unit. The factor applies to a coefficient in the output's unit times s (Q), √s (N), 1 (B) or 1/√s (K). Raises
-    `EstimationError` for an unknown unit."""
+    """Returns, for each of the coefficients Q, N, B and K, the unit in which it is reported, and the factor that converts the
+    coefficient to this unit. The factor applies to a coefficient in the output's unit times s (Q), √s (N), 1 (B) or 1/√s (K).
+    Raises `EstimationError` for an unknown unit."""
     try:
         own = unit(output)
     except UnknownUnitError as error:
@@ -153,7 +153,8 @@ def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
 
 
 def squares_to_coefficients(interval: float) -> dict[str, float]:
-    """Returns, for each of the coefficients Q, N, B and K, the factor by which the square root of its variance at τ0 is multiplied
-    to obtain the coefficient. These variances are Q²/τ0², N²/τ0, B² and K²·τ0. `interval`: τ0, the time between phase points, s."""
+    """Returns a factor for each of the coefficients Q, N, B and K. A coefficient is this factor times the square root of the Allan
+    variance that it causes at τ0. These variances are Q²/τ0², N²/τ0, B² and K²·τ0. `interval`: τ0, the time between phase points,
+    s."""
     root = math.sqrt(interval)
     return {"Q": interval, "N": root, "B": 1.0, "K": 1 / root}

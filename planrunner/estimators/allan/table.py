@@ -38,15 +38,15 @@ class Deviation:
 
 
 def octave_factors(lengths: Integers) -> Integers:
-    """The averaging factors 1, 2, 4 … up to the largest factor for which the longest run still gives four averages; if no factor
-    does, only the factor 1."""
+    """Returns the averaging factors 1, 2, 4 and so on, as long as the longest run gives at least four averages. The factor 1 is
+    always included."""
     longest = int(lengths.max()) - 1
     last = max(1, longest // 4)
     return 2 ** np.arange(int(math.log2(last)) + 1, dtype=np.int64)
 
 
 def deviations(phase: Phase, kind: str, factors: Integers, probability: float) -> list[Deviation]:
-    """The deviations of one kind, in the output's unit. Averaging factors for which the record is too short are left out."""
+    """Computes the deviations of one kind, in the output's unit. Averaging factors for which the record is too short are left out."""
     order = 3 if kind == "hadamard" else 2
     span = 3 if kind in ("hadamard", "modified") else 2
     lengths = phase.lengths

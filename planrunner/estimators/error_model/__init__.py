@@ -1,1 +1,1 @@
-"""The estimator of amplitudes of catalogue effects, and its parts."""
+"""The estimator that determines the amplitudes of catalogue effects, and its parts."""

@@ -20,7 +20,7 @@ from planrunner.estimators.outputs_fit import OutputsFit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonAmplitudes:
-    """The amplitudes of all outputs, with a statement of which amplitudes are common to several outputs.
+    """Contains the amplitudes of all outputs, and states which amplitudes are common to several outputs.
 
     `amplitudes`: the q reported amplitudes. The reported amplitudes are computed from the p amplitudes that are fitted separately,
     output after output. `members`: for each reported amplitude, the indices of the fitted amplitudes that it combines; a single
@@ -33,7 +33,8 @@ class CommonAmplitudes:
 
     @property
     def contrasts(self) -> Array:
-        """The matrix R (r, p), which computes, for each common amplitude, the differences of its members from the first member."""
+        """Returns the matrix R that computes the differences within each common amplitude: each member minus the first member. Its
+        shape is (r, p)."""
         rows = []
         for places in self.members:
             for place in places[1:]:
@@ -43,8 +44,8 @@ class CommonAmplitudes:
         return np.array(rows).reshape(-1, len(self.outputs))
 
     def joining(self, covariance: Array) -> Array:
-        """The matrix (q, p) that computes the reported amplitudes from the separately fitted amplitudes. `covariance`: array of
-        shape (p, p), covariance C of the separately fitted amplitudes."""
+        """Returns the matrix that computes the reported amplitudes from the separately fitted amplitudes, shape (q, p).
+        `covariance`: array of shape (p, p), covariance C of the separately fitted amplitudes."""
         picked = np.eye(len(self.outputs))[[places[0] for places in self.members]]
         R = self.contrasts
         if not len(R):
@@ -56,8 +57,9 @@ class CommonAmplitudes:
         return np.asarray(picked @ moved)
 
     def disagreement(self, values: Array, covariance: Array) -> tuple[float, int]:
-        """The χ² of the differences between the members of common amplitudes, and the degrees of freedom of this χ². `values`:
-        array of shape (p,), fitted amplitudes. `covariance`: array of shape (p, p), their covariance, including all stated inputs."""
+        """Tests whether the members of the common amplitudes agree. Returns the χ² of their differences, and the degrees of freedom
+        of this χ². `values`: array of shape (p,), fitted amplitudes. `covariance`: array of shape (p, p), their covariance,
+        including all stated inputs."""
         R = self.contrasts
         if not len(R):
             return 0.0, 0
@@ -79,8 +81,9 @@ def common_amplitudes(outputs: Sequence[ModelledOutput]) -> CommonAmplitudes:
 
 
 def between_outputs(fits: Sequence[OutputsFit], rows: Sequence[Sequence[int]], correlation: Array, basis: str) -> Array:
-    """The covariance (p, p) between the fitted amplitudes of different outputs, which follows from the correlation of the outputs'
-    samples; zero within an output. Only the means of segments are taken as correlated, not the contrasts within segments.
+    """Returns the covariance between the fitted amplitudes of different outputs, shape (p, p); it is zero within an output. The
+    covariance follows from the correlation between the samples of the outputs. Only the means of segments are taken as correlated,
+    not the contrasts within segments.
 
     `rows`: for each fit, the indices of its segments among the segments of the estimate. `correlation`: array of shape (m, m),
     correlation between the samples of the outputs.

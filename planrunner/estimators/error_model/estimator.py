@@ -163,7 +163,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Foresight(unpredicted=tuple(found))
 
     def known(self, request: DesignRequest[ErrorModelParameters]) -> Known:
-        """The input axis of each output, in the sensor's frame."""
+        """Returns the input axis of each output, in the sensor's frame."""
         named = [one for group in _planned(request) for one in group.outputs]
         return Known(directions={one.name: np.eye(3)[one.errors.axis] for one in named})
 

@@ -2,8 +2,8 @@
 
 Each meter may have two errors that are the same in all segments: a zero error, and a relative error of the reading. These errors
 cause no scatter between segments, so their contributions are added to the contribution of the data (JCGM 100:2008, F.1.2.3). These
-errors also act if the plan states the voltage or the pressure, because the stated value was read from a meter. The sign of a change
-is the sign for a meter whose reading is too large.
+errors also act if the plan states the voltage or the pressure, because the stated value was read from a meter. Each change is given
+for a meter whose reading is too large; a reading that is too small gives the opposite sign.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from planrunner.uncertainty.influences import InputQuantity
 def meter_errors(
     model: ErrorsAtSegments, estimate: str, parameters: ErrorModelParameters, nominal_supply: float, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """The errors of observations due to errors of the meters for which the plan states an uncertainty.
+    """Computes the errors of the observations that come from the meters. Only meters for which the plan states an uncertainty are
+    included.
 
     `estimate`: name of the estimate in the plan. `nominal_supply`: nominal supply voltage, V. `coefficients`: array of shape (m,
     p), for m outputs and p columns of the model, in the outputs' units per SI unit of each column.

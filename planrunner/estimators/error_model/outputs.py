@@ -100,15 +100,15 @@ class ModelledOutput:
 
     @property
     def ideal(self) -> Array | float:
-        """The part of the means (n,), in the output's unit, that is not fitted: the reading of an ideal sensor if no scale factor is
-        fitted, otherwise zero."""
+        """Returns the part of the observed means that is not fitted, in the output's unit, shape (n,). It is the reading of an
+        ideal sensor if no scale factor is fitted, otherwise zero."""
         if self.within is not None:
             return self.within.offset
         return 0.0 if self.gain is not None else self.columns.own / self.unit.factor
 
     def reported(self, fitted: Array) -> Array:
-        """The reported coefficients (p, n), each in its own unit, from n sets of fitted coefficients (p, n) in the output's unit per SI
-        unit."""
+        """Converts n sets of fitted coefficients to reported coefficients, each in its own unit. The fitted coefficients are in the
+        output's unit per SI unit; both arrays have the shape (p, n)."""
         if self.direct:
             values = fitted * self.unit.factor
             if self.gain is not None:
@@ -132,7 +132,8 @@ class ModelledOutput:
         }
 
     def response(self, fitted: Array) -> Array:
-        """The response (1 + p,) of the output to its own input and to each column, for fitted coefficients (p,)."""
+        """Computes the response of the output to its own input and to each column. Returns an array of shape (1 + p,) for p fitted
+        coefficients."""
         if self.within is not None:
             own = {(one.effect.id, one.name): n for n, one in enumerate(self.columns.amplitudes)}
             fitted = np.array([fitted[own[key]] if key in own else 0.0 for key in self.followed])
@@ -141,7 +142,8 @@ class ModelledOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Together:
-    """A group of outputs that use the same segments. `rows`: indices of these segments among the segments of the estimate."""
+    """Describes a group of outputs that use the same segments. `rows`: indices of these segments among the segments of the
+    estimate."""
 
     model: ErrorsAtSegments
     segments: tuple[Segment, ...]
@@ -185,7 +187,8 @@ def changes_within(one: OutputErrors) -> bool:
 
 
 def with_shape(group: Together, k: int, part: EffectPart) -> Together:
-    """A copy of the group in which one effect in the model of the k-th output has another value of its shape."""
+    """Returns a copy of the group in which the shape of one effect has another value. The effect belongs to the model of the k-th
+    output."""
     old = group.outputs[k]
     errors = replace(old.errors, chosen=tuple(part if one.effect is part.effect else one for one in old.errors.chosen))
     (columns,) = replace(group.model, outputs=(errors,)).of_outputs()

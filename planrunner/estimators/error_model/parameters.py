@@ -1,4 +1,4 @@
-"""The plan keys of the estimator of catalogue effects."""
+"""Declares the plan keys of the estimator for catalogue effects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COLUMN = r"[A-Za-z][A-Za-z0-9_]{0,39}"
 
 @dataclass(frozen=True, slots=True)
 class EffectKind:
-    """The kind of plan value that names an installed effect, or one parameter of an effect after a dot."""
+    """Reads a plan value that names an installed effect, or one parameter of an effect after a dot."""
 
     what: str = "an effect, or one of its parameters such as `gyro_misalignment.towards_z`"
 

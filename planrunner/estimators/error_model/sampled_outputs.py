@@ -36,7 +36,7 @@ class SampledOutputs:
     parameters: ErrorModelParameters
 
     def in_time(self, rows: Sequence[int]) -> tuple[int, ...]:
-        """The segments in the order in which they were recorded."""
+        """Returns the segments in the order in which they were recorded."""
         place = {id(self.recording[row]): row for row in rows}
         return tuple(place[id(one)] for one in in_time_order([self.recording[row] for row in rows]))
 

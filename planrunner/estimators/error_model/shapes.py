@@ -32,7 +32,8 @@ _LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the mea
 
 
 def shaped_part(output: ModelledOutput) -> EffectPart | None:
-    """The effect in an output's model whose shape must be fitted to the means of segments; None if there is none."""
+    """Finds the effect in an output's model that has a shape to be fitted to the means of segments; returns None if no effect has
+    such a shape."""
     if output.within is not None:
         return None
     return next((one for one in output.errors.chosen if isinstance(one.effect, ShapedOverSegments)), None)
@@ -41,9 +42,9 @@ def shaped_part(output: ModelledOutput) -> EffectPart | None:
 def with_shapes(
     group: Together, together: Observations, recorded: Sequence[RecordedSegment]
 ) -> tuple[Together, Observations]:
-    """The group of outputs with the shapes of its effects at their best values; and the observations, in whose noise the changes
-    due to these effects within segments are not included. For each shape, the model gets a further column: the derivative with
-    respect to this shape.
+    """Finds the best value of each shape in the models of a group of outputs. Returns the group with these values, and the
+    observations. The noise of the returned observations does not include the changes that these effects cause within segments. For
+    each shape, the model gets a further column: the derivative with respect to this shape.
 
     `together`: observations of the group's outputs in the recorded segments. Raises `UnfitDataError` if the observations do not
     determine a shape.

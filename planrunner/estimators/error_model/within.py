@@ -48,8 +48,8 @@ _IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """The shape of an effect, with the values that the catalogue gives for it, ascending. `discrete`: True if the effect allows
-    only these values."""
+    """Describes the shape of an effect, with the values that the catalogue gives for it, in ascending order. `discrete`: True if
+    the effect allows only these values."""
 
     part: EffectPart
     values: Array
@@ -60,8 +60,8 @@ class Shape:
         return self.part.effect.id
 
     def at(self, place: float) -> float:
-        """The value of the shape at a position in the list of catalogue values. Positions count from 0; between two values, the
-        value is interpolated."""
+        """Returns the value of the shape at a position in the list of catalogue values. Positions count from 0; between two values,
+        the value is interpolated."""
         from scipy.interpolate import PchipInterpolator
 
         if self.discrete or len(self.values) < 3:
@@ -71,7 +71,7 @@ class Shape:
         )
 
     def step(self, value: float) -> float:
-        """The step of the shape for a numerical derivative."""
+        """Returns the step of the shape for a numerical derivative."""
         near = int(np.clip(np.searchsorted(self.values, value), 1, len(self.values) - 1))
         return _SLOPE * float(self.values[near] - self.values[near - 1])
 
@@ -83,7 +83,7 @@ class Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
-    """The contribution of the samples within segments to a fit, as r contrasts (weighted sums of samples), in the output's unit.
+    """Contains r contrasts (weighted sums of samples within segments) that contribute to a fit, in the output's unit.
 
     `matrix`: array of shape (r, p), linear model of the contrasts. `values`: array of shape (r,), the contrasts. `sigma`: array of
     shape (r,), standard deviations of the contrasts. `flicker`: array of shape (r, r), a matrix F with F·Fᵀ equal to the covariance
@@ -100,7 +100,7 @@ class Contrasts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithinFit:
-    """The result of a fit of an output to its samples.
+    """Contains the result of a fit of an output to its samples.
 
     `amplitudes`: the p amplitudes of the fit: first the amplitudes of the model, then the shapes that are not discrete. `matrix`:
     array of shape (n, p), linear model of the means, in SI per SI amplitude. `mean`: array of shape (n,), the observed means.
@@ -153,7 +153,7 @@ class SampledOutput:
 
 
 def shapes_of(model: ErrorsAtSamples) -> tuple[Shape, ...]:
-    """The shapes in a model, except those of effects that cannot act in this plan."""
+    """Returns the shapes in a model, except those of effects that cannot act in this plan."""
     found = []
     for part in model.errors.chosen:
         if shaped(part):
@@ -541,10 +541,10 @@ class _Problem:
 
 
 def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
-    """The k components (k, N) of the error of an input once per turn whose phase is unknown. The sum over k of the squares of the
-    components has the second moments of the error. `turning`: for each segment, the input at its samples as the fit assumes it
-    (real part), and a quarter of a turn earlier or later (imaginary part); complex, zero if the phase is known. N is the number of
-    samples of all segments.
+    """Describes the error of an input once per turn whose phase is unknown. Returns k components of this error, shape (k, N). The
+    sum over k of the squares of the components has the second moments of the error. `turning`: for each segment, the input at its
+    samples as the fit assumes it (real part), and a quarter of a turn earlier or later (imaginary part); complex, zero if the phase
+    is known. N is the number of samples of all segments.
 
     If c is the assumed input, and s the input a quarter of a turn later, the true input is c·cos φ + s·sin φ. The phase φ is uniform, and
     independent of other segments. The error c·(cos φ − 1) + s·sin φ therefore has the mean −c, and both of its parts have the variance
@@ -562,9 +562,9 @@ def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
 
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
-    """For each of S contrasts, the ratio (S,) of its variance to the variance that white noise would give. The ratios are estimated
-    from the scatter of the segments' contributions. They are all 1 if this scatter is not significantly larger than white noise
-    explains, for all contrasts together.
+    """Computes by how much the variance of each contrast exceeds that of white noise. Returns, for S contrasts, the ratios of the
+    two variances, shape (S,). The ratios are estimated from the scatter of the segments' contributions. They are all 1 if this
+    scatter is not significantly larger than white noise explains, for all contrasts together.
 
     `functionals`: array of shape (S, N), orthonormal weights of the samples in each contrast. `left`: array of shape (N,),
     residuals divided by their noise. `first`: array of shape (n,), index of the first sample of each segment. `coloured`: ratio of

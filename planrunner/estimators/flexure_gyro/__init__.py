@@ -1,1 +1,1 @@
-"""Estimators of the static coefficients of a flexure gyro, and of the residuals after compensation."""
+"""Estimators for flexure gyros: one fits the static coefficients, another checks the residuals after compensation."""

@@ -24,9 +24,9 @@ from planrunner.uncertainty.influences import Aspect, Influence
 def residual_influences(
     request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, observed: Array, rate: float
 ) -> tuple[Influence, ...]:
-    """The influences on the residuals of several sets of coefficients at v verification positions, in a sequence of length
-    sets·2·v, set after set. Within a set, the residuals of the first rate (ω_Y) at all positions come first, then the residuals of
-    the second rate (ω_X).
+    """Computes the influences on the residuals of several sets of coefficients at v verification positions. The sets·2·v residuals
+    form one sequence, set after set. Within a set, the residuals of the first rate (ω_Y) at all positions come first, then the
+    residuals of the second rate (ω_X).
 
     `units`: units of the outputs. `matrix`: array of shape (v, p), design matrix of the verification positions, SI. `observed`:
     array of shape (v, 2), the measured outputs. `rate`: SI value of the unit of the residuals, rad/s.
@@ -34,7 +34,8 @@ def residual_influences(
     found: list[Influence] = []
 
     def recovered(flat: Array) -> Array:
-        """The rates (2·v, k) that k sets of coefficients (2·p, k) give, in the unit of the residuals."""
+        """Computes the rates that k sets of coefficients (2·p, k) give. Returns an array of shape (2·v, k), in the unit of the
+        residuals."""
         rates = flexure_gyro.compensated_rates(flat.reshape(2, -1, flat.shape[1]), observed, matrix[:, 3:6])
         return np.asarray(np.swapaxes(rates, 0, 1).reshape(-1, flat.shape[1]) / rate)
 
@@ -49,15 +50,16 @@ def residual_influences(
 
 
 def recovery(coefficients: Array, positions: int, rate: float) -> Array:
-    """The matrix (2·v, 2·v) that converts differences between measured and predicted outputs to rates in units of `rate` rad/s.
-    `coefficients`: array of shape (2, p), from which the outputs are predicted. Rows are ordered by rate, then by position; columns
-    are ordered by output, then by position."""
+    """Returns the matrix that converts the differences between measured and predicted outputs to rates, shape (2·v, 2·v). The rates
+    are in units of `rate` [rad/s]. `coefficients`: array of shape (2, p), from which the outputs are predicted. Rows are ordered by
+    rate, then by position; columns are ordered by output, then by position."""
     return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
 
 
 def sums_and_ratios(residuals: Array, sets: int) -> Array:
-    """The sums of squares and their ratios, (2·sets − 1, n), for n draws of the residuals of all sets of coefficients (sets·2·v,
-    n). First come the residual sums of squares of all sets, then the sums of the other sets divided by the sum of the first set."""
+    """Computes the residual sum of squares of each set of coefficients, and its ratio to the sum of the first set. `residuals`:
+    array of shape (sets·2·v, n), n draws of the residuals of all sets. Returns an array of shape (2·sets − 1, n): first all sums,
+    then the ratios of the second and of each later set."""
     sums = np.sum(residuals.reshape(sets, -1, residuals.shape[1]) ** 2, axis=1)
     return np.concatenate([sums, sums[1:] / sums[0]])
 

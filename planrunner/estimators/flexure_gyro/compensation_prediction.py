@@ -20,7 +20,7 @@ from planrunner.base.kept import kept
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Predicted residuals of several sets of coefficients; the keys are the names of the sets.
+    """Contains the predicted residuals for several sets of coefficients; the keys are the names of the sets.
 
     `expected`: the expected residual sum of squares. `ratios`: the quantiles (5 %, median, 95 %) of the ratio of the sum to the sum
     of the first set. `expected` and `ratios` include noise and declared uncertainties. `relative_spread`: half of the central 68.27
@@ -35,9 +35,9 @@ class Prediction:
 
 
 def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
-    """For each set of coefficients, the matrix (2·v, z) of a linear map. The map converts z independent inputs with standard
-    deviation 1 to the outputs at the v verification positions, minus the outputs that the set's coefficients predict there. Rows
-    are ordered output after output.
+    """Returns, for each set of coefficients, the matrix of a linear map, shape (2·v, z). The map converts z independent inputs with
+    the standard deviation 1 to the errors of the prediction at the v verification positions: the outputs minus the outputs that the
+    set's coefficients predict there. Rows are ordered output after output.
 
     `verification`: array of shape (v, p), design matrix of the verification positions. `sets`: maps the name of a set to matrices
     (2, p, n), which compute the coefficients of each output from the n observations of the calibration. `roots`: for each output, a
@@ -54,16 +54,16 @@ def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[A
 
 
 def expected_sum(maps: Array) -> float:
-    """The expected sum of squares of the r results that the matrix `maps` (r, z) gives for independent inputs of standard deviation
-    1."""
+    """Returns the expected sum of squares of the r results of a linear map. `maps`: matrix (r, z) of the map; its z inputs are
+    independent and have the standard deviation 1."""
     return float(np.sum(maps**2))
 
 
 @kept(64)
 def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) -> tuple[float, ...]:
-    """The expected sum of squared residuals of each set of coefficients, due to noise alone. `verification`: array of shape (v, p),
-    design matrix of the verification positions, where the noise has the standard deviation 1. `sets`: for each set, the design
-    matrix of its calibration positions (n, p), and the standard deviations (2, n) of the noise of both outputs there."""
+    """Computes the expected sum of squared residuals for each set of coefficients, due to noise alone. `verification`: array of
+    shape (v, p), design matrix of the verification positions, where the noise has the standard deviation 1. `sets`: for each set,
+    the design matrix of its calibration positions (n, p), and the standard deviations (2, n) of the noise of both outputs there."""
     noise = np.concatenate([np.ones((2, len(verification))), *(sigma for _, sigma in sets)], axis=1)
     inverses = {str(k): weighted_inverse(matrix, sigma) for k, (matrix, sigma) in enumerate(sets)}
     maps = noise_maps(verification, inverses, [np.diag(sigma) for sigma in noise])
@@ -116,9 +116,9 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
-    """The matrices (m, p, n) that compute the p coefficients of m outputs from n observations by weighted least squares. `sigma`:
-    array of shape (m, n), standard deviations of the observations. The columns of the design matrix `matrix` (n, p) are scaled
-    internally, because it is ill-conditioned in SI units."""
+    """Returns the matrices that compute the p coefficients of m outputs from n observations by weighted least squares, shape (m, p,
+    n). `sigma`: array of shape (m, n), standard deviations of the observations. The columns of the design matrix `matrix` (n, p)
+    are scaled internally, because it is ill-conditioned in SI units."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None] / sigma[:, None, :]

@@ -106,7 +106,8 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         return Design(blocks, notes=(note,), extra=known, remarks=remarks)
 
     def known(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Known:
-        """The declared coefficients U and V of the sensor; if none are declared, the coefficients of a gyro without drift."""
+        """Returns the declared coefficients U and V of the sensor. If none are declared, returns the coefficients of a gyro without
+        drift."""
         parameters = request.parameters
         nominal, names = request.sensor.nominal, flexure_gyro.physical_names(parameters.terms)
         if any(name not in nominal for name in names[:4]):
@@ -177,26 +178,28 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         )
 
     def chain(self, request: EstimateRequest[FlexureGyroStaticParameters], estimate: Estimate) -> Draws:
-        """Monte Carlo draws of [U; V] from the fit and the stated inputs, which are passed through the closed-form inverse."""
+        """Draws [U; V] by the Monte Carlo method: the draws come from the fit and the stated inputs, and pass through the
+        closed-form inverse."""
         made = self.quantities(request)
         return made.found.draws(request.parameters.uncertainty, [made.stated])
 
 
 def static_design(products: tuple[str, ...], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each output for segments at rest. Raises `EstimationError` if a segment moves or its orientation is unknown."""
+    """Returns the design of each output. All segments must be at rest. Raises `EstimationError` if a segment moves or its
+    orientation is unknown."""
     model = flexure_gyro.static_model(products)
     return PositionsDesign(model, tuple(segments), static_matrix(model, segments, site), local_magnitudes(model, site))
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
-    """The design matrix, SI, for segments at rest. Raises `EstimationError` for a segment that moves or whose orientation is
-    unknown."""
+    """Returns the design matrix, SI. All segments must be at rest. Raises `EstimationError` for a segment that moves or whose
+    orientation is unknown."""
     return matrix_at_rest(model, segments, site, "the static coefficients need positions at rest")
 
 
 def local_magnitudes(model: ErrorModel, site: Site) -> Array:
-    """The magnitudes (p,) of the columns, computed from the Earth rate and gravity at the site. If columns are divided by these
-    magnitudes, determinants can be compared between sites."""
+    """Computes the magnitudes of the columns, shape (p,), from the Earth rate and gravity at the site. If columns are divided by
+    these magnitudes, determinants can be compared between sites."""
     sizes = {0: 1.0, 1: site.gravity, 2: site.gravity**2}
     return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
 
@@ -205,7 +208,8 @@ def local_magnitudes(model: ErrorModel, site: Site) -> Array:
 def reported(
     units_of_outputs: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
 ) -> tuple[tuple[Reported, ...], Array]:
-    """The reported quantities, first the physical coefficients, then U0 …, V0 …; and the SI value (q,) of the unit of each.
+    """Lists the reported quantities: first the physical coefficients, then U0 …, V0 …. Returns them with the SI value of the unit
+    of each, shape (q,).
 
     A coefficient that is related to an output is in the unit in which this output is recorded.
 
@@ -329,8 +333,8 @@ def _drift(axis: str, rate: str, kind: str) -> Said:
 
 
 def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
-    """The values `determinant` and `condition`, by which sets of positions can be compared, and a sentence with these values. Rates
-    are in units of the Earth rate, and accelerations in units of g."""
+    """Returns the values `determinant` and `condition`, with which sets of positions can be compared, and a sentence that states
+    these values. Rates are in units of the Earth rate, and accelerations in units of g."""
     sight = rank.look(design.matrix / design.magnitudes)
     determinant, condition = sight.determinant, sight.condition
     note = said(

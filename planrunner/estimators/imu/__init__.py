@@ -1,1 +1,2 @@
-"""Estimators of bias, scale factor, misalignment and g-sensitivity of an inertial measurement unit, from positions and rates."""
+"""Estimators that calibrate an inertial measurement unit with positions and rates. They determine bias, scale factor, misalignment
+and g-sensitivity."""

@@ -35,7 +35,7 @@ _DIMENSION = {"gyro": DIMENSIONS["angular rate"], "accel": DIMENSIONS["accelerat
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The responses of the three outputs of a triad.
+    """Contains the responses of the three outputs of a triad.
 
     `kind`: gyro or accel. `units`: for each of the three outputs, the unit in which it is recorded. `values`: array of shape (3,
     p), for each output, the coefficients of the model's terms, in the unit of the output per SI unit of the term.
@@ -56,7 +56,7 @@ class Response:
         return self.places(_SENSED[self.kind])
 
     def rows(self, channels: Sequence[str]) -> list[AxisResponse]:
-        """The responses of those outputs that are recorded in a unit of the sensed quantity."""
+        """Returns the responses of those outputs that are recorded in a unit of the sensed quantity."""
         return [
             AxisResponse(
                 channels[axis],
@@ -71,8 +71,8 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class Framed:
-    """The responses of all triads in the frame in which they are reported. `reference`: the kind of the triad that defines the
-    frame; empty for the frame of the fixture."""
+    """Contains the responses of all triads, in the frame in which they are reported. `reference`: the kind of the triad that
+    defines the frame; empty for the frame of the fixture."""
 
     responses: tuple[Response, ...]
     reference: str = ""
@@ -80,8 +80,8 @@ class Framed:
 
 @dataclass(frozen=True, slots=True)
 class ImuResults:
-    """All reported quantities, triad after triad, with the formula that computes them from the fitted responses. `frame`: the
-    fitted responses in the reported frame."""
+    """Contains all reported quantities, triad after triad. Also contains the formula that computes them from the fitted responses.
+    `frame`: the fitted responses in the reported frame."""
 
     frame: Framed
     quantities: tuple[Reported, ...]
@@ -89,9 +89,9 @@ class ImuResults:
 
 
 def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResults:
-    """The results in the frame of the fixture, or in the frame of the accelerometers if `lower_triangular` is True (in the frame of
-    the gyros if there are no accelerometers). Raises `EstimationError` if no frame can be defined or a term cannot be transformed,
-    and `UnfitDataError` for an output that does not respond."""
+    """Computes the results in the frame of the fixture. If `lower_triangular` is True, computes them in the frame of the
+    accelerometers, or of the gyros if there are no accelerometers. Raises `EstimationError` if no frame can be defined or a term
+    cannot be transformed, and `UnfitDataError` for an output that does not respond."""
     reference = fitted[-1] if lower_triangular else None  # the accelerometers, if there are any
     if lower_triangular:
         _must_turn(fitted)

@@ -115,7 +115,7 @@ class Triad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuQuantities(Quantities):
-    """The results of a multi-position test of an IMU. `frame`: the responses in the reported frame. `found`: the reported
+    """Contains the results of a multi-position test of an IMU. `frame`: the responses in the reported frame. `found`: the reported
     quantities."""
 
     triads: tuple[Triad, ...]
@@ -148,7 +148,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         return Design(tuple(blocks), remarks=tuple(remarks))
 
     def known(self, request: DesignRequest[ImuMultiPositionParameters]) -> Known:
-        """The input axes of the outputs, which are x, y and z in the order in which the plan names the outputs."""
+        """Returns the input axes of the outputs: x, y and z, in the order in which the plan names the outputs."""
         triads = _triads(request.parameters)
         return Known(directions={name: np.eye(3)[axis] for _, names, _ in triads for axis, name in enumerate(names)})
 
@@ -363,8 +363,8 @@ def _inverse(one: Response) -> Array | None:
 
 
 def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) -> Mapping[str, object]:
-    """The coefficients at one temperature, in the form that `interface.Estimate` describes for its field `extra`. `time`: mean time
-    of the test, s."""
+    """Returns the coefficients at one temperature. Their form is described in `interface.Estimate`, field `extra`. `time`: mean
+    time of the test, s."""
     return {
         one.name: {
             "temperature_degC": [celsius],
@@ -381,7 +381,7 @@ _WORDS = {"gyro": ("ω", "deg/s"), "accel": ("f", "g")}
 
 
 def formula(frame: Framed) -> Said:
-    """A note that explains how to apply the coefficients."""
+    """Returns a note that explains how to apply the coefficients."""
     known = {one.kind for one in frame.responses}
     formulas = {
         "gyro": said("gyros: ω = (S·M)⁻¹·(output − b − G·f)"),
@@ -404,7 +404,8 @@ def formula(frame: Framed) -> Said:
 
 
 def matrices(one: Response) -> tuple[Table, ...]:
-    """Tables of the matrix S·M with the bias b (and with G for gyros), and of the inverse matrix if all three axes were excited."""
+    """Makes tables of the matrix S·M, of the bias b and, for gyros, of the matrix G. If all three axes were excited, also makes a
+    table of the inverse of S·M."""
     sensed = one.sensed
     if len(sensed) < 3:
         return ()
@@ -435,7 +436,8 @@ def matrices(one: Response) -> tuple[Table, ...]:
 
 
 def inverse_matrix(one: Response) -> Array | None:
-    """The matrix (S·M)⁻¹ (3, 3), in deg/s or g per recorded unit; None if the input axes of the outputs are linearly dependent."""
+    """Returns the matrix (S·M)⁻¹, shape (3, 3), in deg/s or g per recorded unit; None if the input axes of the outputs are linearly
+    dependent."""
     matrix = one.values[:, [one.sensed[k] for k in range(3)]] * unit(_WORDS[one.kind][1]).factor
     lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
     if (lengths == 0).any() or np.linalg.cond(matrix / lengths) > 1e6:

@@ -31,7 +31,7 @@ class TooLittleError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PeriodicPart:
-    """The part of a velocity error that repeats with the rotation cycle.
+    """Describes the part of a velocity error that repeats with the rotation cycle.
 
     `orders`: array of shape (m,), orders of the harmonics, positive and negative. `velocities`: array of shape (m,), coefficients
     of the harmonics [m/s]. `noise`: array of shape (m,), standard uncertainty of each coefficient [m/s], from the residuals.
@@ -112,7 +112,7 @@ def periodic_part(time: Array, velocity: Complex, period: float, highest: int, s
 
 
 def free_rates(site: Site) -> tuple[float, float, float, float]:
-    """The rates [rad/s] of the free oscillations of a navigator's error: the Schuler oscillation, split by the Earth's rotation,
-    and the 24-hour oscillation."""
+    """Returns the rates [rad/s] at which a navigator's error oscillates freely: the Schuler oscillation, split by the Earth's
+    rotation, and the 24-hour oscillation."""
     natural, turning = schuler_rate(site), site.earth_rate * math.sin(site.latitude)
     return natural - turning, -natural - turning, site.earth_rate, -site.earth_rate

@@ -58,7 +58,8 @@ class ModulationResidualParameters(Record):
 
     @property
     def declared(self) -> Array | None:
-        """The declared constant errors (6,) of gyros [rad/s] and accelerometers [m/s²]; None if the plan states no constant errors."""
+        """Returns the declared constant errors of gyros [rad/s] and accelerometers [m/s²], shape (6,); None if the plan states no
+        constant errors."""
         if not self.gyro_errors and not self.accelerometer_errors:
             return None
         parts = (self.gyro_errors, self.accelerometer_errors)

@@ -27,7 +27,7 @@ _NO_REFERENCE = (
 
 @dataclass(frozen=True, slots=True)
 class Navigation:
-    """One navigation over the time that all navigations cover.
+    """Contains the errors of one navigation over the time that all navigations cover.
 
     `course`: array of shape (5, n), with the rows time [s], east and north position error [m], east and north velocity error [m/s].
     `cycle`: the cycle during navigation, None at rest. `aligned`: the cycle during the alignment, None at rest. `highest`: the
@@ -57,15 +57,15 @@ class Navigation:
 
     @property
     def cep_rate(self) -> float:
-        """The CEP rate [nmi/h]: √(ln 2) times the slope of a line through the origin that is fitted to the radial error as a
-        function of time."""
+        """Returns the CEP rate [nmi/h]: √(ln 2) times the slope of the radial error over time. The slope is that of a fitted line
+        through the origin."""
         time = self.course[0]
         return CEP_SHARE * float(time @ self.radial / (time @ time)) * HOUR / NAUTICAL_MILE
 
 
 def rotation(motion: Motion, table: TableModel | None) -> RotationCycle | None:
-    """The rotation cycle of a motion, including the table's ramps; None for a motion that is neither a cycle nor a spin. A constant
-    rate counts as a cycle of one turn."""
+    """Returns the rotation cycle of a motion, including the table's ramps; None for a motion that is neither a cycle nor a spin. A
+    constant rate counts as a cycle of one turn."""
     if isinstance(motion, Cycle):
         return RotationCycle.of(motion, table.axes[0].max_acceleration if table else math.inf)
     if isinstance(motion, Spin):

@@ -33,7 +33,8 @@ def errors_over_time(
     seconds: float,
     site: Site,
 ) -> tuple[Array, Array]:
-    """The position error as a function of time: times (n,) [s] and errors (n, 2) [m], east and north.
+    """Computes the position error over time. Returns the times [s], shape (n,), and the errors to the east and to the north [m],
+    shape (n, 2).
 
     `errors`: array of shape (6,), constant errors of gyros [rad/s] and accelerometers [m/s²] along x, y, z. `attitude`: array of
     shape (3, 3), whose rows are the sensor's axes in East-North-Up at the first position. `cycle`: rotation cycle during
@@ -65,7 +66,8 @@ def errors_over_time(
 
 
 def horizontal(errors: Array, attitude: Array) -> Array:
-    """The constant errors (6,) without their vertical part, which a rotation about the vertical does not modulate."""
+    """Returns the constant errors without their vertical part, shape (6,). A rotation about the vertical does not modulate the
+    vertical part."""
     up = attitude[:, 2]
     across: Array = errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
     return across
@@ -74,8 +76,8 @@ def horizontal(errors: Array, attitude: Array) -> Array:
 def periodic_amplitudes(
     errors: Array, attitude: Array, cycle: RotationCycle, orders: NDArray[np.int_], site: Site
 ) -> tuple[float, float]:
-    """The amplitudes of the velocity error [m/s] and of the position error [m] that repeat with the cycle, computed from the
-    harmonics `orders` of the cycle."""
+    """Returns the amplitudes of those parts of the velocity error [m/s] and of the position error [m] that repeat with the cycle.
+    They are computed from the harmonics `orders` of the cycle."""
     level = attitude.T @ errors.reshape(2, 3).T
     gyro, accelerometer = (complex(level[0, column], level[1, column]) for column in (0, 1))
     forced = {

@@ -48,8 +48,8 @@ def stride(knots: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The true position and velocity at m moments: latitude and longitude [rad], height [m], and velocity (m, 2), east and north
-    [m/s]."""
+    """States the true position and velocity at m moments: latitude and longitude [rad], height [m], and the velocity to the east
+    and to the north [m/s]. The velocity is an array of shape (m, 2)."""
 
     latitude: Array
     longitude: Array

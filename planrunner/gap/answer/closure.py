@@ -228,8 +228,9 @@ class _Fold:
 def choices_of(
     weighing: Weighing, effect: str, members: Sequence[tuple[Weighed, Candidate]], probability: float
 ) -> list[FoldChoice]:
-    """The choices for an effect or a set of effects: its best form, and the forms in which one of the effects has another probable
-    shape. `members`: for each effect, its best form and the candidate with all its forms."""
+    """Returns the choices for an effect or a set of effects. The first choice has the best form of each effect. In every other
+    choice, one effect has another probable form instead of its best one. `members`: for each effect, its best form, and the
+    candidate with all forms of this effect."""
     best = [form for form, _ in members]
     varied = [(best, 0.0)]
     for number, (form, candidate) in enumerate(members):

@@ -3,11 +3,11 @@ remainder in each frequency band.
 
 The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
 and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If an encoder
-shows the motion, the angular rates take the place of the harmonics. The angular accelerations are then removed from the samples
-without being used: a delay between the encoder and the sensor is unknown, and would otherwise count as noise at the frequencies of
-the rates. Deterministic effects lie in the span of this basis. The remainder is noise or a tone; it is stored as energies in bands
-of the DCT-II. Outliers far outside the noise are replaced by the fit of the basis and counted, because a single one would affect
-all coefficients.
+shows the motion, the angular rates take the place of the harmonics. The angular accelerations are then removed from the samples and
+not used as evidence. An unknown delay between the encoder and the sensor makes a signal in proportion to them, which would
+otherwise count as noise at the frequencies of the rates. Deterministic effects lie in the span of this basis. The remainder is
+noise or a tone; it is stored as energies in bands of the DCT-II. Outliers far outside the noise are replaced by the fit of the
+basis and counted, because a single one would affect all coefficients.
 """
 
 from __future__ import annotations

@@ -88,8 +88,8 @@ class Weighed:
 
     @cached_property
     def log_possible(self) -> float:
-        """The logarithm of the probability that every amplitude is physically possible. It is added to the log Bayes factor of a
-        prior without limits, which is too large by this amount."""
+        """The logarithm of the probability that every amplitude is physically possible. It is negative or zero. Its sum with the
+        log Bayes factor of a prior without limits is the log Bayes factor of a prior with the physical limits."""
         columns = self.variant.columns
         limited = [k for k, column in enumerate(columns) if np.isfinite([column.smallest, column.largest]).any()]
         if not limited:

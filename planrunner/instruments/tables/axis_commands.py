@@ -53,8 +53,8 @@ class AxisCommands(Commands, Protocol):
         """Makes the axes ready to move. It is called before the first move, and again after `switch_off`."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Moves axes to positions, at which they then stay. `here`: the present positions of the axes. An axis that changes to its
-        position mode first holds its present position."""
+        """Moves axes to positions, at which they then stay. `here`: the present positions of the axes. If an axis has to change to
+        its position mode, it is first commanded to hold its present position."""
 
     def turn(self, axis: int, rate: float) -> None: ...
     def rock(self, sines: Mapping[int, Sine]) -> None: ...

@@ -1,4 +1,5 @@
-"""Keys of a real table: number and sense of each axis at the controller, and tolerances within which a state counts as reached."""
+"""Declares the entries of a bench file that every real table has: for each axis, its number and its sense at the controller, and
+the tolerances within which a state counts as reached."""
 
 from __future__ import annotations
 

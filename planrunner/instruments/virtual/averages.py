@@ -26,8 +26,9 @@ _SNAP = 1e-6  # of an interval: a break nearer than this to a sample's end count
 
 
 def interval_means(world: World, sampling: Sampling, first: int, length: int) -> tuple[Components, Components]:
-    """Mean inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes over each of the sampling intervals first …
-    first + length − 1. Each component is a float if nothing moves, otherwise an array (length,)."""
+    """Returns the mean inertial rate [rad/s] and the mean specific force [m/s^2] along the sensor's axes, for `length` consecutive
+    sampling intervals. The number of the first of these intervals is `first`, counted from 0. Each component is a float if nothing
+    moves, otherwise an array (length,)."""
     begin = sampling.start + first / sampling.rate
     stretches = world.stretches(begin, begin + length / sampling.rate)
     if all(stretch.pace == 0.0 for stretch in stretches):

@@ -174,8 +174,8 @@ class VirtualFlexureGyro(OnlyRead):
         return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
 
     def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:
-        """Returns a function that makes the samples first … first + length − 1 of a sampling. The function must be called for all
-        samples, in order."""
+        """Returns a function that makes samples of a sampling: called with `first` and `length`, it returns `length` samples,
+        starting with the sample number `first`. The function must be called for all samples, in order."""
         for flicker in self.flicker.values():
             flicker.begin(sampling.start, draw)
         return lambda first, length: self._block(sampling.times(first, length), sampling, draw)

@@ -7,8 +7,8 @@ along the sensor's axes. The output is then
     y = K·(1 + δ + Σ κ_k·ΔT^k + κ_V·ΔV + κ_p·Δp)
           · (u + a·|u|/2 + q₂·u² + q₃·u³ + s·f + b + Σ β_k·ΔT^k + β_V·ΔV + β_p·Δp + A·e^(−t/τ) + slow noise) + white noise,
 
-and is then clipped and counted or rounded. `docs/virtual-sensors.md` names every coefficient. In this module, all coefficients are
-in SI units with radians.
+The output y is then limited to the output range and counted, or limited and rounded. `docs/virtual-sensors.md` names every
+coefficient. In this module, all coefficients are in SI units with radians.
 """
 
 from __future__ import annotations

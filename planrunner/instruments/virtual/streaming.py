@@ -37,8 +37,8 @@ class Sampling:
 
     @classmethod
     def of(cls, world: World, segment: Segment, sensor: SensorModel) -> Sampling:
-        """Makes the sampling of a dwell that begins now. Raises `InstrumentError` if the dwell is not planned or the sensor cannot
-        be sampled at the requested rate."""
+        """Returns a `Sampling` for a dwell that begins now. Raises `InstrumentError` if the dwell is not planned or the sensor
+        cannot be sampled at the requested rate."""
         if segment.dwell is None:
             raise InstrumentError(
                 f"'{segment.label}' has the dwell 'recorded', which is only possible with a recording"
