@@ -7,8 +7,8 @@ import math
 
 
 def root_of(square: float, spread: float) -> tuple[float, float]:
-    """The quantity and its standard uncertainty, computed from an estimate of its square and the standard uncertainty of this
-    square. The estimate of the square may be negative.
+    """Computes a quantity and its standard uncertainty from an estimate of its square and the standard uncertainty of this square.
+    The estimate of the square may be negative.
 
     An interval of ± two standard uncertainties about the square is converted to an interval of the quantity. The uncertainty is
     half of the distance from the quantity to the farther end of this interval. If the square is well known, the result equals that

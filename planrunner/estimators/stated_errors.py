@@ -37,8 +37,8 @@ _STEP = 1e-4  # of an input; central differences of terms up to the second degre
 
 
 def mean_poses(segments: Sequence[Segment]) -> Poses:
-    """The attitudes of the segments, averaged over the time of the recording. A spin is averaged over whole turns, because the
-    angle at which the recording begins is not known."""
+    """Returns the attitudes of the segments, averaged over the time of the recording. A spin is averaged over whole turns, because
+    the angle at which the recording begins is not known."""
     return Poses.of(segments, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
 
 
@@ -48,8 +48,8 @@ def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
 
 
 def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
-    """Latitude and gravity as conditions that can be changed, if they are stated with an uncertainty. The azimuth is not included,
-    because it rotates the sensor on the table but does not change the site."""
+    """Returns latitude and gravity as conditions that can be changed, if they are stated with an uncertainty. The azimuth is not
+    included, because it rotates the sensor on the table but does not change the site."""
     if latitude := inputs.get("latitude"):
         yield StatedCondition.single(latitude, lambda by: replace(site, latitude=site.latitude + by))
     if gravity := inputs.get("gravity"):
@@ -59,10 +59,10 @@ def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
 def site_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """The errors of observations due to latitude and gravity, if these are stated with an uncertainty. An error of latitude or
-    gravity changes the expected outputs, not the readings. An expected output that is too large has the same effect as a reading
-    that is too small. `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs' units per SI
-    unit of each column."""
+    """Computes the errors of the observations that latitude and gravity cause, if these are stated with an uncertainty. An error of
+    latitude or gravity changes the expected outputs, not the readings. An expected output that is too large has the same effect as
+    a reading that is too small. `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs'
+    units per SI unit of each column."""
     stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()
@@ -91,7 +91,8 @@ _site_slopes_of_motion = kept(64)(_site_slopes)
 def table_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """The errors of observations due to errors of the table for which the bench states an uncertainty.
+    """Computes the errors of the observations that the table causes. Only errors of the table for which the bench file states an
+    uncertainty are included.
 
     `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each
     column.
@@ -168,8 +169,8 @@ def _followed(slopes: Array, coefficients: Array) -> Array:
 
 
 def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """The errors of observations due to a relative error of each commanded rate. The error is the same for all segments with the
-    same rate. The result is empty if the table never rotates.
+    """Computes the errors of the observations that a relative error of each commanded rate causes. The error is the same for all
+    segments with the same rate. The result is empty if the table never rotates.
 
     `moved`: array of shape (m, n), change of the observations per relative change of the rate of each segment. `rates`: array of
     shape (n,) in rad/s.
@@ -183,27 +184,27 @@ def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[Co
 
 
 def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
-    """The error that all rates of an estimate have in common, as the plan states it."""
+    """Returns the error that all rates of an estimate have in common, as the plan states it."""
     source = f"plan estimates.{estimate}.rate_uncertainty"
     width = stated.value if stated else 0.0
     return InputQuantity("table rate, common", 0.0, "1", width, source=source, shown="ppm", shown_factor=1e-6)
 
 
 def rate_part(rate: float) -> str:
-    """The name of the error of one commanded rate [rad/s]. This error has the same name wherever it acts."""
+    """Returns the name of the error of one commanded rate [rad/s]. This error has the same name wherever it acts."""
     return f"{np.degrees(rate):.9g} deg/s"
 
 
 def pair_parts(table: TableModel) -> tuple[str, ...]:
-    """The names of the orthogonality errors between neighbouring axes of a table."""
+    """Returns the names of the orthogonality errors between neighbouring axes of a table."""
     return tuple(f"{one.name} and {other.name}" for one, other in zip(table.axes, table.axes[1:], strict=False))
 
 
 def orthogonality_tilts(
     axes: Sequence[TableAxis], attitudes: Sequence[Array | None], azimuth: float
 ) -> tuple[Array, ...]:
-    """How the sensor tilts if two neighbouring axes of a table are not at right angles: for each pair of axes, a tilt vector (n, 3)
-    at n attitudes, in rad per rad of deviation from the right angle.
+    """Computes how the sensor tilts if two neighbouring axes of a table are not at right angles. Returns, for each pair of axes,
+    the tilt vectors at n attitudes, shape (n, 3), in rad per rad of deviation from the right angle.
 
     For a deviation of 1 rad, a vector v in the sensor's axes becomes v + tilt × v. A deviation turns the inner axis of the pair
     about c = outer × inner. The tilt is zero at the position where the table is aligned. At a joint angle q of the inner axis, the

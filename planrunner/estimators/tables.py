@@ -14,7 +14,8 @@ from planrunner.base.dataclass import dataclass
 
 
 class Role(StrEnum):
-    """The kind of the cells in a column. Reports use the role, never the title of a column, to round, align and format its cells.
+    """States the kind of the cells in a column. Reports use the role, never the title of a column, to round, align and format its
+    cells.
 
     A `VALUE` is rounded according to the first uncertainty column to its right, and shown with five digits if there is no such
     column. A `NUMBER` is set or stated, and has no uncertainty. A `SHARE` is a fraction of 1 that is shown in percent. A `LABEL` is
@@ -79,13 +80,13 @@ def by_columns(title: str, *columns: FilledColumn) -> Table:
 
 
 def known(values: Array) -> list[float | None]:
-    """The values (n,) as cells of a table; a cell is empty if its value is not finite."""
+    """Converts the values (n,) to cells of a table; a cell is empty if its value is not finite."""
     return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A plot of points for readers.
+    """Describes a plot of points for readers.
 
     `series`: maps the name of each series to its values, one for each label or number of `x`. `uncertainties`: maps names of series
     to the standard uncertainties of the values; a series may lack them. `log`: True if both axes are logarithmic; values that are

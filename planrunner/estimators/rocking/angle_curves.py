@@ -31,9 +31,9 @@ ARCSEC = math.radians(1 / 3600)
 
 @dataclass(frozen=True, slots=True)
 class StateCurves:
-    """The curves of one level state, averaged over the quadruples of runs in this state. `time`: array of shape (n,), s since the
-    start of a record. `angles`: array of shape (4, n, 2) in rad, angles about the two `level` axes in the runs static 1, dynamic 1,
-    dynamic 2 and static 2; the mean angle in the first window is zero; NaN if samples are missing."""
+    """Contains the curves of one level state, averaged over the quadruples of runs in this state. `time`: array of shape (n,), s
+    since the start of a record. `angles`: array of shape (4, n, 2) in rad, angles about the two `level` axes in the runs static 1,
+    dynamic 1, dynamic 2 and static 2; the mean angle in the first window is zero; NaN if samples are missing."""
 
     name: str
     level: tuple[int, int]

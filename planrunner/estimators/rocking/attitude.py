@@ -21,7 +21,7 @@ _SINE = {"xzy": (1, 2, 1), "zxy": (2, 0, 0)}
 
 
 def turned(axis: int, angle: Array | float) -> Array:
-    """The rotation matrix R_axis(angle), shape (3, 3); for angles (n,), shape (n, 3, 3)."""
+    """Returns the rotation matrix R_axis(angle), shape (3, 3). For angles of shape (n,), returns an array of shape (n, 3, 3)."""
     angle = np.asarray(angle, dtype=float)
     first, second = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.zeros((*angle.shape, 3, 3))
@@ -33,8 +33,8 @@ def turned(axis: int, angle: Array | float) -> Array:
 
 
 def earth_turn(earth: Array, seconds: Array) -> Array:
-    """The matrices R(Ω_ie·t), shape (…, n, 3, 3), for times (n,) in s. They transform site components at time t to site components at
-    time zero.
+    """Returns the matrices R(Ω_ie·t) for the times t [s], shape (n,). The result has the shape (…, n, 3, 3). They transform site
+    components at time t to site components at time zero.
 
     `earth`: array of shape (…, 3) in rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in
     inertial space.
@@ -48,8 +48,8 @@ def earth_turn(earth: Array, seconds: Array) -> Array:
 
 
 def rotation_vector(between: Array) -> Array:
-    """The rotation vector θ for which exp(−[θ×]) equals `between`, shape (…, 3) for matrices (…, 3, 3). The formula is valid for
-    frame rotations that are clearly smaller than 180°."""
+    """Computes the rotation vector θ for which exp(−[θ×]) equals `between`. Matrices of shape (…, 3, 3) give vectors of shape (…,
+    3). The formula is valid for frame rotations that are clearly smaller than 180°."""
     m = between
     vector = 0.5 * np.stack(
         [m[..., 1, 2] - m[..., 2, 1], m[..., 2, 0] - m[..., 0, 2], m[..., 0, 1] - m[..., 1, 0]], axis=-1
@@ -61,8 +61,8 @@ def rotation_vector(between: Array) -> Array:
 
 
 def turned_by(vector: Array) -> Array:
-    """The frame rotation exp(−[θ×]) for a rotation vector θ, shape (…, 3, 3) for vectors (…, 3). The function is the inverse of
-    `rotation_vector`."""
+    """Computes the frame rotation exp(−[θ×]) for a rotation vector θ. Vectors of shape (…, 3) give matrices of shape (…, 3, 3). The
+    function is the inverse of `rotation_vector`."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
@@ -78,7 +78,7 @@ def encoder_attitude(
     gimbals: Sequence[Array],
     axes: Sequence[int],
 ) -> Array:
-    """The attitude (n, 3, 3) of the element, computed from ring and gimbal angles.
+    """Computes the attitude of the element from ring and gimbal angles. Returns an array of shape (n, 3, 3).
 
     `rings`, `gimbals`: sequences of angles, (n,) each, the outermost ring or gimbal first. `directions`: the direction that the
     axis of each ring has while all rings are at zero, before the table's `azimuth` is applied. `axes`: for each gimbal, the axis
@@ -94,7 +94,7 @@ def encoder_attitude(
 
 @dataclass(frozen=True, slots=True)
 class LevelState:
-    """A state of the element in which two of its axes are level.
+    """Describes a state of the element in which two of its axes are level.
 
     `nominal`: array of shape (3, 3), the planned attitude C of the element. `vertical`: the vertical axis of the element. `sign`:
     +1 if this axis points up, −1 if it points down. `sine`: the level axis whose tilt is computed by an arc sine, and about which
@@ -115,11 +115,12 @@ class LevelState:
 
     @property
     def hand(self) -> float:
-        """The value +1 if (vertical, sine, other) is a cyclic permutation of x, y, z; otherwise −1."""
+        """Returns +1 if (vertical, sine, other) is a cyclic permutation of x, y, z; otherwise −1."""
         return 1.0 if self.sine == (self.vertical + 1) % 3 else -1.0
 
     def tilts(self, force: Array, gravity: Array | float) -> Array:
-        """The tilts (…, 2) about the level axes, computed from the specific force in element axes (…, 3) [m/s^2].
+        """Computes the tilts about the level axes, shape (…, 2). The argument is the specific force [m/s^2] in element axes, shape
+        (…, 3).
 
         If y is up: d_z = asin(f_x/g) and d_x = −atan2(f_z, f_y) for C = R_x·R_z·R_y; d_z = atan2(f_x, f_y) and d_x = −asin(f_z/g)
         for C = R_z·R_x·R_y.
@@ -145,8 +146,8 @@ class LevelState:
 
 
 def level_state(nominal: Array, order: str) -> LevelState | None:
-    """The level state of a planned attitude; None if no axis is vertical. `order`: order of the rotations if y is up, `xzy` or
-    `zxy`."""
+    """Returns the level state of a planned attitude; None if no axis is vertical. `order`: order of the rotations if y is up, `xzy`
+    or `zxy`."""
     cosines = nominal @ UP
     vertical = int(np.argmax(np.abs(cosines)))
     if abs(cosines[vertical]) < 1 - UPRIGHT:

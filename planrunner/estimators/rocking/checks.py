@@ -1,5 +1,5 @@
-"""Checks a rocking test before it runs: its windows, timing, pattern of runs, caging and resolution, and axes that cannot be
-measured.
+"""Checks a rocking test before it runs: windows, timing, pattern of runs, caging and resolution. Also checks whether the drift
+about each axis can be measured.
 
 A finding is an error if the drift under rocking could not be computed or would be wrong. A finding is a warning if the result would
 only be less accurate than the method promises.
@@ -29,7 +29,7 @@ SMALL = 1e-6
 
 
 def span(runs: Sequence[Run]) -> float | None:
-    """The planned dwell [s] of the shortest run; None if the dwell of a run is 'recorded'."""
+    """Returns the planned dwell [s] of the shortest run; None if the dwell of a run is `recorded`."""
     dwells = [run.segment.dwell for run in runs if run.segment.dwell is not None]
     return min(dwells) if len(dwells) == len(runs) else None
 
@@ -221,8 +221,8 @@ def _first_end(parameters: RockingDriftParameters) -> float:
 def count_seconds(
     request: DesignRequest[RockingDriftParameters], parameters: RockingDriftParameters
 ) -> tuple[str, float, float] | None:
-    """The accelerometer with the largest count; this count [m/s^2]; and the time [s] in which the smallest drift changes the
-    accelerometer's reading by one count. None if no accelerometer has a stated count."""
+    """Finds the accelerometer with the largest count. Returns its name, this count [m/s^2], and the time [s] in which the smallest
+    drift changes its reading by one count. Returns None if no accelerometer has a stated count."""
     coarsest: tuple[str, float, float] | None = None
     for name in parameters.accelerometers:
         output = request.sensor.output(name)
@@ -237,8 +237,8 @@ def count_seconds(
 
 
 def count_in_words(count: float, seconds: float, parameters: RockingDriftParameters, gravity: float) -> str:
-    """A text with the size of one count in arc seconds and in g, and with the time that the smallest drift needs to change the
-    reading by one count."""
+    """States in words the size of one count in arc seconds and in g, and the time in which the smallest drift changes the reading
+    by one count."""
     size = f"{count / STANDARD_GRAVITY * 1e6:.3g} µg, {count / gravity / ARCSEC:.3g} arcsec"
     return f"at {parameters.smallest_drift}, a change of one count ({size}) takes {seconds:.3g} s"
 

@@ -50,8 +50,8 @@ def conditions_of(site: Site, parameters: RockingDriftParameters) -> RockingCond
 
 
 def drifts_of(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """The drifts of one run [deg/h] about the two level axes, shape (…, 2), or (…, 4) if there are encoders: first the drifts
-    computed from the accelerometers, then the drifts computed from the gimbals."""
+    """Computes the drifts of one run [deg/h] about the two level axes. Returns an array of shape (…, 2), or (…, 4) if there are
+    encoders: first the drifts computed from the accelerometers, then the drifts computed from the gimbals."""
     parts = [accelerometer_drift(reduced, conditions)]
     if reduced.first.turn is not None:
         parts.append(gimbal_drift(reduced, conditions))
@@ -77,7 +77,8 @@ def influences_of(
 
 
 def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request: Request) -> Array:
-    """The covariance (k, k) [deg²/h²] of the drifts of one run about their mean over all runs, computed from the declared effects."""
+    """Computes from the declared effects how the drifts of one run scatter about their mean over all runs. Returns their covariance
+    [deg²/h²], shape (k, k)."""
     own = influences_on_several(partial(_drifts_of_variants, conditions), _of_one_run(reduced, request))
     count = len(drifts_of(reduced, conditions))
     return np.asarray(sum((one.covariance for one in own), np.zeros((count, count))))
@@ -217,7 +218,7 @@ def _noise(request: Request) -> float:
 
 
 def azimuth_uncertainty(request: Request) -> InputQuantity | None:
-    """The uncertainty of the element's azimuth at t0 in one run; None if it is not stated."""
+    """Returns the uncertainty of the element's azimuth at t0 in one run; None if it is not stated."""
     parameters = request.parameters
     if parameters.azimuth_uncertainty is not None:
         value, source = parameters.azimuth_uncertainty.value, "plan azimuth_uncertainty"
@@ -229,7 +230,7 @@ def azimuth_uncertainty(request: Request) -> InputQuantity | None:
 
 
 def resolution(request: Request, parameters: RockingDriftParameters) -> float:
-    """The largest count of all accelerometers [m/s^2], as declared in the bench file; 0 if none is declared."""
+    """Returns the largest count of all accelerometers [m/s^2], as declared in the bench file; 0 if none is declared."""
     counts = [0.0]
     for name in parameters.accelerometers:
         output = request.sensor.output(name)

@@ -1,4 +1,4 @@
-"""The plan keys of the estimator of rocking drifts."""
+"""Declares the plan keys of the estimator for rocking drifts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Installation(Record):
     zx: Quantity = _angle("Q_zx, z accelerometer about x.", "14 arcsec ± 2 arcsec")
 
     def stated(self) -> dict[str, Quantity]:
-        """The stated angles as a mapping from name to quantity, in the order in which `RockingConditions` expects them."""
+        """Returns the stated angles as a mapping from name to quantity, in the order in which `RockingConditions` expects them."""
         return {"xz": self.xz, "xy": self.xy, "yz": self.yz, "yx": self.yx, "zy": self.zy, "zx": self.zx}
 
     def angles(self) -> Array:
@@ -144,5 +144,5 @@ class RockingDriftParameters(Record):
     pairing_seed: int = key(Number(0, 2**31, integer=True), "Seed of the draw.", 1, default=1)
 
     def second(self, end: float) -> float:
-        """The time t1 [s] at which the second window begins, for records that last until `end` [s]."""
+        """Returns the time t1 [s] at which the second window begins. `end`: the time at which the records end, s."""
         return end - self.window.value if self.second_window is None else self.second_window.value

@@ -47,7 +47,7 @@ def comparison(pairings: Sequence[Pairings]) -> Table:
 
 
 def sentence(pairings: Sequence[Pairings]) -> Said:
-    """A sentence that compares the two methods over all random pairs of runs."""
+    """Writes a sentence that compares the two methods over all random pairs of runs."""
     better = [AXES[pairs.axis] for pairs in pairings if pairs.deviations[0] < pairs.deviations[1]]
     worse = [AXES[pairs.axis] for pairs in pairings if AXES[pairs.axis] not in better]
     all_pairs = sum(len(pairs.accelerometers) for pairs in pairings)
@@ -71,7 +71,7 @@ def sentence(pairings: Sequence[Pairings]) -> Said:
 
 
 def quadruple_table(states: Sequence[StateDrifts]) -> Table:
-    """A table of the rocking drift (step 6) of each quadruple of runs."""
+    """Makes a table of the rocking drift (step 6) of each quadruple of runs."""
     rows = []
     encoders = states[0].drifts.shape[2] == 4
     for state in states:
@@ -84,7 +84,7 @@ def quadruple_table(states: Sequence[StateDrifts]) -> Table:
 
 
 def run_table(states: Sequence[StateDrifts]) -> Table:
-    """A table of the drift (step 5) of each run."""
+    """Makes a table of the drift (step 5) of each run."""
     rows = []
     encoders = states[0].drifts.shape[2] == 4
     for state in states:
@@ -100,8 +100,8 @@ def run_table(states: Sequence[StateDrifts]) -> Table:
 
 
 def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Table]:
-    """A table of the drift of dynamic runs before rocking begins, beside the drift of the complete run; empty if no record contains
-    a time before rocking."""
+    """Makes a table that compares, for dynamic runs, the drift before rocking begins with the drift of the complete run. The table
+    is empty if no record contains a time before rocking."""
     rows = []
     for reduced in (run for state in runs for four in state for run in four):
         before = drift_before_rocking(reduced, conditions)
@@ -121,7 +121,7 @@ def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Tabl
 
 
 def method_error(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Table:
-    """A table of the possible errors [deg/h] of the drift of one run by the gravity method."""
+    """Makes a table of the possible errors [deg/h] that the gravity method causes in the drift of one run."""
     parameters = request.parameters
     gravity = request.site.gravity
     rows = [
@@ -157,7 +157,7 @@ def method_error(request: EstimateRequest[RockingDriftParameters], seconds: floa
 
 
 def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
-    """One plot for each axis, with the absolute values of the drifts by both methods in ascending order."""
+    """Makes one plot for each axis. The plot shows the absolute values of the drifts by both methods in ascending order."""
     return [
         Plot(
             f"Rocking drift about {AXES[pairs.axis]} over random pairings",
@@ -175,7 +175,7 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
 
 
 def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Said:
-    """A note about a drift about the vertical axis: it states the fraction that appears as a drift about a level axis."""
+    """Writes a note about a drift about the vertical axis. The note states the fraction that appears as a drift about a level axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return said(
         "By the second window the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "

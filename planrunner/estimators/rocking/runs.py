@@ -18,8 +18,8 @@ WORDS = {False: "static", True: "dynamic"}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of the element in navigation. `place`: index of the run among the chosen segments. `caged_before`: True if the
-    element was caged before the run, None if the segments do not show this."""
+    """Describes one run of the element in navigation. `place`: index of the run among the chosen segments. `caged_before`: True if
+    the element was caged before the run, None if the segments do not show this."""
 
     segment: Segment
     place: int
@@ -36,20 +36,22 @@ class Run:
 
     @property
     def planned_lead(self) -> float:
-        """The planned time [s] from the release to the start of the record: the settling time, and that part of the fade-in of the
-        rocking which is not recorded."""
+        """Returns the planned time [s] from the release to the start of the record. It consists of the settling time and of that
+        part of the rocking's fade-in which is not recorded."""
         motion = self.segment.motion
         return self.segment.settle + (motion.lead_in if isinstance(motion, Rock) else 0.0)
 
     @property
     def rest_before(self) -> float:
-        """The time [s] from the start of the record until the base begins to rock; 0 if the base rocks from the start, or never."""
+        """Returns the time [s] from the start of the record until the base begins to rock; 0 if the base rocks from the start, or
+        never."""
         motion = self.segment.motion
         return motion.delay if isinstance(motion, Rock) else 0.0
 
     @property
     def rocking_ends(self) -> float:
-        """The time [s] from the start of the record until the rings are at rest, including the fade-out; 0 for a run at rest."""
+        """Returns the time [s] from the start of the record until the rings are at rest, including the fade-out; 0 for a run at
+        rest."""
         motion = self.segment.motion
         return motion.over if isinstance(motion, Rock) else 0.0
 
@@ -63,7 +65,7 @@ class Quadruple:
 
     @property
     def name(self) -> str:
-        """The part that the labels of the four runs have in common."""
+        """Returns the part that the labels of the four runs have in common."""
         parts = [run.label.split("/") for run in self.runs]
         common = [words[0] for words in zip(*parts, strict=False) if len(set(words)) == 1]
         return "/".join(common) or f"{self.runs[0].label} …"
@@ -126,7 +128,7 @@ def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
 
 
 def by_state(found: Sequence[Quadruple]) -> list[list[Quadruple]]:
-    """The quadruples by orientation, in the order in which the orientations were recorded."""
+    """Groups the quadruples by orientation, in the order in which the orientations were recorded."""
     groups: list[list[Quadruple]] = []
     for quadruple in found:
         nominal = quadruple.runs[0].state.nominal

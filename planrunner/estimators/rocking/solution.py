@@ -30,7 +30,7 @@ from planrunner.estimators.rocking.windows import Windows, low_pass, read_pieces
 
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
-    """The conditions under which drifts are computed.
+    """States the conditions under which drifts are computed.
 
     `earth`: array of shape (3,), Earth rate in East-North-Up, rad/s. `gravity`: magnitude of gravity, m/s^2. `installation`: array
     of shape (6,) in rad, installation angles in the order of `Installation.stated`. `turned`: error of the table's azimuth, rad,
@@ -45,20 +45,20 @@ class RockingConditions:
 
     @property
     def felt_earth(self) -> Array:
-        """The Earth rate in the site axes to which the planned orientation refers."""
+        """Returns the Earth rate in the site axes to which the planned orientation refers."""
         east, north, up = np.moveaxis(self.earth, -1, 0)
         c, s = np.cos(self.turned), np.sin(self.turned)
         return np.stack([c * east - s * north, s * east + c * north, up], axis=-1)
 
     @property
     def inputs(self) -> Array:
-        """The matrix (…, 3, 3) that converts specific force in element axes to the accelerometers' readings."""
+        """Returns the matrix that converts specific force in element axes to the accelerometers' readings, shape (…, 3, 3)."""
         xz, xy, yz, yx, zy, zx = np.moveaxis(self.installation, -1, 0)
         one = np.ones_like(xz)
         return np.stack([one, xz, -xy, -yz, one, yx, zy, -zx, one], axis=-1).reshape(*xz.shape, 3, 3)
 
     def compensated(self, readings: Array) -> Array:
-        """The specific force (…, n, 3) in element axes, computed from the accelerometers' readings (…, n, 3)."""
+        """Computes the specific force in element axes from the accelerometers' readings. Both arrays have the shape (…, n, 3)."""
         return np.asarray(readings @ np.swapaxes(np.linalg.inv(self.inputs), -1, -2))
 
 
@@ -134,8 +134,8 @@ def reduce_run(
 
 
 def expected_run(run: Run, times: tuple[float, float], conditions: RockingConditions, encoders: bool) -> ReducedRun:
-    """The windows of an expected run, in which the element is fixed in inertial space. `times`: t0 and t1, s from the start of the
-    record."""
+    """Computes the windows of an expected run, in which the element is fixed in inertial space. `times`: t0 and t1, s from the
+    start of the record."""
     windows = []
     for time in np.array(times):
         attitude = run.state.nominal @ earth_turn(conditions.felt_earth, np.array([time + run.planned_lead]))
@@ -146,9 +146,9 @@ def expected_run(run: Run, times: tuple[float, float], conditions: RockingCondit
 
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
-    """The time [s] from the release to the start of the record. It is taken from the plan (`released_before`) or from the recording
-    (`in_mode`), and is otherwise the planned time. Raises `EstimationError` if the bench plays back a recording that does not
-    contain this time."""
+    """Returns the time [s] from the release to the start of the record. It is taken from the plan (`released_before`) or from the
+    recording (`in_mode`), and is otherwise the planned time. Raises `EstimationError` if the bench plays back a recording that does
+    not contain this time."""
     if parameters.released_before is not None:
         return parameters.released_before.value
     if in_mode is not None:
@@ -181,13 +181,15 @@ def several_runs(each: Sequence[ReducedRun]) -> ReducedRun:
 
 
 def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """The drift (…, 2) [rad/s] about the two level axes, in the order x, y, z, by steps 2 to 5."""
+    """Computes the drift [rad/s] about the two level axes by steps 2 to 5. Returns an array of shape (…, 2); the axes are in the
+    order x, y, z."""
     return _drift_between(reduced, reduced.second, conditions)
 
 
 def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> Array | None:
-    """The drift (…, 2) [rad/s] about the two level axes from the first window to the window that ends when the base begins to rock,
-    by steps 2 to 5; None if there is no such window."""
+    """Computes the drift [rad/s] about the two level axes before rocking begins, by steps 2 to 5. It is the drift from the first
+    window to the window that ends when the base begins to rock. Returns an array of shape (…, 2), or None if there is no such
+    window."""
     return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)
 
 
@@ -199,8 +201,8 @@ def _drift_between(reduced: ReducedRun, later: Window, conditions: RockingCondit
 
 
 def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array, readings: Array) -> Array:
-    """The tilts (…, n, 2) [rad] about the two level axes, minus the tilts of an inertially fixed element that has the same attitude
-    at t0.
+    """Computes the tilts [rad] about the two level axes, minus the tilts of an inertially fixed element that has the same attitude
+    at t0. Returns an array of shape (…, n, 2).
 
     `time`: array of shape (n,), s from the start of the record. `readings`: array of shape (…, n, 3) in m/s^2, readings of the
     accelerometers at these times.

@@ -27,7 +27,7 @@ WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 
 @dataclass(frozen=True, slots=True)
 class StateDrifts:
-    """The drifts of all quadruples of one state.
+    """Contains the drifts of all quadruples of one state.
 
     `level`: the two level axes. `quadruples`: the q quadruples of the state. `drifts`: array of shape (q, 4, k) in deg/h, the
     drifts of the four runs of each quadruple. The first two of the k columns are the drifts about the two level axes by the
@@ -43,17 +43,17 @@ class StateDrifts:
 
     @property
     def rocking(self) -> Array:
-        """The rocking drift (q, k) of each quadruple, deg/h."""
+        """Returns the rocking drift of each quadruple [deg/h], shape (q, k)."""
         return np.asarray(np.einsum("r,qrk->qk", WEIGHTS, self.drifts))
 
     @property
     def runs(self) -> tuple[Array, Array]:
-        """The drifts of the static runs and the drifts of the dynamic runs, two arrays of shape (2q, k) in deg/h."""
+        """Returns the drifts of the static runs and the drifts of the dynamic runs [deg/h] as two arrays of shape (2q, k)."""
         static, dynamic = self.drifts[:, [0, 3]], self.drifts[:, [1, 2]]
         return static.reshape(-1, static.shape[2]), dynamic.reshape(-1, dynamic.shape[2])
 
     def scatter(self) -> tuple[Array, float]:
-        """The covariance (k, k) of the mean rocking drift, and the degrees of freedom of this covariance.
+        """Returns the covariance of the mean rocking drift, shape (k, k), and the degrees of freedom of this covariance.
 
         With several quadruples, the covariance comes from their scatter. With a single quadruple, it comes from the difference
         between the two dynamic runs and the difference between the two static runs. It is not known which of the two pairs scatters
@@ -71,7 +71,7 @@ class StateDrifts:
 
 @dataclass(frozen=True, slots=True)
 class CombinedDrifts:
-    """The m rocking drifts, averaged over the states; the drifts by the accelerometers come first.
+    """Contains the m rocking drifts, averaged over the states. The drifts that the accelerometers give come first.
 
     `axes`: the axis of each drift. `by_gimbals`: array of shape (m,), True for each drift that comes from the gimbals. `values`:
     array of shape (m,) in deg/h, the drifts. `covariance`: array of shape (m, m), covariance of the drifts. `shares`: for each
@@ -115,8 +115,9 @@ def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Pairings:
-    """Random pairs of a static and a dynamic run, for one axis. `accelerometers`: array of shape (p,) in deg/h, the rocking drift
-    of each pair by the accelerometers. `gimbals`: array of shape (p,) in deg/h, the rocking drift of each pair by the gimbals."""
+    """Contains random pairs of a static and a dynamic run, for one axis. `accelerometers`: array of shape (p,) in deg/h, the
+    rocking drift of each pair by the accelerometers. `gimbals`: array of shape (p,) in deg/h, the rocking drift of each pair by the
+    gimbals."""
 
     axis: int
     accelerometers: Array
@@ -124,12 +125,12 @@ class Pairings:
 
     @property
     def smaller(self) -> float:
-        """The fraction of pairs in which the accelerometers give the smaller drift."""
+        """Returns the fraction of pairs in which the accelerometers give the smaller drift."""
         return float(np.mean(np.abs(self.accelerometers) < np.abs(self.gimbals)))
 
     @property
     def deviations(self) -> tuple[float, float]:
-        """The standard deviation [deg/h] of the rocking drifts, for each of the two methods."""
+        """Returns the standard deviation [deg/h] of the rocking drifts, for each of the two methods."""
         return _deviation(self.accelerometers), _deviation(self.gimbals)
 
 
@@ -158,8 +159,8 @@ def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
 
 
 def implausible(states: Sequence[StateDrifts], earth_rate: float, stated: float) -> Iterator[Said]:
-    """Warnings about runs whose drift is larger than half of the Earth rate, and about differences between the drifts by the two
-    methods.
+    """Returns warnings about runs whose drift is larger than half of the Earth rate. Also returns warnings about differences
+    between the drifts that the two methods give.
 
     `earth_rate`: the Earth rate, deg/h. `stated`: standard uncertainty [deg/h] of the difference between the two methods, due to
     the declared errors of the rings.

@@ -29,8 +29,8 @@ LONGEST_GAP = 0.5  # s, filled on a straight line
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """The positions of the windows in a record. All times are in s from the start of the record. `before`: the start of a third
-    window, which lies between the first and the second window and ends when the base begins to rock; None if there is no such
+    """States the positions of the windows in a record. All times are in s from the start of the record. `before`: the start of a
+    third window, which lies between the first and the second window and ends when the base begins to rock; None if there is no such
     window. `end`: the end of the record."""
 
     first: float
@@ -47,13 +47,14 @@ class Windows:
 
     @property
     def pieces(self) -> tuple[tuple[float, float], ...]:
-        """For each window, the start and the end of the time that is read around it, s."""
+        """Returns, for each window, the start and the end of the time [s] that is read around it."""
         reach = REACH / self.cutoff
         return tuple((max(0.0, begin - reach), min(self.end, begin + self.length + reach)) for begin in self.begins)
 
     def with_rest(self, rest: float) -> Windows:
-        """The windows of a run whose base is at rest for the first `rest` [s] of its record. A third window at the end of this time
-        is added, if there is at least one filter length between the end of the first window and the start of the third."""
+        """Returns the windows of a run whose base is at rest during the first `rest` seconds of its record. A third window at the
+        end of this time is added, if there is at least one filter length between the end of the first window and the start of the
+        third."""
         before = rest - self.length
         apart = before >= self.first + self.length + 1 / self.cutoff
         return replace(self, before=before) if apart else self
@@ -61,16 +62,16 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class RecordPiece:
-    """Evenly spaced samples of a part of a record. `time`: array of shape (n,), s from the start of the record. `values`: array of
-    shape (n, k) in SI units."""
+    """Contains evenly spaced samples of a part of a record. `time`: array of shape (n,), s from the start of the record. `values`:
+    array of shape (n, k) in SI units."""
 
     time: Array
     values: Array
 
 
 def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> list[RecordPiece]:
-    """The samples around each window of a run, with the channels as columns. Raises `EstimationError` if the run has no suitable
-    samples there."""
+    """Reads the samples around each window of a run; the channels are the columns. Raises `EstimationError` if the run has no
+    suitable samples there."""
     scales = [scale(recorded, name) for name in channels]
     statistics = recorded.statistics
     rate = (statistics.count + statistics.rejected - 1) / max(statistics.end - statistics.start, 1e-9)
@@ -99,7 +100,8 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
 
 
 def low_pass(piece: RecordPiece, cutoff: float) -> Array:
-    """The values (n, k) of a piece after a low-pass filter without delay, which removes changes faster than `cutoff` [Hz]."""
+    """Filters the values of a piece with a low-pass filter without delay, which removes changes faster than `cutoff` [Hz]. Returns
+    an array of shape (n, k)."""
     from scipy.signal import sosfiltfilt
 
     rate = 1 / float(piece.time[1] - piece.time[0])
@@ -120,17 +122,17 @@ def _sections(ratio: float) -> Array:
 
 
 def passed(frequency: float, cutoff: float) -> float:
-    """The fraction of a sine's amplitude that remains after the filter has run forwards and backwards."""
+    """Returns the fraction of a sine's amplitude that remains after the filter has run forwards and backwards."""
     return 1 / (1 + (frequency / cutoff) ** (2 * ORDER))
 
 
 def within(piece: RecordPiece, begin: float, length: float) -> NDArray[np.bool_]:
-    """A mask (n,), True for the samples of a piece that are in the window."""
+    """Returns a mask of shape (n,), which is True for the samples of a piece that are in the window."""
     return (piece.time >= begin - 1e-6) & (piece.time < begin + length - 1e-6)
 
 
 def scale(recorded: RecordedSegment, name: str) -> float:
-    """The SI value of one unit of a channel. Raises `EstimationError` for a channel that is missing or has an unknown unit."""
+    """Returns the SI value of one unit of a channel. Raises `EstimationError` for a channel that is missing or has an unknown unit."""
     try:
         return unit(recorded.units[name]).factor
     except KeyError:

@@ -66,7 +66,7 @@ class Aligned:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """The readings of the sensors at rest.
+    """Contains the readings of the sensors at rest.
 
     `means`: array of shape (6, b), means over b successive time spans of `length` [s], rad/s and m/s². `white`: array of shape
     (6,), square roots of the densities of the white noise, rad/√s and m/s/√s. `freedom`: degrees of freedom of `white`.
@@ -149,14 +149,15 @@ def align(
 
 
 def stillness(segment: Segment, seconds: float) -> float:
-    """The duration [s] of the rest at the start of a segment, at most `seconds`. The coarse attitude is computed from this time."""
+    """Returns how long the sensor is at rest at the start of a segment, at most `seconds`. The coarse attitude is computed from
+    this time."""
     first = segment.motion.stop if isinstance(segment.motion, Cycle) else seconds
     return min(first, seconds, _COARSE)
 
 
 def end_attitude(segment: Segment, table: TableModel | None, seconds: float | None = None) -> Array | None:
-    """The planned attitude (3, 3) at the end of a segment, whose rows are the sensor's axes; None if it is not known. `seconds`:
-    the recorded length of the segment; by default the planned dwell."""
+    """Returns the planned attitude at the end of a segment as a matrix (3, 3) whose rows are the sensor's axes; None if it is not
+    known. `seconds`: the recorded length of the segment; by default the planned dwell."""
     if segment.attitude is None or not isinstance(segment.motion, Cycle):
         return segment.attitude if isinstance(segment.motion, Rest) else None
     dwell = segment.dwell if seconds is None else seconds
@@ -174,9 +175,9 @@ def same_attitude(one: Array | None, other: Array | None) -> bool:
 
 
 def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, ...]:
-    """A warning if the attitude from the alignment differs from the planned attitude by more than 90 deg. One reversed channel
-    changes the attitude by 180 deg. `planned`: array of shape (3, 3), planned attitude, whose rows are the sensor's axes; None if
-    it is not known. `rotation`: array of shape (3, 3), attitude from the alignment, from body to navigation axes."""
+    """Returns a warning if the attitude from the alignment differs from the planned attitude by more than 90 deg. One reversed
+    channel changes the attitude by 180 deg. `planned`: array of shape (3, 3), planned attitude, whose rows are the sensor's axes;
+    None if it is not known. `rotation`: array of shape (3, 3), attitude from the alignment, from body to navigation axes."""
     if planned is None:
         return ()
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(planned @ rotation)) - 1) / 2)))
@@ -235,7 +236,7 @@ def to_navigation(rotation: Array, variances: Array) -> Array:
 
 
 def levelled_out(density: Array) -> Array:
-    """The density (6, 6) of the noise for a sensor that rotates about the vertical: the noise is averaged over the east and north
+    """Returns the noise density (6, 6) of a sensor that rotates about the vertical: the noise is averaged over the east and north
     axes."""
     found = np.zeros_like(density)
     for k in (0, 3):

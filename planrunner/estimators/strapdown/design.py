@@ -1,5 +1,4 @@
-"""Checks a strapdown navigation before it is recorded, and predicts it: whether its segments are suitable, and which errors are
-expected.
+"""Checks before the recording whether the segments of a strapdown navigation are suitable, and predicts its errors.
 
 The expected errors follow from the declared white noise and from the uncertainties of constant errors that the plan states. The
 filter of the alignment predicts the errors that remain after the alignment. Noise and these errors, rotated with the table, are

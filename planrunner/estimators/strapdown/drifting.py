@@ -31,7 +31,7 @@ _MOST_POSITIONS = 0.5  # of the observations: otherwise a drift looks like a cha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopDrift:
-    """What the readings at the stops show about a drift of the six sensors.
+    """States what the readings at the stops show about a drift of the six sensors.
 
     `fitted`: the fitted drift functions. `changes`: array of shape (6,), for each sensor, the largest minus the smallest bias
     during alignment and navigation according to the fitted drift, rad/s and m/s². `uncertainties`: array of shape (6,),

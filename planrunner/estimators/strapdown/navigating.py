@@ -168,8 +168,8 @@ class Navigated:
 
 
 def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S, Sequence[S]]:
-    """The segment for the alignment, and the segments to navigate. Raises `EstimationError` unless exactly one segment is for the
-    alignment and at least one follows it."""
+    """Returns the segment for the alignment, and the segments to navigate. Raises `EstimationError` unless exactly one segment is
+    for the alignment and at least one follows it."""
     found = [k for k, label in enumerate(labels) if matches(label, pattern)]
     if not found:
         raise EstimationError(
@@ -186,9 +186,9 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
-    """The point on the Earth at which the sensor is aligned. Each coordinate is taken from the run information; if it is not given
-    there, from the reference channels; otherwise from the bench's site. `factor`: gravity at the site divided by normal gravity.
-    Raises `EstimationError` for run information that is not a place on Earth."""
+    """Returns the point on the Earth at which the sensor is aligned. Each coordinate is taken from the run information; if it is
+    not given there, from the reference channels; otherwise from the bench's site. `factor`: gravity at the site divided by normal
+    gravity. Raises `EstimationError` for run information that is not a place on Earth."""
 
     def place(coordinate: _Coordinate) -> float | None:
         if text := request.setup.information.get(coordinate.information, "").strip():
@@ -276,14 +276,15 @@ def _earth_rate(site: Site) -> Array:
 
 
 def wandering_sensors(inputs: Inputs, parameters: StrapdownNavigationParameters) -> dict[int, InputQuantity]:
-    """The sensors with a stated bias instability: maps the index of a sensor (gyros x, y, z, then accelerometers x, y, z) to its
-    bias instability."""
+    """Returns the sensors with a stated bias instability: maps the index of a sensor (gyros x, y, z, then accelerometers x, y, z)
+    to its bias instability."""
     stated = (inputs.of_output(Aspect.BIAS_INSTABILITY, name) for name in parameters.channels)
     return {k: quantity for k, quantity in enumerate(stated) if quantity is not None}
 
 
 def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:
-    """The SI value, in rad/s or m/s², of one unit of an output; for an output of increments, of one unit per sample interval."""
+    """Returns the SI value [rad/s or m/s²] of one unit of an output. For an output of increments, it is the value of one unit per
+    sample interval."""
     known = unit(quantity.unit)
     increments = known.dimension in (DIMENSIONS["angle"], DIMENSIONS["speed"])
     return known.factor * (sensor.sample_rate if increments else 1.0)

@@ -39,8 +39,9 @@ CEP_INTERVAL = (_sigma_quantile(0.025), _sigma_quantile(0.975))
 
 
 def stride(knots: int) -> int:
-    """The number of knots (moments of the navigator) from one kept point to the next, so that a record has at most `POINTS` points.
-    The number is a divisor of 3600 if possible, so that whole hours are among the points."""
+    """Returns the number of knots from one kept point to the next, so that a record has at most `POINTS` points. Knots are the
+    moments for which the navigator returns a result. The number is a divisor of 3600 if possible, so that whole hours are among the
+    points."""
     wanted = max(1, -(-knots // POINTS))
     divisors = [k for k in range(1, int(HOUR) + 1) if int(HOUR) % k == 0]
     return next((k for k in divisors if k >= wanted), wanted)
@@ -59,7 +60,7 @@ class Truth:
 
 @dataclass
 class ErrorRecord:
-    """Sums of navigation errors over all knots, and the errors at every `stride`-th knot. A knot is a moment for which the
+    """Contains sums of navigation errors over all knots, and the errors at every `stride`-th knot. A knot is a moment for which the
     navigator returns attitude, velocity and position. Times are in s since the navigation began, errors in m and m/s.
 
     `knots`: number of knots. `squares`: sum of the squares of the radial position error. `speed_squares`: sum of the squares of the
@@ -99,8 +100,8 @@ class ErrorRecord:
         self.knots += len(time)
 
     def points(self) -> Array:
-        """The kept errors (5, m) on a regular time grid that begins at zero, with the rows time [s], east and north position error
-        [m], east and north velocity error [m/s]."""
+        """Returns the kept errors on a regular time grid that begins at zero, shape (5, m). The rows are time [s], east and north
+        position error [m], east and north velocity error [m/s]."""
         return np.hstack(self.course)
 
     @property

@@ -37,7 +37,7 @@ _RATE_TOLERANCE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Increments:
-    """The increments of angle and velocity of a part of a recording.
+    """Contains the increments of angle and velocity in a part of a recording.
 
     `values`: array of shape (6, n), rad and m/s along the body axes x, y, z. `interval`: array of shape (n,) in s, the length of
     time that each increment covers. `time`: array of shape (n,) in s, the end of this time. `reference`: maps each reference
@@ -142,8 +142,9 @@ class IncrementReader:
 
 
 def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, NDArray[np.bool_]]:
-    """The factors (6,) that convert the channels to SI units, and True for each channel that gives increments. Raises
-    `EstimationError` for a missing channel, and for a unit that is neither a unit of a rate nor of an increment."""
+    """Returns the factors that convert the channels to SI units, shape (6,). Also returns an array that is True for each channel
+    that gives increments. Raises `EstimationError` for a missing channel, and for a unit that is neither a unit of a rate nor of an
+    increment."""
     factors, integrated = np.empty(len(channels)), np.zeros(len(channels), dtype=np.bool_)
     for k, name in enumerate(channels):
         if name not in recorded.units:
@@ -165,14 +166,14 @@ def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, N
 
 
 def reference_mean(recorded: RecordedSegment, name: str) -> float:
-    """The mean of a reference channel over a segment, SI. Raises `EstimationError` if the channel has an unsuitable unit."""
+    """Returns the mean of a reference channel over a segment, SI. Raises `EstimationError` if the channel has an unsuitable unit."""
     statistics = recorded.statistics
     return float(statistics.mean[statistics.of(name)]) * _reference_unit(recorded, name)
 
 
 def reference_speed(recorded: RecordedSegment) -> float:
-    """The largest absolute velocity [m/s] that the reference channels show; 0 without such channels. Raises `EstimationError` for a
-    reference channel with an unsuitable unit."""
+    """Returns the largest absolute velocity [m/s] that the reference channels show; 0 without such channels. Raises
+    `EstimationError` for a reference channel with an unsuitable unit."""
     statistics, largest = recorded.statistics, 0.0
     for name, dimension in REFERENCES.items():
         if dimension == "speed" and name in recorded.units:

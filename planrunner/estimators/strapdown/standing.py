@@ -30,7 +30,7 @@ _SHORTEST = 10.0  # s, of such a block
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stops:
-    """The mean readings over parts of stops.
+    """Contains mean readings over parts of the stops.
 
     `time`: array of shape (n,) in s, mean time of each part since the alignment began. `seconds`: array of shape (n,) in s, length
     of the part. `means`: array of shape (n, 6), mean readings of gyros [rad/s] and accelerometers [m/s²]. `position`: array of

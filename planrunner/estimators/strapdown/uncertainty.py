@@ -65,8 +65,8 @@ _MOMENTS = 96  # at which the effect of biases that wander is evaluated
 
 
 class Spread:
-    """The uncertainty that comes from noise. `covariance`: array of shape (m, m), covariance of the coefficients, in their units.
-    `radial`: array of shape (n,), standard uncertainty of the radial error [m] at the points of `ErrorRecord.points`."""
+    """Contains the uncertainty that comes from noise. `covariance`: array of shape (m, m), covariance of the coefficients, in their
+    units. `radial`: array of shape (n,), standard uncertainty of the radial error [m] at the points of `ErrorRecord.points`."""
 
     def __init__(self, equations: ErrorEquations, found: Navigated, points: Array, turns: bool):
         start = np.zeros((SIZE, SIZE))
@@ -86,7 +86,7 @@ class Spread:
 
 
 class Wander:
-    """The uncertainty that comes from biases which change over time (flicker).
+    """Contains the uncertainty that comes from biases which change over time (flicker).
 
     `influences`: one influence for each sensor whose bias instability is stated. `radial`: array of shape (n,), standard
     uncertainty [m] of the radial error at the points of `ErrorRecord.points`, due to these sensors. `unstated`: the flicker of each
@@ -157,7 +157,8 @@ def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
 
 
 def joined(found: Navigated, both: Array, over_time: Array) -> Array:
-    """The covariance (m, m) of the results `NAMES`, in their units, without the contribution of the CEP rate.
+    """Returns the covariance of the results `NAMES`, in their units, shape (m, m). The contribution of the CEP rate is not
+    included.
 
     The angles and the errors at the end are linear functions of the state. Correlations between figures that summarise the errors
     over time (largest and root-mean-square errors, error rate) are set to zero. `both`: array of shape (7, 7), joint covariance of
@@ -234,10 +235,10 @@ def _along(errors: Array, covariances: Array) -> Array:
 def influences(
     request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated, points: Array
 ) -> tuple[Influence, ...]:
-    """The influences of the latitude and of constant sensor errors. Constant sensor errors influence only the angles. An error of
-    the latitude makes the assumed Earth rate wrong, and so influences the navigation errors; its influence on the alignment is
-    neglected. Repeating a navigation under other conditions would take too long, so the sensitivities come from the error
-    equations. A test compares them with repeated navigations. `points`: array of shape (5, n), navigation errors as
+    """Computes how the latitude and constant sensor errors influence the results. Constant sensor errors influence only the angles.
+    An error of the latitude makes the assumed Earth rate wrong, and so influences the navigation errors; its influence on the
+    alignment is neglected. Repeating a navigation under other conditions would take too long, so the sensitivities come from the
+    error equations. A test compares them with repeated navigations. `points`: array of shape (5, n), navigation errors as
     `ErrorRecord.points` returns them."""
     parameters = request.parameters
     rotation = found.aligned.alignment.rotation
@@ -274,8 +275,8 @@ def influences(
 
 
 def drift_influence(found: Navigated, points: Array) -> Influence | None:
-    """The influence of the drift that the stops show; None if they show no drift. `points`: array of shape (5, n), navigation
-    errors as `ErrorRecord.points` returns them.
+    """Computes how the drift that the stops show influences the results; returns None if the stops show no drift. `points`: array
+    of shape (5, n), navigation errors as `ErrorRecord.points` returns them.
 
     The change of each coefficient is its value with the drift minus its value without the drift. Changes of the drift that are as
     large as its uncertainty count as small and independent of each other."""
@@ -299,8 +300,8 @@ def drift_influence(found: Navigated, points: Array) -> Influence | None:
 
 
 def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count: int) -> Array:
-    """The errors (4, count) of position [m] and velocity [m/s] per rad of error of the stated latitude, at the end of each `step`
-    [s]."""
+    """Computes the position errors [m] and velocity errors [m/s] per rad of error of the stated latitude, at the end of each `step`
+    [s]. Returns an array of shape (4, count)."""
     shift = np.zeros((SIZE, 1))
     shift[1] = float(radii(site.latitude)[0]) + site.height
     found = equations.responses(shift, np.zeros((count, INPUTS, 1)), step) - shift

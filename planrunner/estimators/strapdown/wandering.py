@@ -24,7 +24,7 @@ _AXES = 3
 
 @dataclass(frozen=True, slots=True)
 class WanderingBias:
-    """The response of a navigation to sensor errors that are constant in each interval of `step` [s].
+    """Describes the response of a navigation to sensor errors that are constant in each interval of `step` [s].
 
     `aligned`: array of shape (3, 6, m) in rad, tilt after the alignment for an error of 1 rad/s or 1 m/s² of each of the 6 sensors
     in each of the m intervals of the alignment. `attitude`: array of shape (n, 3, 3), mean attitude over each interval of the
@@ -41,18 +41,18 @@ class WanderingBias:
 
     @property
     def begun(self) -> int:
-        """The number of intervals before the first interval of the navigation."""
+        """Returns the number of intervals before the first interval of the navigation."""
         return max(self.between, int(self.aligned.shape[2]))
 
     @property
     def middles(self) -> Array:
-        """The middle of each interval of alignment and navigation, s since the alignment began."""
+        """Returns the middle of each interval of alignment and navigation, s since the alignment began."""
         return np.asarray(self.step * (np.arange(self.begun + len(self.attitude)) + 0.5))
 
     def errors(self, biases: Array) -> Array:
-        """The navigation errors (7, n + 1, r) at the start of the navigation and after each of its n intervals, in the states that
-        `error_equations` defines, for r cases of changing biases. `biases`: array of shape (6, l, r), rad/s and m/s², mean biases
-        over the l intervals whose middles are `middles`."""
+        """Computes the navigation errors for r cases of changing biases, at the start of the navigation and after each of its n
+        intervals. Returns an array of shape (7, n + 1, r), with the states that `error_equations` defines. `biases`: array of shape
+        (6, l, r), rad/s and m/s², mean biases over the l intervals whose middles are `middles`."""
         m = self.aligned.shape[2]
         start = np.zeros((SIZE, biases.shape[2]))
         start[TILT] = np.einsum("asm,smr->ar", self.aligned, biases[:, :m])
@@ -67,8 +67,8 @@ class WanderingBias:
         return turned
 
     def covariances(self, moments: Array) -> Array:
-        """For each sensor with a bias instability of 1 rad/s or 1 m/s², the joint covariance (k, 6, 7, 7), at k moments of the
-        navigation, of the tilts after the alignment [rad] and of the position and velocity errors."""
+        """Computes, for each sensor, the joint covariance of the tilts after the alignment [rad] and of the position and velocity
+        errors at k moments of the navigation. The bias instability is 1 rad/s or 1 m/s². Returns an array of shape (k, 6, 7, 7)."""
         begun, count = self.begun, len(self.attitude)
         transition, response = self.equations.step(self.step)
         driven = np.empty(
@@ -96,8 +96,8 @@ class WanderingBias:
 
 
 def interval(seconds: float, most: int) -> float:
-    """The length [s] of the intervals into which a time of `seconds` is divided. It is at least `SHORTEST`, and long enough to give
-    at most `most` intervals."""
+    """Returns the length [s] of the intervals into which a time of `seconds` is divided. It is at least `SHORTEST`, and long enough
+    to give at most `most` intervals."""
     return max(SHORTEST, math.ceil(seconds / most))
 
 

@@ -1,1 +1,1 @@
-"""Estimators of coefficients as functions of temperature: polynomials and splines, and the choice of their order."""
+"""Estimators that describe coefficients as functions of temperature by polynomials or splines, and choose their order."""

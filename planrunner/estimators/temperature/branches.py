@@ -20,7 +20,8 @@ _BACK = 0.1  # of the range of temperatures: less is the ripple of a chamber's c
 
 
 def branches(temperature: Array, least: float) -> Integers:
-    """The index of the branch, counted from 0, to which each of n successive temperatures [degC] (n,) belongs.
+    """Divides successive temperatures [degC] into rising and falling branches. Returns, for each of the n temperatures, the index
+    of its branch, counted from 0.
 
     A branch ends at an extreme value if the temperature then moves back by more than `least` [K] and by more than a tenth of the
     range of all temperatures.
@@ -46,9 +47,10 @@ def branches(temperature: Array, least: float) -> Integers:
 
 
 def approached(temperature: Sequence[float], least: float) -> tuple[Integers, Integers]:
-    """For temperatures (n,) that were held one after the other, the direction from which each was reached, +1 from below or −1 from
-    above; and the index of the sweep to which it belongs. The temperatures before the first change belong to the first sweep. If
-    the temperature never changes, the directions are 0 and the indices −1. A change of at most `least` [K] counts as no change."""
+    """Determines the direction from which each of n temperatures was reached: +1 from below, −1 from above. Also returns, for each
+    temperature, the index of the sweep to which it belongs. The temperatures were held one after the other. The temperatures before
+    the first change belong to the first sweep. If the temperature never changes, the directions are 0 and the indices −1. A change
+    of at most `least` [K] counts as no change."""
     direction = np.zeros(len(temperature), dtype=np.int64)
     for place in range(1, len(temperature)):
         change = temperature[place] - temperature[place - 1]
@@ -62,25 +64,26 @@ def approached(temperature: Sequence[float], least: float) -> tuple[Integers, In
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference D between the values at rising temperature and the values at falling temperature. `curve`: form of D as a
-    function of temperature. `low`, `high`: limits of the temperature range in which both directions were recorded, degC. Outside
-    this range, D has its value at the nearer limit."""
+    """Describes the difference D between the values at rising temperature and the values at falling temperature. `curve`: form of D
+    as a function of temperature. `low`, `high`: limits of the temperature range in which both directions were recorded, degC.
+    Outside this range, D has its value at the nearer limit."""
 
     curve: Curve
     low: float
     high: float
 
     def width(self, temperature: Array) -> Array:
-        """The columns (n, q) that describe D at `temperature` [degC] (n,)."""
+        """Returns the columns that describe D at n temperatures [degC], shape (n, q)."""
         return self.curve.columns(np.clip(temperature, self.low, self.high))
 
     def columns(self, temperature: Array, direction: Integers) -> Array:
-        """The columns (n, q) that describe the contribution +D/2 or −D/2 to the values; zero for values without a direction."""
+        """Returns the columns that describe the contribution +D/2 or −D/2 to the values, shape (n, q); zero for values without a
+        direction."""
         return self.width(temperature) * (direction / 2)[:, None]
 
 
 def difference_of(temperature: Array, direction: Integers, highest: int, width: float, left: int) -> Difference | None:
-    """The form of D, which is a polynomial of the order `highest`, or of a lower order if there are few temperatures. It is None if
+    """Returns the form of D: a polynomial of the order `highest`, or of a lower order if there are few temperatures. It is None if
     fewer than two temperatures were reached in both directions. The form does not depend on the measured values, so the uncertainty
     of D need not include the choice of the form.
 

@@ -50,7 +50,7 @@ _EXACT, _TINY = (
 
 @dataclass(frozen=True)
 class Curve:
-    """The form of a curve, without its coefficients.
+    """Describes the form of a curve, without its coefficients.
 
     `form`: one of `FORMS`. `order`: the order of a polynomial, or the number of knots of a spline minus one. Order 1 is a straight
     line in either form. `reference`: reference temperature T₀ of a polynomial, degC. `knots`: knots of a spline, degC, ascending.
@@ -69,15 +69,15 @@ class Curve:
 
 
 def curve(form: str, order: int, reference: float, temperatures: Array) -> Curve:
-    """The form of a curve for data at `temperatures` [degC]. The knots of a spline are quantiles of the distinct temperatures,
-    which include the lowest and the highest temperature."""
+    """Chooses the form of a curve for data at `temperatures` [degC]. The knots of a spline are quantiles of the distinct
+    temperatures, which include the lowest and the highest temperature."""
     knots = np.quantile(np.unique(temperatures), np.linspace(0, 1, order + 1)) if form == "spline" else np.zeros(0)
     return Curve(form, order, reference, knots)
 
 
 def natural_spline(knots: Array, at: Array) -> Array:
-    """The matrix (n, k) that computes a natural cubic spline at the points `at` (n,) from its values at the knots (k,). A spline
-    with two knots is a straight line.
+    """Returns the matrix that computes a natural cubic spline from its values at k knots, shape (n, k). The spline is computed at
+    the n points `at`. A spline with two knots is a straight line.
 
     Let h_i be the distances between neighbouring knots, and M_i the second derivatives at the knots, which are zero at both ends.
     Then h_i·M_i + 2·(h_i + h_{i+1})·M_{i+1} + h_{i+1}·M_{i+2} = 6·(difference of adjacent slopes).
@@ -121,7 +121,7 @@ def held_out(
     beside: Array | None = None,
     whitening: Array | None = None,
 ) -> tuple[HeldOut, ...]:
-    """The held-out errors of the curves of each order.
+    """Computes the held-out errors of the curves of each order.
 
     `sigma`: array of shape (n,), standard uncertainties for the weights. `fold`: array of shape (n,), index of the fold in which
     each value is held out. `beside`: array of shape (n, q), columns that are fitted together with each curve. `whitening`: array of
@@ -178,8 +178,8 @@ def correlation_time(residuals: Sequence[Array]) -> float:
 
 
 def groups_of(temperature: Array, width: float) -> Integers:
-    """The index of the group to which each temperature belongs. Groups are numbered by ascending temperature; a group contains the
-    temperatures within `width` [K] of its lowest temperature."""
+    """Returns the index of the group to which each temperature belongs. Groups are numbered by ascending temperature; a group
+    contains the temperatures within `width` [K] of its lowest temperature."""
     order = np.argsort(temperature, kind="stable")
     group, number, first = np.zeros(len(temperature), dtype=np.int64), -1, -np.inf
     for index in order:
@@ -191,7 +191,7 @@ def groups_of(temperature: Array, width: float) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class RampScatter:
-    """One random difference between ramps, in their offset or in their slope.
+    """Describes one random difference between ramps, in their offset or in their slope.
 
     `size`: standard deviation of the offset or slope, in the value's unit; zero if noise explains it. `degrees_of_freedom`: degrees
     of freedom of `size`. `ratio`: the statistic F, which is the mean square due to the ramps divided by the mean square due to
@@ -206,9 +206,9 @@ class RampScatter:
 
 @dataclass(frozen=True, slots=True)
 class SummedCovariance:
-    """The covariance of m coefficients as a sum of independent mean squares for noise and for the scatter of ramps, each with its
-    degrees of freedom. `parts`: pairs of a matrix (m, m) and its degrees of freedom, one pair for each mean square; the first
-    matrix may have negative eigenvalues."""
+    """Contains the covariance of m coefficients as a sum of independent mean squares. They come from noise and from the scatter of
+    ramps; each mean square has its own degrees of freedom. `parts`: pairs of a matrix (m, m) and its degrees of freedom, one pair
+    for each mean square; the first matrix may have negative eigenvalues."""
 
     parts: tuple[tuple[Array, float], ...]
 
@@ -217,8 +217,8 @@ class SummedCovariance:
         return np.asarray(sum(own for own, _ in self.parts))
 
     def of(self, rows: Array) -> tuple[Array, Array]:
-        """The standard uncertainties (k,) of k linear functions of the coefficients, and their effective degrees of freedom (k,)
-        (Welch and Satterthwaite). `rows`: array of shape (k, m), the linear functions."""
+        """Returns two arrays of shape (k,) for k linear functions of the coefficients: the standard uncertainties, and the
+        effective degrees of freedom (Welch and Satterthwaite). `rows`: array of shape (k, m), the linear functions."""
         shares = np.array([np.einsum("ki,ij,kj->k", rows, own, rows) for own, _ in self.parts])
         freedom = np.array([own for _, own in self.parts])
         variance = np.maximum(shares.sum(axis=0), 0.0)
@@ -227,8 +227,8 @@ class SummedCovariance:
         return np.sqrt(variance), np.where(known, variance**2 / np.where(known, squares, 1.0), freedom[0])
 
     def through(self, rows: Array, away: Array | None = None) -> SummedCovariance:
-        """The covariance of k linear functions of the coefficients, again as a sum of mean squares. `rows`: array of shape (k, m),
-        the linear functions. `away`: array of shape (k,), uncorrected errors of these functions."""
+        """Computes the covariance of k linear functions of the coefficients, again as a sum of mean squares. `rows`: array of shape
+        (k, m), the linear functions. `away`: array of shape (k,), uncorrected errors of these functions."""
         (noise, freedom), *others = [(rows @ own @ rows.T, own_freedom) for own, own_freedom in self.parts]
         return SummedCovariance(((noise if away is None else noise + np.outer(away, away), freedom), *others))
 
@@ -257,16 +257,16 @@ class CurveFit:
 
     @property
     def covariance(self) -> Array:
-        """The covariance (p, p) of the coefficients."""
+        """Returns the covariance of the coefficients, shape (p, p)."""
         return self.spread.covariance
 
     def uncertainties(self) -> tuple[Array, Array]:
-        """The standard uncertainties (p,) of the coefficients, and their degrees of freedom (p,)."""
+        """Returns two arrays of shape (p,): the standard uncertainties of the coefficients, and their degrees of freedom."""
         return self.spread.of(np.eye(len(self.coefficients)))
 
     def predict(self, temperature: Array) -> tuple[Array, Array, Array]:
-        """The values (n,) of the curve at `temperature` [degC] (n,), their standard uncertainties (n,) and their degrees of freedom
-        (n,)."""
+        """Computes the curve at n temperatures [degC]. Returns three arrays of shape (n,): the values, their standard uncertainties
+        and their degrees of freedom."""
         columns = self.curve.columns(temperature)
         value = columns @ self.coefficients
         if self.fullest is None:
@@ -275,8 +275,8 @@ class CurveFit:
         return value, np.hypot(u, value - full), freedom
 
     def warmer(self, by: float) -> Array:
-        """The coefficients (p,) of a shifted curve, whose value at T is the value of this curve at T + `by`, where `by` is in K.
-        They describe a run in which the true temperatures are higher by this amount."""
+        """Returns the coefficients of a curve that is shifted by `by` [K], shape (p,): at T, it has the value that this curve has
+        at T + `by`. They describe a run in which the true temperatures are higher by this amount."""
         if self.curve.form == "spline":
             return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
         moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef
@@ -285,7 +285,7 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class OverTemperature:
-    """The n values at different temperatures to which a curve is fitted.
+    """Contains the n values at different temperatures to which a curve is fitted.
 
     `temperature`: array of shape (n,) in degC. `sigma`: array of shape (n,), standard uncertainties for the weights. `group`: array
     of shape (n,), number of the temperature at which each value was measured; values at the same temperature have equal numbers.
@@ -308,12 +308,13 @@ class OverTemperature:
 
     @cached_property
     def whitening(self) -> Array | None:
-        """The matrix W (n, n) that makes correlated values uncorrelated with variance one; None if the values are not correlated."""
+        """Returns the matrix W that makes correlated values uncorrelated with variance one, shape (n, n); None if the values are
+        not correlated."""
         return None if self.covariance is None else least_squares.whitener(self.covariance)
 
     def white(self, columns: Array, transposed: bool = False) -> Array:
-        """The columns (n, …) multiplied by `whitening`, or divided by `sigma` if the values are not correlated. `transposed`: True
-        to multiply by the transpose of `whitening`."""
+        """Multiplies the columns (n, …) by `whitening`, or divides them by `sigma` if the values are not correlated. `transposed`:
+        True to multiply by the transpose of `whitening`."""
         whitening = self.whitening
         return _white(columns, self.sigma, whitening.T if transposed and whitening is not None else whitening)
 

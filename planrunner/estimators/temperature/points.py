@@ -33,7 +33,7 @@ _FEWEST_INTERVALS = 8  # of each segment
 
 @dataclass(frozen=True)
 class Points:
-    """The values of one quantity at n temperatures.
+    """Contains the values of one quantity at n temperatures.
 
     `temperature`: array of shape (n,) in degC. `uncertainty`: array of shape (n,), standard uncertainties, NaN for values whose
     uncertainty is not known. `direction`: array of shape (n,), +1 if the temperature was rising or was reached from below, −1 if it
@@ -62,7 +62,7 @@ class Points:
 
     @property
     def series(self) -> Integers:
-        """The index (n,) of the ramp that contains each value; −1 at a held temperature."""
+        """Returns the index of the ramp that contains each value, shape (n,); −1 at a held temperature."""
         return self.ramp if self.along else np.full(len(self.value), -1, dtype=np.int64)
 
     @property
@@ -77,8 +77,8 @@ class Points:
 
 
 def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> list[Points]:
-    """The coefficients that the used estimates give for each temperature. Values of one coefficient from several estimates are
-    combined to one quantity.
+    """Collects the coefficients that the used estimates give for each temperature. Values of one coefficient from several estimates
+    are combined to one quantity.
 
     Raises `EstimationError` for an estimate that gives no coefficients for a temperature, for a pattern that matches no name, and
     for a coefficient in different units.
@@ -102,7 +102,7 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
 
 
 def given_by_temperature(estimate: Estimate) -> Mapping[str, Mapping[str, object]]:
-    """The coefficients that an estimate gives for each temperature (see `interface.Estimate`); empty if there are none."""
+    """Returns the coefficients that an estimate gives for each temperature (see `interface.Estimate`); empty if there are none."""
     found = estimate.extra.get("by_temperature")
     return found if isinstance(found, Mapping) else {}
 
@@ -134,10 +134,10 @@ def from_channels(
     inputs: Inputs,
     span: float,
 ) -> list[Points]:
-    """The means of channels at different temperatures. If there is a thermometer, a value is the mean over all samples of a ramp
-    whose temperature is in the same bin of `width` [K]. Without a thermometer, a value is the mean of a segment at its planned
-    temperature. `inputs`: contain the declared flicker. `span`: the time over which a constant error is defined as an average, s.
-    Raises `EstimationError` for channels that are missing or unsuitable."""
+    """Computes the means of channels at different temperatures. If there is a thermometer, a value is the mean over all samples of
+    a ramp whose temperature is in the same bin of `width` [K]. Without a thermometer, a value is the mean of a segment at its
+    planned temperature. `inputs`: contain the declared flicker. `span`: the time over which a constant error is defined as an
+    average, s. Raises `EstimationError` for channels that are missing or unsuitable."""
     for recorded in segments:
         for channel in (*channels, *([thermometer] if thermometer else [])):
             if channel not in recorded.units:

@@ -1,5 +1,5 @@
-"""Models coefficients or outputs as functions of temperature by a polynomial or a spline, whose order is chosen by the error of
-held-out values.
+"""Models coefficients or outputs as functions of temperature. The model is a polynomial or a spline; its order is chosen by the
+error of held-out values.
 
 The module `points` collects values, and `curve` fits curves and chooses their order. If both rising and falling temperature are
 recorded, the curve is the mean of both directions, and the difference between the directions is fitted together with the curve
@@ -55,7 +55,7 @@ _WIDEST = 150.0  # K; a width written in degC comes out larger
 
 @dataclass(frozen=True)
 class Loop:
-    """The differences between values at rising and values at falling temperature, at n temperatures.
+    """Contains the differences between the values at rising and at falling temperature, for n temperatures.
 
     `celsius`: array of shape (n,), temperatures, degC. `width`: array of shape (n,), value at rising temperature minus value at
     falling temperature, in the value's unit. `uncertainty`: array of shape (n,), standard uncertainty of `width`. `freedom`: array
@@ -75,7 +75,7 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class HiddenDrift:
-    """A linear drift in time that would remain unnoticed because of the order of the temperatures. `power`: index of the
+    """Describes a linear drift in time that would remain unnoticed because of the order of the temperatures. `power`: index of the
     coefficient that the drift affects most, which for a polynomial is the power of the temperature. `growth`: factor by which the
     standard uncertainty of this coefficient grows if the drift is fitted, infinite if the drift cannot be separated from the
     coefficient."""
@@ -86,9 +86,9 @@ class HiddenDrift:
 
 @dataclass(frozen=True, slots=True)
 class Modelled:
-    """One quantity with its fitted curve and, if both directions of temperature are recorded, with its hysteresis loop. `drift`:
-    the drift functions (powers of the time) that are fitted together with curve and loop. `hidden`: a drift that is not fitted and
-    would remain unnoticed."""
+    """Contains one quantity and its fitted curve. If both directions of temperature are recorded, it also contains the hysteresis
+    loop. `drift`: the drift functions (powers of the time) that are fitted together with curve and loop. `hidden`: a drift that is
+    not fitted and would remain unnoticed."""
 
     points: Points
     fit: CurveFit
@@ -97,7 +97,7 @@ class Modelled:
     hidden: HiddenDrift | None = None
 
     def loop(self, celsius: Array) -> Loop | None:
-        """The hysteresis loop at temperatures (n,), degC; None if only one direction of temperature is recorded."""
+        """Returns the hysteresis loop at n temperatures [degC]; None if only one direction of temperature is recorded."""
         if self.difference is None or self.fit.beside_spread is None:
             return None
         rows = self.difference.width(celsius)
@@ -106,20 +106,20 @@ class Modelled:
 
     @property
     def beside(self) -> Array:
-        """The columns (n, q) that are fitted together with the curve: first the columns of the difference between the directions,
-        then the columns of the drift."""
+        """Returns the columns that are fitted together with the curve, shape (n, q): first the columns of the difference between
+        the directions, then the columns of the drift."""
         return _beside(self.points, self.difference, self.drift)
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The lowest and the highest temperature [degC] of the range that rising and falling branches both cover."""
+        """Returns the lowest and the highest temperature [degC] of the range that rising and falling branches both cover."""
         assert self.difference is not None
         return self.difference.low, self.difference.high
 
     @property
     def widest(self) -> tuple[float, float, float, float] | None:
-        """The largest difference between the directions, its standard uncertainty, its degrees of freedom, and its temperature
-        [degC]."""
+        """Returns the largest difference between the directions, its standard uncertainty, its degrees of freedom, and the
+        temperature [degC] at which it occurs."""
         loop = None if self.difference is None else self.loop(np.linspace(*self.ends, _DRAWN))
         if loop is None:
             return None

@@ -1,1 +1,2 @@
-"""Estimators of the scale factors of several axes in one tilted mounting, and of the fixture angles on which they depend."""
+"""Estimators for several axes in one tilted mounting: they determine the scale factors of the axes, and the fixture angles on which
+the scale factors depend."""

@@ -25,7 +25,7 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 @dataclass(frozen=True, slots=True)
 class TiltedConditions:
-    """The conditions under which scale factors are computed.
+    """States the conditions under which scale factors are computed.
 
     `axes`: the sensor axes with their directions. `commanded`: array of shape (N,) in rad/s, the table's rate in each segment.
     `along`: array of shape (N, 3), the rotation axis in the fixture's frame. `felt`: array of shape (N, 3) in rad/s, mean rate
@@ -40,7 +40,7 @@ class TiltedConditions:
     rate_error: Array | float = 0.0
 
     def inputs(self, group: Group) -> Array:
-        """The input of each axis minus its input at rest, shape (q, n, m), rad/s."""
+        """Returns the input of each axis minus its input at rest [rad/s], shape (q, n, m)."""
         turning = self.along * self.commanded[:, None] * (1.0 if self.felt is None else 0.0)
         felt = turning if self.felt is None else self.felt
         felt = felt + self.along * (self.rate_error * self.commanded)[:, None]
@@ -50,7 +50,7 @@ class TiltedConditions:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The data of n rates at one temperature, each repeated q times.
+    """Contains the data of n rates at one temperature; each rate is repeated q times.
 
     `kelvin`: measured or planned temperature, K; NaN if neither is known. `spins`: array of shape (q, n), index of the segment of
     each repeat and rate. `rest`: array of shape (q, N). Weighted with a row of this array, the segment means add up to the output
@@ -78,8 +78,8 @@ class Group:
 
     @property
     def averages(self) -> Array:
-        """The weights (n + 1, N) of the segments in averages over the repeats. There is one row for each rate, and a last row for
-        the rest value."""
+        """Returns the weights of the segments in averages over the repeats, shape (n + 1, N). There is one row for each rate, and a
+        last row for the rest value."""
         q, n = self.spins.shape
         weights = np.zeros((n + 1, self.rest.shape[1]))
         weights[np.arange(n), self.spins] = 1 / q
@@ -89,7 +89,8 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """The results of an evaluation for g temperatures and m axes, which can be compared with the results for other conditions.
+    """Contains the results of an evaluation for g temperatures and m axes. They can be compared with the results for other
+    conditions.
 
     `means`: array of shape (g, m, 5), the five `QUANTITIES`, averaged over the repeats. `repeats`: for each temperature, an array
     (q, m, 5) with the quantities of each repeat. `residuals`: for each temperature, an array (n, m) with the residuals averaged
@@ -108,7 +109,7 @@ class TiltedResults:
 
     @property
     def vector(self) -> Array:
-        """The results as one vector, in the order means, repeatability, coefficient, sensitivity."""
+        """Returns the results as one vector, in the order means, repeatability, coefficient, sensitivity."""
         return np.concatenate(
             [self.means.ravel(), self.repeatability.ravel(), self.coefficient.ravel(), self.sensitivity.ravel()]
         )
@@ -116,7 +117,7 @@ class TiltedResults:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """The rates and temperatures that determine the largest values of each axis.
+    """States which rates and temperatures determine the largest values of each axis.
 
     `rate`: array of shape (g, m), index of the rate with the largest residual at each temperature. `sign`: array of shape (g, m),
     sign of this residual. `temperature`: array of shape (m,), index of the temperature that determines the sensitivity.
@@ -183,8 +184,8 @@ def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign
 
 
 def columns_of_repeats(groups: Sequence[Group], conditions: TiltedConditions, axis: int) -> Array:
-    """The design matrix (N, 3·R) of the means of one output, for R repeats. The model of a repeat has its own zero, its own offset
-    at the rates, and its own scale factor, as in `fit_lines`."""
+    """Returns the design matrix for the means of one output and R repeats, shape (N, 3·R). The model of a repeat has its own zero,
+    its own offset at the rates, and its own scale factor, as in `fit_lines`."""
     columns = []
     for group in groups:
         inputs = conditions.inputs(group)[..., axis]
@@ -208,21 +209,21 @@ def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
 
 
 def slope_weights(kelvin: Array) -> Array:
-    """The weights (g,), per kelvin, that compute a slope from values at g temperatures. The sum of the weighted values is the slope
-    of the straight line through the values."""
+    """Returns the weights [1/K] that compute a slope from values at g temperatures, shape (g,). The sum of the weighted values is
+    the slope of the straight line through the values."""
     off = kelvin - kelvin.mean()
     return np.asarray(off / np.sum(off * off))
 
 
 def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Worst) -> tuple[Array, ...]:
-    """For each group, the sensitivities (n, m, 5) of its quantities to its outputs: ∂(mean over the repeats)/∂(output at a rate,
-    changed in all repeats)."""
+    """Returns, for each group, the sensitivities of its quantities to its outputs: ∂(mean over the repeats)/∂(output at a rate,
+    changed in all repeats). Each array has the shape (n, m, 5)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
 
 
 def answers_to_averages(answers: Array) -> Array:
-    """The sensitivities (n + 1, m, 5) of the quantities of a group to the averages of `Group.averages`. The last row is for the
-    output at rest, which is subtracted from the output at every rate."""
+    """Returns the sensitivities of a group's quantities to the averages that `Group.averages` describes, shape (n + 1, m, 5). The
+    last row is for the output at rest, which is subtracted from the output at every rate."""
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 

@@ -32,13 +32,13 @@ AXES = ("x", "y", "z")
 
 
 def tilt_part(orientation: str, axis: str) -> str:
-    """The name of a tilt of the fixture in one orientation. The tilt has the same name wherever it acts."""
+    """Returns the name of a tilt of the fixture in one orientation. The tilt has the same name wherever it acts."""
     return f"{orientation}, about {axis}"
 
 
 @dataclass(frozen=True, slots=True)
 class GainModel:
-    """The stimulus of n segments in several orientations.
+    """Describes the stimulus of n segments in several orientations.
 
     `felt`: array of shape (n, 3), mean rate in the fixture's frame, rad/s. `turning`: array of shape (n, 3), the part of this rate
     that comes from the table. `place`: array of shape (n,), index of the orientation.
@@ -52,7 +52,7 @@ class GainModel:
 
     @property
     def directions(self) -> int:
-        """The number of linearly independent directions, in the fixture's frame, about which the table turned."""
+        """Returns the number of linearly independent directions, in the fixture's frame, about which the table turned."""
         size = np.linalg.norm(self.turning, axis=1)
         units = self.turning[size > 0] / size[size > 0, None]
         return int(np.linalg.matrix_rank(units, tol=1e-6)) if len(units) else 0
@@ -98,8 +98,8 @@ def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], sit
 
 
 def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
-    """The directions (3, r) in which the gain vector of axis k is fitted: the fixture's x, y and z axes, or the direction of the
-    stated azimuth and the z axis. Raises `EstimationError` if an azimuth is needed but not stated."""
+    """Returns the directions in which the gain vector of axis k is fitted, shape (3, r). They are the fixture's x, y and z axes, or
+    the direction of the stated azimuth and the z axis. Raises `EstimationError` if an azimuth is needed but not stated."""
     if azimuth == FITTED:
         return np.eye(3)
     if math.isnan(axes.azimuths[k]):
@@ -109,10 +109,11 @@ def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
 
 
 def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
-    """A formula that converts n gain vectors (r, n) to their polar form (q, n): K in output unit/(rad/s), angle [rad] and, if it is
-    fitted, azimuth [rad]. The r gains are the components of the gain vector of axis k along the columns of `basis` (3, r). `gain`:
-    array of shape (r,), a gain vector near which the formula is used. K is negative if the gain vector points away from the stated
-    direction. Raises `EstimationError` for an axis along z, which has no azimuth."""
+    """Returns a formula that converts gain vectors to their polar form: K in output unit/(rad/s), angle [rad] and, if it is fitted,
+    azimuth [rad]. An array (r, n) of n gain vectors gives an array (q, n). The r gains are the components of the gain vector of
+    axis k along the columns of `basis` (3, r). `gain`: array of shape (r,), a gain vector near which the formula is used. K is
+    negative if the gain vector points away from the stated direction. Raises `EstimationError` for an axis along z, which has no
+    azimuth."""
     sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
     if len(gain) == 3 and math.hypot(*gain[:2]) < 1e-9 * float(np.linalg.norm(gain)):
@@ -134,12 +135,12 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
 def stated_conditions(
     model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str
 ) -> Iterator[StatedCondition[Array]]:
-    """The design matrix of axis k for small errors of the stated inputs. An error of one of these inputs changes all gains in an
-    orientation equally, and therefore causes almost no scatter."""
+    """Returns the design matrix of axis k for small errors of the stated inputs. An error of one of these inputs changes all gains
+    in an orientation equally, and therefore causes almost no scatter."""
     basis = gain_basis(axes, k, azimuth)
 
     def seen(by: Array) -> Array:
-        """The design matrix after a change `by` (n, 3) of the rates in the fixture's frame."""
+        """Computes the design matrix after the rates in the fixture's frame have changed by `by`, shape (n, 3)."""
         return replace(model, felt=model.felt + by).matrix(basis)
 
     def turned(o: int, about: Array, by: float) -> Array:
@@ -177,8 +178,8 @@ def stated_conditions(
 
 
 def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[CorrelatedError, ...]:
-    """The errors of the output of an axis with the gain vector (3,), due to the stated error of each rate. These errors make the
-    means scatter about a line."""
+    """Computes the errors that the stated error of each rate causes in an axis's output. These errors make the means scatter about
+    a line. `vector`: array of shape (3,), gain vector of the axis."""
     rates = np.array([segment.rate for segment in model.segments])
     rate = setup.inputs.get("table rate")
     return rate_errors(rate, (model.turning @ vector)[None], rates) if rate else ()

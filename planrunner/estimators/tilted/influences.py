@@ -42,7 +42,7 @@ _BESIDE = 1e-6  # rad, of differences
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """The data from which the influences are computed.
+    """Contains the data from which the influences are computed.
 
     `answers`: for each group, sensitivities (n, m, 5) of its quantities to its outputs. `gradient`: derivatives of
     `TiltedResults.vector` with respect to the means of all groups. `segments`: the segments with their attitude at the start of the
@@ -66,15 +66,15 @@ class Situation:
     fixture: tuple[Influence, ...] = ()
 
     def again(self, conditions: TiltedConditions) -> Array:
-        """`TiltedResults.vector` for other conditions, with zero for results that cannot be computed."""
+        """Computes `TiltedResults.vector` for other conditions, with zero for results that cannot be computed."""
         return np.nan_to_num(evaluate(self.groups, conditions, self.reference, self.worst).vector)
 
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """The rounding error in the means of one output. `share`: rounding error of a mean divided by the rounding error of a single
-    sample, 1 if the rounding errors do not average out. `in_scatter`: True if the samples vary, so that their scatter includes the
-    rounding error."""
+    """Describes the rounding error in the means of one output. `share`: rounding error of a mean divided by the rounding error of a
+    single sample, 1 if the rounding errors do not average out. `in_scatter`: True if the samples vary, so that their scatter
+    includes the rounding error."""
 
     share: float
     in_scatter: bool
@@ -194,8 +194,9 @@ def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: st
 def unstated_influences(
     situation: Situation, silent: Sequence[CorrelatedError], basis: str
 ) -> Iterator[tuple[CorrelatedError, Influence]]:
-    """The influences of flicker of unknown size on `TiltedResults.vector`, each together with this flicker. On the basis `repeats`,
-    only the part that all repeats have in common is given, because the scatter of the repeats shows the other part."""
+    """Computes how flicker of unknown size influences `TiltedResults.vector`. Each influence is returned together with this
+    flicker. On the basis `repeats`, only the part that all repeats have in common is given, because the scatter of the repeats
+    shows the other part."""
     for error in silent:
         if basis == "repeats":
             pairs = zip(situation.groups, situation.answers, strict=True)

@@ -40,7 +40,8 @@ class MountedAxes:
 
     @property
     def directions(self) -> Array:
-        """The unit vectors (m, 3) along the axes in the fixture's frame. An azimuth that is not stated is treated as zero."""
+        """Returns the unit vectors along the axes in the fixture's frame, shape (m, 3). An azimuth that is not stated is treated as
+        zero."""
         azimuths = np.nan_to_num(self.azimuths)
         across = np.sin(self.angles)
         x, y, z = across * np.cos(azimuths), across * np.sin(azimuths), np.cos(self.angles)
@@ -94,7 +95,8 @@ def seeing(axes: MountedAxes) -> MountedAxes:
 
 
 def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
-    """The direction (n, 3), in the fixture's frame, about which each segment spins; zero for a segment that does not spin.
+    """Returns the direction about which each segment spins, in the fixture's frame, shape (n, 3); zero for a segment that does not
+    spin.
 
     If the orientation of a segment is unknown, z is assumed to lie along the rotation axis. `along_z`: True if an `EstimationError`
     is raised when z does not lie along the rotation axis; the angles of the mounting are measured from z.

@@ -20,8 +20,8 @@ from planrunner.plan.schedule import Segment
 
 
 def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | None]) -> float:
-    """The planned time [s] from the first move to the end of the last segment. A dwell that the plan does not state counts with its
-    recorded length.
+    """Returns the planned time [s] from the first move to the end of the last segment. A dwell that the plan does not state counts
+    with its recorded length.
 
     `seconds`: recorded durations of the segments, s. If the schedule has no times, because a recording is played back, the sum of
     the dwells is returned.
@@ -33,8 +33,8 @@ def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | Non
 
 
 def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
-    """The table that compares the two kinds of mounting. `noise`: array of shape (m,), relative standard uncertainty of K due to
-    the noise within the segments. `angle`: array of shape (m,), standard uncertainty of the axis's angle θ, rad.
+    """Makes the table that compares the two kinds of mounting. `noise`: array of shape (m,), relative standard uncertainty of K due
+    to the noise within the segments. `angle`: array of shape (m,), standard uncertainty of the axis's angle θ, rad.
 
     In a separate mounting, the axis is tilted about each of two directions by a random angle with the standard deviation `angle`.
     If the total tilt is δ, then 1 − cos δ has the expectation angle² and the standard deviation angle².

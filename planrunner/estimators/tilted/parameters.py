@@ -1,4 +1,4 @@
-"""The plan keys for scale factors of several axes in one tilted mounting."""
+"""Declares the plan keys for the scale factors of several axes in one tilted mounting."""
 
 from __future__ import annotations
 

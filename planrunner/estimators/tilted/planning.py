@@ -29,7 +29,8 @@ FEEBLE = 0.1  # cosine (84.3 deg) below which an axis sees a tenth of the rate, 
 
 
 def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
-    """The design of the estimator for planned segments. Raises `EstimationError` if the plan is not suitable for the method."""
+    """Returns the design of the estimator for planned segments. Raises `EstimationError` if the plan is not suitable for the
+    method."""
     outputs = [output.name for output in request.sensor.outputs]
     axes = seeing(mounted_axes(request.setup.mounting, outputs, request.parameters.outputs))
     require_calibration(axes, request.uses)
