@@ -33,7 +33,7 @@ _INSEPARABLE = 1e-3  # of a course, the part that the terms cannot imitate
 
 
 class FittedWithDrift(Protocol):
-    """The plan keys of an estimator that can fit a drift together with its coefficients."""
+    """Declares the plan keys of an estimator that can fit a drift together with its coefficients."""
 
     @property
     def uncertainty(self) -> str: ...

@@ -53,7 +53,7 @@ _TO_COMPARE = 3  # repeats of a group whose scatter is compared with that of oth
 
 
 class RepeatabilityParameters(Record):
-    """The keys of the estimator `repeatability`."""
+    """Declares the plan keys of the estimator `repeatability`."""
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),

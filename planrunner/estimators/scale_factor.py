@@ -53,7 +53,7 @@ TERMS = ("offset", "rate")
 
 
 class ScaleFactorParameters(Record):
-    """The plan keys of the estimator `scale_factor`."""
+    """Declares the plan keys of the estimator `scale_factor`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),

@@ -1,4 +1,4 @@
-"""Keys in the bench file that every chamber has, simulated or real: its range, its ramp and its declared uncertainty."""
+"""Declares the bench-file keys that every chamber has, simulated or real: its range, its ramp and its declared uncertainty."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 
 class ChamberKeys(Record):
-    """The keys that all chambers have in common; planning uses them."""
+    """Declares the bench-file keys that all chambers have in common; planning uses them."""
 
     lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature of the chamber.", "-55 degC")
     highest: Quantity = key(QuantityOf("temperature"), "Highest temperature of the chamber.", "85 degC")

@@ -1,4 +1,4 @@
-"""Keys in the bench file for frames and binary records: positions and encoding of the numbers, and the checksum."""
+"""Declares the bench-file keys for frames and binary records: positions and encoding of the numbers, and the checksum."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LONGEST = 4096
 
 
 class ScaledNumber(Record):
-    """Keys of a number in a frame or in a record of a file."""
+    """Declares the bench-file keys of a number in a frame or in a record of a file."""
 
     place: int = key(
         Number(0, LONGEST - 1, integer=True), "Position of its first byte, counted from 0 at the sync.", 2, name="at"
@@ -45,7 +45,7 @@ class ScaledNumber(Record):
 
 
 class ChecksumOfFrame(Record):
-    """Keys of the checksum at the end of a frame."""
+    """Declares the bench-file keys of the checksum at the end of a frame."""
 
     type: str = key(Choice(tuple(CHECKSUMS)), "Algorithm of the checksum.", "crc16_modbus")
     start: int = key(
@@ -58,7 +58,7 @@ SYNC = Text(r"[0-9A-Fa-f]{2}( ?[0-9A-Fa-f]{2}){0,15}", "bytes in hexadecimal", "
 
 
 class PlacedNumber(Protocol):
-    """The keys that describe where a number is in a frame, and how it is encoded."""
+    """Declares the bench-file keys that describe where a number is in a frame, and how it is encoded."""
 
     @property
     def place(self) -> int: ...

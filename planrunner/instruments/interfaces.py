@@ -1,4 +1,4 @@
-"""What instruments can do, as small protocols; a driver implements those that apply to its instrument.
+"""Defines what instruments can do, as small protocols. A driver implements the protocols that apply to its instrument.
 
 A driver is a class found through the entry-point group `planrunner.instruments`:
 
@@ -52,7 +52,7 @@ class UnservedError(InstrumentError):
 
 
 class Clock(Protocol):
-    """Time, for code that must work in the same way with simulated and with real time."""
+    """Gives the time to code that must work in the same way with simulated and with real time."""
 
     def now(self) -> float:
         """Seconds since the start of the run."""
@@ -72,7 +72,7 @@ class RunClock(Clock, Protocol):
 
 @runtime_checkable
 class Hastens(Protocol):
-    """A clock that runs `speed` times as fast as real time, for benches whose simulated instruments run at this speed."""
+    """A clock that runs `speed` times as fast as real time. It is used by benches whose simulated instruments run at this speed."""
 
     speed: float
 
@@ -86,8 +86,8 @@ class Closes(Protocol):
 
 @dataclass(slots=True)
 class Surroundings:
-    """What a driver needs to connect: the clock, the site, the folder that must contain all data files, the seed of the run, and
-    the other instruments by role.
+    """Contains what a driver needs to connect: the clock, the site, the folder that must contain all data files, the seed of the
+    run, and the other instruments by role.
 
     `world`: state that the drivers of a virtual bench share; real drivers ignore it. `real_time`: True if the clock shows real
     time; simulated and played-back samples then come in blocks of about a second. `notice`: function that receives the progress of
@@ -105,7 +105,8 @@ class Surroundings:
 
 
 class Driver(Protocol[P]):
-    """The class methods of a driver, which a plug-in must have. P is the record with the driver's keys in a bench file."""
+    """Lists the class methods that a driver must have; a driver may be a plug-in. P is the record with the driver's keys in a bench
+    file."""
 
     role: str
     Parameters: type[P]
@@ -117,7 +118,7 @@ class Driver(Protocol[P]):
 
 
 class OnlyRead:
-    """Base of sensors that receive no commands and hold no resources."""
+    """Base class for sensors that receive no commands and hold no resources."""
 
     def make_safe(self) -> None:
         """Does nothing, because an instrument that is only read is always safe."""
@@ -127,7 +128,7 @@ class OnlyRead:
 
 
 class PlaysBack(OnlyRead):
-    """Base of the drivers that play back a recording; samples, orientations, rates and temperatures all come from the recording."""
+    """Base class for drivers that play back a recording. Samples, orientations, rates and temperatures all come from the recording."""
 
     def look_over(self, segments: Sequence[Segment], log: Findings) -> None:
         """Examines the recording before the segments are played back, and adds errors and warnings to `log`."""
@@ -135,7 +136,7 @@ class PlaysBack(OnlyRead):
 
 
 class TakesEffects(OnlyRead):
-    """Base of the virtual sensors whose outputs can be changed by effects of the catalogue."""
+    """Base class for virtual sensors whose outputs can be changed by effects of the catalogue."""
 
 
 @runtime_checkable
@@ -196,8 +197,8 @@ class Foresees(Protocol):
 @runtime_checkable
 class KnowsLength(Protocol):
     def length_of(self, segment: Segment) -> float | None:
-        """Time [s] for which data exist in a segment whose dwell is not planned; None if this is not known. The method is called
-        after `foresee`, and only to display progress."""
+        """Returns the time [s] for which data exist in a segment whose dwell is not planned; None if this is not known. The method
+        is called after `foresee`, and only to display progress."""
 
 
 @runtime_checkable
@@ -224,8 +225,8 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
-    """The meaning of the channels of a summary. In a summary, one sample stands for a whole segment: it contains the means of the
-    channels, and their scatter in further channels, which are named here.
+    """States the meaning of the channels of a summary. In a summary, one sample stands for a whole segment: it contains the means
+    of the channels, and their scatter in further channels, which are named here.
 
     `deviations`: for each channel, the channel with the standard deviation of the averaged samples, which are treated as
     independent. `count`: channel with the number of samples. `seconds`: channel with the duration.
@@ -258,7 +259,7 @@ class StreamsSamples(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """The current state of an instrument, as the instrument measures it.
+    """Describes the current state of an instrument, as the instrument measures it.
 
     `values`: maps the name of each live quantity to its value in SI units. Standard names are `position_error` [rad] (following
     error, the largest of all axes), `rate_error` [rad/s] and `temperature` [K]. `faults`: reasons why the instrument cannot
@@ -276,8 +277,8 @@ class Watched(Protocol):
     """An instrument with live readings. The readings determine when it has settled, and are compared with limits during a dwell."""
 
     def watch(self) -> Condition:
-        """The current condition of the instrument, from one short exchange or from the last frame. The method is called about once
-        a second, also between the blocks of a stream. Values that are unknown at the moment are omitted."""
+        """Returns the current condition of the instrument, from one short exchange or from the last frame. The method is called
+        about once a second, also between the blocks of a stream. Values that are unknown at the moment are omitted."""
 
 
 @runtime_checkable
@@ -292,7 +293,7 @@ class Alive(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
-    """Limits that an instrument must enforce by itself, independently of the computer.
+    """Contains the limits that an instrument must enforce by itself, independently of the computer.
 
     None means that the driver takes the limit from its own keys; limits of travel always come from these keys. `rate` [rad/s],
     `acceleration` [rad/s²] and `position_error` [rad] are limits of every axis. `coldest` and `hottest` are limits of the
@@ -347,7 +348,7 @@ class Remarking(Protocol):
 
 @runtime_checkable
 class Resumable(Protocol):
-    """A simulated instrument whose state can be restored after a crash. A real instrument has no state to restore."""
+    """A simulated instrument that can continue from a saved state after a crash. A real instrument has no state to restore."""
 
     def checkpoint(self) -> Mapping[str, Json]:
         """The state as JSON data."""

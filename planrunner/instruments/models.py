@@ -34,7 +34,7 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(frozen=True, slots=True)
 class TableModel:
-    """A table that turns to positions and at rates.
+    """Describes a table that turns to positions and at rates.
 
     `axes`: the axes of the table, the outermost first. `position_uncertainty`: standard uncertainty of a position, rad.
     `rate_stability`: relative standard uncertainty of a rate. `orthogonality`: standard uncertainty of the angles between the axes,
@@ -69,7 +69,8 @@ class ChamberModel:
     temperature_uncertainty: float = 0.0
 
     def seconds_to_change(self, kelvin: float) -> float:
-        """Time [s] until the air is within the tolerance of a new setpoint, which differs by `kelvin` from the present one.
+        """Returns the time [s] until the air is within the tolerance of a new setpoint. `kelvin`: the difference between the new
+        and the present setpoint, K.
 
         At the end of a ramp with the rate r and the duration t, the output of a first-order lag with the time constant τ is behind
         by r·τ·(1 − e^(−t/τ)). This difference then decays with the time constant τ.
@@ -83,7 +84,8 @@ class ChamberModel:
         return ramping + self.lag * max(0.0, math.log(behind / self.tolerance))
 
     def behind(self, kelvin: float, lag: float, seconds: float) -> float:
-        """Signed distance [K] between the setpoint and the temperature of a body, `seconds` after the start of a ramp.
+        """Returns the signed difference [K] between the setpoint and the temperature of a body, `seconds` after the start of a
+        ramp.
 
         The body follows the air with the time constant `lag` [s]. The ramp changes the setpoint by `kelvin` and starts from
         equilibrium.
@@ -106,7 +108,7 @@ class ChamberModel:
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Noise of one output, in the unit of the output.
+    """Describes the noise of one output, in the unit of the output.
 
     `white`: random-walk coefficient N [unit·√s]; the mean over T seconds has the variance N²/T. `bias_instability`: floor of the
     flicker noise [unit]. `resolution`: size of one count [unit]. `counted`: True if the part of a sample that does not fill a count
@@ -121,13 +123,13 @@ class NoiseModel:
     states_flicker: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
-        """True if the rounding of samples to counts averages out in a mean. It averages out if the noise between the samples, with
-        this variance [unit²], is large enough to dither the rounding, or if remainders are carried from sample to sample
-        (`counted`)."""
+        """Returns True if the rounding of samples to counts averages out in a mean. It averages out if the noise between the
+        samples, with this variance [unit²], is large enough to dither the rounding, or if remainders are carried from sample to
+        sample (`counted`)."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
-        """Standard uncertainty of the mean of the samples that are taken at `rate_hz` during `seconds`."""
+        """Returns the standard uncertainty of the mean of the samples that are taken at `rate_hz` during `seconds`."""
         samples = max(1.0, seconds * rate_hz)
         white = self.white**2 / max(seconds, 1.0 / rate_hz)
         per_sample = self.white**2 * rate_hz
@@ -138,8 +140,8 @@ class NoiseModel:
         return math.sqrt(white + rounding + self.bias_instability**2)
 
     def chance_of_no_change(self, seconds: float, rate_hz: float) -> float:
-        """Upper bound of the probability that all samples of a constant input are equal. The samples are taken at `rate_hz` during
-        `seconds`.
+        """Returns an upper bound of the probability that all samples of a constant input are equal. The samples are taken at
+        `rate_hz` during `seconds`.
 
         If remainders are not carried, the probability is largest for an input in the middle of a count. If remainders are carried,
         the sum of the noise is a random walk that starts anywhere in a count and must stay within it. A walk of n steps with the
@@ -159,7 +161,7 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class OutputModel:
-    """One output channel: its name, the unit in which it is recorded, its full scale and its noise.
+    """Describes one output channel: its name, the unit in which it is recorded, its full scale and its noise.
 
     The full scale applies to both signs and is in the unit of the channel. `constant`: True if the output is exactly constant while
     the table is at rest, like the output of a simulated table encoder. `senses`: the quantity that the output senses, if the unit
@@ -198,7 +200,7 @@ class SensorModel:
     stabilised: bool = False
 
     def rate_refused(self, asked: float | None) -> str:
-        """The reason why the sensor cannot be sampled at `asked` Hz; empty if it can be, or if `asked` is None."""
+        """Returns the reason why the sensor cannot be sampled at `asked` [Hz]; empty if it can be, or if `asked` is None."""
         return rate_refused(asked, self.sample_rate, self.one_rate)
 
     def output(self, name: str) -> OutputModel | None:
@@ -206,8 +208,8 @@ class SensorModel:
 
 
 def rate_refused(asked: float | None, own: float, one_rate: bool) -> str:
-    """The reason why a sensor with the sample rate `own` [Hz] cannot be sampled at `asked` [Hz]; empty if it can be, or if `asked`
-    is None. `one_rate`: True if the sensor can only be sampled at `own`, False if also at lower rates."""
+    """Returns the reason why a sensor with the sample rate `own` [Hz] cannot be sampled at `asked` [Hz]; empty if it can be, or if
+    `asked` is None. `one_rate`: True if the sensor can only be sampled at `own`, False if also at lower rates."""
     if asked is None or abs(asked / own - 1) <= 1e-9:
         return ""
     if one_rate:

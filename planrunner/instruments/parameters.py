@@ -15,8 +15,8 @@ from planrunner.plan.units import unit
 
 @dataclass(frozen=True, slots=True)
 class QuantityLike:
-    """A quantity with the dimension of `unit`, such as `(deg/h)/(pulse/s)`, or of one of the units `others`. `sign`: the same as in
-    `QuantityOf`."""
+    """Reads a quantity with the dimension of `unit`, such as `(deg/h)/(pulse/s)`, or of one of the units in `others`. `sign`: the
+    same as in `QuantityOf`."""
 
     unit: str
     sign: Sign = "any"
@@ -41,7 +41,8 @@ class QuantityLike:
 
 @dataclass(frozen=True, slots=True)
 class Polynomial:
-    """Coefficients of (T − T₀), (T − T₀)² and (T − T₀)³, in `unit`/K, `unit`/K^2 and `unit`/K^3; at least the first is given."""
+    """Contains the coefficients of (T − T₀), (T − T₀)² and (T − T₀)³, in `unit`/K, `unit`/K^2 and `unit`/K^3. At least the first is
+    given."""
 
     unit: str
 

@@ -1,4 +1,4 @@
-"""The recording player: a sensor that plays back a file as if it were being measured.
+"""Plays back a recording: a sensor that reads a file as if the samples were being measured.
 
 Columns of the file become channels with units. Each label of the plan has an interval of the recording. A table of segments states
 the intervals, or pauses in the recorded time separate them. Otherwise, the whole recording is one interval. All files must be
@@ -156,7 +156,7 @@ class RecordingPlayer(PlaysBack):
             )
 
     def length_of(self, segment: Segment) -> float | None:
-        """Time [s] for which the recording contains data of a segment; None before the recording has been examined."""
+        """Returns the time [s] for which the recording contains data of a segment; None before the recording has been examined."""
         if self.spans is not None and segment.label in self.spans.spans:
             return self.spans.span(segment.label).seconds
         if self.parted and segment.index < len(self.parted):

@@ -74,7 +74,7 @@ class RecordingFile(Protocol):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks about rows and bytes that were skipped, in words. The remarks are complete after a pass over all rows."""
+        """Returns remarks in words about rows and bytes that were skipped. The remarks are complete after a pass over all rows."""
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
         """Yields all rows unchanged, in batches: the number of the first row, counted from 1; times [s], which may be missing or
@@ -169,8 +169,8 @@ class _Joined:
 
 @dataclass(frozen=True, slots=True)
 class HeldRecording:
-    """A recording in memory, so that many intervals can be read after one pass over its files. `time`: array of shape (n,) in s.
-    `columns`: the values (n,) of each channel."""
+    """Holds a recording in memory, so that many intervals can be read after one pass over its files. `time`: array of shape (n,) in
+    s. `columns`: the values (n,) of each channel."""
 
     origin: float
     interval: float
@@ -203,13 +203,13 @@ class HeldRecording:
         return ()
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """The rows in a span, as described in `RecordingFile.rows`, in at most one batch."""
+        """Returns the rows in a span, as described in `RecordingFile.rows`, in at most one batch."""
         part = span.of(self.time, self.interval)
         if part.start < part.stop:
             yield self.time[part], {name: values[part] for name, values in self.columns.items()}
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """All rows, as described in `RecordingFile.all_rows`, in at most one batch."""
+        """Returns all rows, as described in `RecordingFile.all_rows`, in at most one batch."""
         if len(self.time):
             yield 1, self.time, dict(self.columns)
 

@@ -1,4 +1,4 @@
-"""Keys in the bench file for a recording that is played back: its file, time, channels with their noise, and segments."""
+"""Declares the bench-file keys of a recording that is played back: its file, time and segments, and its channels with their noise."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class UnitText:
 
 
 class TimeColumn(Record):
-    """Keys of the column that contains the time."""
+    """Declares the bench-file keys of the column that contains the time."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
     unit: str = key(
@@ -80,7 +80,7 @@ class TimeColumn(Record):
 
 
 class ChannelColumn(Record):
-    """Keys of a channel: the column from which it is read, its unit, and its noise."""
+    """Declares the bench-file keys of a channel: the column from which it is read, its unit, and its noise."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column in the file.", "gyro_y_deg_per_s")
     unit: str = key(
@@ -129,7 +129,7 @@ class ChannelColumn(Record):
     )
 
     def white(self, sample_rate: float) -> float:
-        """The random-walk coefficient N of the white noise, in the unit of the channel times √s; 0 if no noise is declared.
+        """Returns the random-walk coefficient N of the white noise, in the unit of the channel times √s; 0 if no noise is declared.
         `sample_rate`: sample rate of the channel, Hz."""
         factor = unit(self.unit).factor
         if self.noise is not None:
@@ -139,16 +139,16 @@ class ChannelColumn(Record):
         return 0.0 if self.random_walk is None else self.random_walk.value / factor
 
     def amount(self, name: str, otherwise: float = 0.0) -> float:
-        """The bias instability, the resolution or the full scale in the unit of the channel. `name`: name of the key. `otherwise`:
-        the result if the key is absent."""
+        """Returns the bias instability, the resolution or the full scale, in the unit of the channel. `name`: name of the key.
+        `otherwise`: the result if the key is absent."""
         value: Quantity | None = getattr(self, name)
         return otherwise if value is None else width(value) / unit(self.unit).factor
 
 
 def seconds_in_unit(cell: str, unit: str, where: str) -> float:
-    """The time [s] that a cell of a table states. `unit`: one of `TIME_UNITS`. `where`: a text that names the file and the cell; it
-    is used in messages. Raises `ValueError` if the cell is not a number, and `InstrumentError` if it is not a date or a time of day
-    although it should be one."""
+    """Returns the time [s] that a cell of a table states. `unit`: one of `TIME_UNITS`. `where`: a text that names the file and the
+    cell; it is used in messages. Raises `ValueError` if the cell is not a number, and `InstrumentError` if it is not a date or a
+    time of day although it should be one."""
     return seconds_of(cell, where) if unit in WRITTEN else float(cell) * SECONDS[unit]
 
 
@@ -203,7 +203,7 @@ class ChannelKind:
 
 
 class SegmentColumns(Record):
-    """Keys of the table that states which interval of the recording belongs to which label."""
+    """Declares the bench-file keys of a table that assigns an interval of the recording to each label."""
 
     table: str = key(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), "CSV file in the data folder.", "jig/stops.csv")
     label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "label", default="label")
@@ -221,19 +221,19 @@ class SegmentColumns(Record):
 
     @classmethod
     def of(cls, table: str) -> SegmentColumns:
-        """The keys of a table whose columns have the default names."""
+        """Returns the keys of a table whose columns have the default names."""
         return cls(table=table)
 
 
 class StatedStretch(Record):
-    """Keys of a stretch of the recording."""
+    """Declares the bench-file keys of a stretch of the recording."""
 
     start: Quantity = key(QuantityOf("time", "not negative"), "Start of the stretch, after the first row.", "12 s")
     end: Quantity = key(QuantityOf("time", "positive"), "End of the stretch, after the first row.", "22 s")
 
 
 class RowColumns(Record):
-    """Names of the columns in a table that has one row for each segment."""
+    """States the names of the columns in a table that has one row for each segment."""
 
     label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "state", default="label")
     count: str = key(Text(COLUMN, "a column's name"), "Column of the number of samples.", "n", default="count")
@@ -246,7 +246,7 @@ class RowColumns(Record):
 
 
 class RecordingParameters(Record):
-    """Keys of a recording that is played back."""
+    """Declares the bench-file keys of a recording that is played back."""
 
     file: str = key(
         Text(r"[^\x00-\x1f]{1,400}", "a file's path"),
@@ -309,17 +309,17 @@ class RecordingParameters(Record):
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All files of the recording, in order."""
+        """Returns all files of the recording, in order."""
         return (self.file, *self.continued_by)
 
     @property
     def power_on(self) -> Quantity | None:
-        """The value of the time column at the moment when the sensor was switched on; None if it is not declared."""
+        """Returns the value that the time column had when the sensor was switched on; None if it is not declared."""
         return self.time.power_on if isinstance(self.time, TimeColumn) else None
 
     @property
     def stamps(self) -> TimeStamps | None:
-        """Where the time of a row comes from; None if the bench file does not state it."""
+        """Returns a description of where the time of a row comes from; None if the bench file does not state it."""
         if isinstance(self.time, TimeColumn):
             scale = SECONDS[self.time.unit] if self.time.per_second is None else 1 / self.time.per_second
             wraps = DAY if self.time.unit == "time_of_day" else self.time.wraps
@@ -328,8 +328,7 @@ class RecordingParameters(Record):
 
 
 def width(quantity: Quantity) -> float:
-    """The size of a quantity that is a difference, such as a standard deviation, in SI units; the offset of a temperature scale is
-    not included."""
+    """Converts a difference, such as a standard deviation, to SI units. The offset of a temperature scale is not added."""
     return quantity.value - quantity.unit.offset
 
 

@@ -92,13 +92,13 @@ class LikelyChannel:
 
     @property
     def sure(self) -> bool:
-        """True if the name of the column contains the unit."""
+        """Returns True if the name of the column contains the unit."""
         return self.source == "name"
 
 
 @dataclass(frozen=True, slots=True)
 class WindowLevels:
-    """Mean and standard deviation (scatter) of each column in successive windows.
+    """Contains the mean and the standard deviation (scatter) of each column in successive windows.
 
     `begin`, `end`: arrays of shape (n,), start and end times of the windows, s. `size`: number of rows in a window. `mean`,
     `scatter`: for each column, the mean and the standard deviation (n,) in the windows; NaN if a window contains fewer than two
@@ -147,7 +147,8 @@ class Look:
 
     @property
     def other_rate(self) -> tuple[float, float] | None:
-        """A second sample rate [Hz] of the recording, and the time [s] at which it first occurs; None if there is no second rate."""
+        """Returns a second sample rate [Hz] of the recording, and the time [s] at which it first occurs; None if there is no second
+        rate."""
         if self.time is None:
             return None
         rates = self.windows.rates
@@ -162,8 +163,8 @@ class Look:
 
     @property
     def dwells(self) -> tuple[Span, ...]:
-        """The intervals without acceleration, if the gyros show different rates in them; otherwise empty. One window is left out at
-        both ends, in which the table may still settle."""
+        """Returns the intervals without acceleration, if the gyros show different rates in them; otherwise empty. One window is
+        left out at both ends, in which the table may still settle."""
         if not any(self._turns_at_rates(one) for one in self.channels if one.sensed == "gyro"):
             return ()
         inner = (Span(span.start + WINDOW, span.end - WINDOW) for span in self.still)
@@ -179,17 +180,17 @@ class Look:
         return step > max(_RATES_DIFFER * gyro.noise, _ABOVE_DRIFT * within)
 
     def mean_in(self, span: Span, channel: LikelyChannel) -> float:
-        """The mean of a channel in an interval, in the unit of the channel."""
+        """Returns the mean of a channel in an interval, in the unit of the channel."""
         return float(np.nanmean(_at_rest(self.windows, (span,), self.windows.mean[channel.column]))) / channel.per_unit
 
     @property
     def reversed_axes(self) -> bool:
-        """True if the axes of the gyros seem to differ from those of the accelerometers."""
+        """Returns True if the axes of the gyros seem to differ from those of the accelerometers."""
         return self.motion is not None and not self.motion.same_axes
 
     @property
     def still_share(self) -> float:
-        """The fraction of the recorded time that is without motion."""
+        """Returns the fraction of the recorded time that is without motion."""
         whole = float(np.sum(self.windows.end - self.windows.begin))
         return sum(span.seconds for span in self.still) / whole if whole else 0.0
 
@@ -581,7 +582,7 @@ def _large(mean: Array) -> float:
 
 
 def poses(windows: WindowLevels, still: Sequence[Span], triad: Sequence[LikelyChannel]) -> int:
-    """The number of different directions in which gravity points in the still spans."""
+    """Returns the number of different directions in which gravity points in the still spans."""
     found: list[Array] = []
     for span in still:
         mean = np.array(

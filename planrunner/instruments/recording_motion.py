@@ -29,7 +29,7 @@ _CLEARLY = 3.0  # times this error, and more, for any other explanation of anoth
 
 @dataclass(frozen=True, slots=True)
 class TurnComparison:
-    """Result of the comparison of gyros with accelerometers.
+    """Contains the result of a comparison of gyros with accelerometers.
 
     `unit`: unit of the gyros. `axes`: for each of the gyros x, y and z, the axis of the accelerometers about which the gyro
     measures, with its sign. `error`: median angle [deg] between the direction of gravity that is measured after a turn and the

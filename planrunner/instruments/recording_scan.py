@@ -46,7 +46,7 @@ class Wanted:
 
     @property
     def played(self) -> Span:
-        """The part of the interval that is played; it starts at the start of the interval."""
+        """Returns the part of the interval that is played; it starts at the start of the interval."""
         end = self.span.end if self.dwell is None else min(self.span.end, self.span.start + self.dwell)
         return Span(self.span.start, end)
 

@@ -1,4 +1,4 @@
-"""Segments of a recording that is played back: the rows of a table, or the parts between pauses.
+"""Finds the segments of a recording that is played back: the rows of a table, or the parts between pauses.
 
 The table is a small CSV file; each row contains a label, a start time and an end time. Without a table, pauses in the recorded time
 divide the recording.
@@ -29,7 +29,7 @@ LabelledRow = Mapping[str, str | None]
 
 @dataclass(frozen=True, slots=True)
 class SegmentTable:
-    """The intervals of a recording by label, after trimming, and the line of each label in the table.
+    """Contains the intervals of a recording by label, after trimming. Also contains the line of the table that states each label.
 
     `name`: name of the file with the table, used in messages."""
 
@@ -38,8 +38,8 @@ class SegmentTable:
     lines: Mapping[str, int]
 
     def span(self, label: str) -> Span:
-        """The interval that belongs to a label. If there is no such interval, raises an `InstrumentError` that suggests the closest
-        label."""
+        """Returns the interval that belongs to a label. If there is no such interval, raises an `InstrumentError` that suggests the
+        closest label."""
         if label not in self.spans:
             raise InstrumentError(f"{self.name} has no segment '{label}'; {closest_label(label, self.spans)}")
         return self.spans[label]
@@ -63,8 +63,8 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], uni
 
 
 def stated_stretches(parameters: RecordingParameters, origin: float) -> SegmentTable:
-    """The segments that the bench file states as `stretches`. `origin`: time of the first row, s. Raises `InstrumentError` for a
-    stretch that does not end after it starts."""
+    """Returns the segments that the bench file states as `stretches`. `origin`: time of the first row, s. Raises `InstrumentError`
+    for a stretch that does not end after it starts."""
     stated = parameters.stretches or {}
     spans: dict[str, Span] = {}
     lines: dict[str, int] = {}

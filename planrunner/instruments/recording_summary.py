@@ -1,5 +1,5 @@
-"""A table that replaces a recording: for each segment, it contains a row with the mean, the standard deviation and the number of
-the samples.
+"""Plays back a table that replaces a recording. For each segment, the table contains a row with the mean, the standard deviation
+and the number of the samples.
 
 Published calibrations often contain no more. A row is used as an observation, like the means of recorded samples. Estimates that
 need samples are refused. The samples of a segment are treated as independent: the standard error of a mean is s/√n, unless the
@@ -28,7 +28,7 @@ _DURATION = "seconds"
 
 @dataclass(frozen=True, slots=True)
 class SummaryRow:
-    """The row of a segment in the table.
+    """Contains the row of a segment in the table.
 
     `line`: line in the file. `start`: start time, s. `count`: number of samples. `means`, `deviations`: mean and standard deviation
     of each channel, in the unit of the channel. If the table states a standard error, it is converted to a deviation, so that the

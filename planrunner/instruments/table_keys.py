@@ -1,4 +1,4 @@
-"""Keys in the bench file that every table has, simulated or real: its axes and its declared uncertainties."""
+"""Declares the bench-file keys that every table has, simulated or real: its axes and its declared uncertainties."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planrunner.plan.quantity import Quantity, parse_quantity
 
 
 class AxisSpec(Record):
-    """Keys of one axis of a table."""
+    """Declares the bench-file keys of one axis of a table."""
 
     name: str = key(Text(r"[^\x00-\x1f]{1,40}", "a name"), "Name of the axis.", "outer")
     direction: str = key(
@@ -41,7 +41,7 @@ class AxisSpec(Record):
 
 
 class AxesKind:
-    """The axes of a table, the outermost first: one to three axes, each perpendicular to the axis that carries it."""
+    """Reads the axes of a table, the outermost first: one to three axes, each perpendicular to the axis that carries it."""
 
     def __init__(self, spec: type[AxisSpec] = AxisSpec):
         self._list = ListOf(RecordOf(spec), minimum=1)
@@ -77,7 +77,7 @@ class AxesKind:
 
 
 class TableKeys(Record):
-    """The keys that all tables have in common; planning uses them."""
+    """Declares the bench-file keys that all tables have in common; planning uses them."""
 
     axes: tuple[AxisSpec, ...] = key(
         AxesKind(),

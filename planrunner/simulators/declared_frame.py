@@ -181,7 +181,7 @@ _WORD_BYTES = {"u8": 1, "u16": 2, "u24": 3, "u32": 4}
 
 
 class PartKeys(Protocol):
-    """Keys of a part of the frame."""
+    """Declares the keys of a part of the frame."""
 
     type: str
     little_endian: bool

@@ -65,7 +65,7 @@ _ALL = tuple(dict.fromkeys([*WORDS, *LINE, *TABLE, *CHAMBER]))
 
 
 class Fault(Record):
-    """Keys of one fault."""
+    """Declares the keys of one fault."""
 
     instrument: str = key(Text(), "Instrument of the bench that has the fault.", "table")
     fault: str = key(Choice(_ALL), "Kind of fault.", "late")
@@ -108,7 +108,7 @@ class Fault(Record):
 
 
 class FaultScript(Record):
-    """Keys of a fault script."""
+    """Declares the keys of a fault script."""
 
     planrunner_faults: int = key(Number(1, 1, integer=True), "Version of the language of fault scripts.", 1)
     faults: tuple[Fault, ...] = key(

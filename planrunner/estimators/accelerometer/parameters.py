@@ -12,7 +12,7 @@ TERMS = ("bias", "accel_x", "accel_y", "accel_z")
 
 
 class AccelerometerMultiPositionParameters(Record):
-    """The keys of the estimator `accelerometer_multi_position`."""
+    """Declares the plan keys of the estimator `accelerometer_multi_position`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3),

@@ -63,7 +63,7 @@ _SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
 
 
 class AllanDeviationParameters(Record):
-    """The keys of the estimator `allan_deviation`."""
+    """Declares the plan keys of the estimator `allan_deviation`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),

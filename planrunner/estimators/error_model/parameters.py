@@ -41,7 +41,7 @@ class EffectKind:
 
 
 class ErrorModelParameters(Record):
-    """The keys of the estimator `error_model`."""
+    """Declares the plan keys of the estimator `error_model`."""
 
     outputs: dict[str, tuple[str, ...]] = key(
         MapOf(ListOf(EffectKind(), minimum=1), of_channels=True),

@@ -63,7 +63,7 @@ _CLAIM = said(
 
 
 class CompensationResidualParameters(Record):
-    """The keys of the estimator `compensation_residual`."""
+    """Declares the plan keys of the estimator `compensation_residual`."""
 
     trials: int = key(
         Number(1000, 1_000_000, integer=True),

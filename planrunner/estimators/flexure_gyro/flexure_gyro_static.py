@@ -41,7 +41,7 @@ from planrunner.uncertainty.monte_carlo import Draws
 
 
 class FlexureGyroStaticParameters(Record):
-    """The keys of the estimator `flexure_gyro_static`."""
+    """Declares the plan keys of the estimator `flexure_gyro_static`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=2),

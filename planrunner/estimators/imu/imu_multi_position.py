@@ -61,7 +61,7 @@ _TRIADS = {"gyro": said("Gyros"), "accel": said("Accelerometers")}
 
 
 class ImuMultiPositionParameters(Record):
-    """The keys of the estimator `imu_multi_position`."""
+    """Declares the plan keys of the estimator `imu_multi_position`."""
 
     gyros: tuple[str, ...] = key(
         ListOf(CHANNEL),

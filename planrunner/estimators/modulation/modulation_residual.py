@@ -41,7 +41,7 @@ LONGEST = 4 * 86400.0  # s, of a planned navigation that errors are predicted fo
 
 
 class ModulationResidualParameters(Record):
-    """The keys of the estimator `modulation_residual`."""
+    """Declares the plan keys of the estimator `modulation_residual`."""
 
     gyro_errors: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("angular rate"), minimum=3, maximum=3),

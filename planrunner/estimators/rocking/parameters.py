@@ -42,7 +42,7 @@ def _channels(description: str, names: tuple[str, ...], least: int) -> Any:
 
 
 class RockingDriftParameters(Record):
-    """The keys of the estimator `rocking_drift`."""
+    """Declares the plan keys of the estimator `rocking_drift`."""
 
     release: Quantity = key(
         QuantityOf("time", "positive"),

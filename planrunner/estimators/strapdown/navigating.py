@@ -77,7 +77,7 @@ _HEIGHT = _Coordinate("initial_height", "reference_height", "length", 1e5)
 
 
 class StrapdownNavigationParameters(Record):
-    """The keys of the estimator `strapdown_navigation`."""
+    """Declares the plan keys of the estimator `strapdown_navigation`."""
 
     gyros: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3, maximum=3),

@@ -22,7 +22,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 
 class TemperatureModelParameters(Record):
-    """The keys of the estimator `temperature_model`."""
+    """Declares the plan keys of the estimator `temperature_model`."""
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),

@@ -65,7 +65,7 @@ _WORDS = (
 
 
 class FixtureAnglesParameters(Record):
-    """The keys of the estimator `fixture_angles`."""
+    """Declares the plan keys of the estimator `fixture_angles`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),

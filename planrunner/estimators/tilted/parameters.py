@@ -12,7 +12,7 @@ THERMOMETER = "sensor_temperature"
 
 
 class ScaleFactorTiltedParameters(Record):
-    """The keys of the estimator `scale_factor_tilted`."""
+    """Declares the plan keys of the estimator `scale_factor_tilted`."""
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),

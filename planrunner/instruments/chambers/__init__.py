@@ -1,1 +1,1 @@
-"""Drivers of real chambers: the functions that all of them share (`wired_chamber`), and one file per controller with its commands."""
+"""Drivers of real chambers: one file per controller with its commands, and the functions that all drivers share (`wired_chamber`)."""

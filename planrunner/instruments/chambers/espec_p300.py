@@ -1,4 +1,4 @@
-"""Chambers with an Espec P300 or SCP-220 controller, over TCP (port 10001) or a serial line.
+"""Drives chambers with an Espec P300 or SCP-220 controller, over TCP (port 10001) or a serial line.
 
 The controller answers every command with `OK:` and the command, or with `NA:` and the reason. The upper and lower temperature
 alarms of the chamber are set before it first runs, so that the chamber stops by itself beyond them. Sources: P300 communication
@@ -25,7 +25,7 @@ REASONS = {
 
 
 class EspecP300Parameters(WiredChamberKeys):
-    """Keys of a chamber with an Espec P300 or SCP-220 controller."""
+    """Declares the bench-file keys of a chamber with an Espec P300 or SCP-220 controller."""
 
     station: int | None = optional(
         Number(1, 16, integer=True), "Address of the chamber on a line that several chambers share (RS-485).", 1
@@ -43,7 +43,7 @@ class EspecP300(ChamberDriver[EspecP300Parameters]):
 
 
 class EspecP300Commands(LinkedCommands):
-    """Commands of a P300 controller, as `AirCommands`."""
+    """Translates the operations of `AirCommands` to commands of a P300 controller."""
 
     def __init__(self, parameters: EspecP300Parameters):
         self.parameters = parameters

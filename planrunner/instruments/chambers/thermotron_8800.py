@@ -1,4 +1,4 @@
-"""Chambers with a Thermotron 8800 controller, over TCP (port 8888).
+"""Drives chambers with a Thermotron 8800 controller, over TCP (port 8888).
 
 A reply of 0 means that the controller accepted an operation. The stop code shows that the chamber runs, or why it stopped. The
 limits of the chamber are set at its panel. Source: Thermotron, 8800 interface command descriptions.
@@ -34,7 +34,7 @@ ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high pr
 
 
 class Thermotron8800Parameters(WiredChamberKeys):
-    """Keys of a chamber with a Thermotron 8800 controller."""
+    """Declares the bench-file keys of a chamber with a Thermotron 8800 controller."""
 
     channel: int = key(Number(1, 4, integer=True), "Channel of the air temperature.", 1, default=1)
 
@@ -50,7 +50,7 @@ class Thermotron8800(ChamberDriver[Thermotron8800Parameters]):
 
 
 class Thermotron8800Commands(LinkedCommands):
-    """Commands of an 8800 controller, as `AirCommands`."""
+    """Translates the operations of `AirCommands` to commands of an 8800 controller."""
 
     def __init__(self, parameters: Thermotron8800Parameters):
         self.parameters = parameters

@@ -1,4 +1,4 @@
-"""Chambers with a Watlow F4T controller, over its SCPI port (TCP 5025).
+"""Drives chambers with a Watlow F4T controller, over its SCPI port (TCP 5025).
 
 The controller does not reply to a write, so setpoints are read back. Limits are set at the panel; SCPI has no command for them.
 Source: F4T setup and operation manual, SCPI commands.
@@ -19,7 +19,7 @@ PACE = 0.1
 
 
 class WatlowF4tParameters(WiredChamberKeys):
-    """Keys of a chamber with a Watlow F4T controller."""
+    """Declares the bench-file keys of a chamber with a Watlow F4T controller."""
 
     loop: int = key(Number(1, 4, integer=True), "Control loop of the air temperature.", 1, default=1)
     output: int = key(Number(1, 12, integer=True), "Output, or event, that switches conditioning on.", 1, default=1)
@@ -36,7 +36,7 @@ class WatlowF4t(ChamberDriver[WatlowF4tParameters]):
 
 
 class WatlowF4tCommands(LinkedCommands):
-    """Commands of an F4T controller, as `AirCommands`."""
+    """Translates the operations of `AirCommands` to commands of an F4T controller."""
 
     def __init__(self, parameters: WatlowF4tParameters):
         self.parameters = parameters

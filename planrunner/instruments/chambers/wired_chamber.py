@@ -1,4 +1,4 @@
-"""Functions that all real chambers share: checking the temperature range, deciding when the air has reached the setpoint, and
+"""Contains what all real chambers share: checking the temperature range, deciding when the air has reached the setpoint, and
 bringing the chamber to its safe state.
 
 The commands of each controller are in a separate file, as `AirCommands`; this file does not depend on a manufacturer. In the safe
@@ -23,14 +23,15 @@ MARGIN = 5.0
 
 
 class WiredChamberKeys(LinkKeys, ChamberKeys):
-    """The keys that all real chambers have in common."""
+    """Declares the bench-file keys that all real chambers have in common."""
 
 
 K = TypeVar("K", bound=WiredChamberKeys)
 
 
 class AirCommands(Commands, Protocol):
-    """Commands of a chamber controller; temperatures are in degC. Every failure is an `InstrumentError`."""
+    """The operations that the commands of a chamber controller provide. Temperatures are in degC. Every failure is an
+    `InstrumentError`."""
 
     def prepare(self, ramp: float) -> None:
         """Sets the units, and the rate of change of the setpoint to `ramp` [K/min], if the controller has these settings."""
@@ -43,7 +44,7 @@ class AirCommands(Commands, Protocol):
 
     def air(self) -> float: ...
     def faults(self) -> Sequence[str]:
-        """The reasons why the chamber cannot continue, in words; empty if there is no fault."""
+        """Returns the reasons why the chamber cannot continue, in words; empty if there is no fault."""
 
 
 class WiredChamber(Commanded[AirCommands]):
@@ -113,7 +114,7 @@ class WiredChamber(Commanded[AirCommands]):
 
 
 class ChamberDriver(CommandedDriver[K, AirCommands]):
-    """Base of the drivers of real chambers.
+    """Base class for drivers of real chambers.
 
     K is the record with the keys of the chamber. Derived drivers define `Parameters` and `commands_of`."""
 

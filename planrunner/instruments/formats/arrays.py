@@ -1,4 +1,4 @@
-"""Files with arrays of numbers: MATLAB files of version 5 and 7.3, NumPy files and HDF5.
+"""Reads files of numeric arrays: MATLAB files of version 5 and 7.3, NumPy files and HDF5.
 
 A column is named after its array if the array has one number per row (`gyro_x`). A column of a matrix is named by its number,
 counted from 1 (`imu[4]`). The name of a field in a structure follows after a point (`data.gyr[1]`). In HDF5, `/` separates the
@@ -95,7 +95,7 @@ class ArraysFile(FormatFile[NoKeys]):
 
 
 def array_of(column: str) -> str:
-    """The name of the array that contains a column."""
+    """Returns the name of the array that contains a column."""
     found = _COLUMN.fullmatch(column)
     return column if found is None else found[1]
 
@@ -223,8 +223,8 @@ def _unpacked(file: BinaryIO) -> int:
 
 
 class NumpyFile(_HeldArrays):
-    """A NumPy file: a `.npy` file contains a matrix, which is named `data`, or a table with named fields; an `.npz` file contains
-    several arrays. Python objects are refused."""
+    """Reads a NumPy file. A `.npy` file contains a matrix, which is named `data`, or a table with named fields; an `.npz` file
+    contains several arrays. Python objects are refused."""
 
     def load(self, file: BinaryIO) -> Mapping[str, object]:
         if file.read(4) == b"PK\x03\x04":
@@ -296,8 +296,8 @@ class Hdf5File(ArraysFile):
 
 
 def is_hdf5(path: Path, name: str) -> bool:
-    """True if a file is HDF5, possibly after the header that MATLAB 7.3 writes. Raises `InstrumentError` if the file cannot be
-    opened."""
+    """Returns True if a file is HDF5. The HDF5 part may come after the header that MATLAB 7.3 writes. Raises `InstrumentError` if
+    the file cannot be opened."""
     with open_samples(path, name) as file:
         start = file.read(512 + len(HDF5_MAGIC))
     return start.startswith(HDF5_MAGIC) or start[512:] == HDF5_MAGIC

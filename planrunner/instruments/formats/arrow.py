@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ArrowRows:
-    """Rows of an Arrow batch from the file `name`. `first`: number of the first row, counted from 1."""
+    """Contains the rows of an Arrow batch from the file `name`. `first`: number of the first row, counted from 1."""
 
     batch: pa.RecordBatch
     first: int

@@ -1,4 +1,5 @@
-"""Files of binary records of constant length: plain records in sequence, or frames with sync bytes and a checksum."""
+"""Reads files of binary records of constant length. The records follow each other directly, or are frames with sync bytes and a
+checksum."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ from planrunner.plan.span import Span
 
 
 class BinaryKeys(Record):
-    """Keys of a file of binary records."""
+    """Declares the bench-file keys of a file of binary records."""
 
     length: int = key(Number(1, LONGEST, integer=True), "Length of a record in bytes, including sync and checksum.", 56)
     fields: dict[str, ScaledNumber] = key(
@@ -82,8 +83,8 @@ def check_binary(keys: BinaryKeys, log: Findings) -> None:
 
 
 class BinaryFile(FormatFile[BinaryKeys]):
-    """A file of binary records of numbers. An incomplete last record is left out. Frames with a wrong checksum, and bytes between
-    frames, are skipped and counted."""
+    """Reads a file of binary records of numbers. An incomplete last record is left out. Frames with a wrong checksum, and bytes
+    between frames, are skipped and counted."""
 
     Parameters = BinaryKeys
 

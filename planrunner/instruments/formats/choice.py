@@ -1,4 +1,4 @@
-"""The formats of recordings, and the bench key `format`, which names one."""
+"""Lists the formats of recordings, and reads the bench key `format`, which names one."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _kind(name: str) -> type[AnyFile]:
 
 
 class FormatChoice:
-    """The value of `format`, with the keys of the format that it names."""
+    """Reads the value of `format` and the keys of the format that it names."""
 
     _plugged = Plugged(Format, "type", lambda: tuple(FORMATS), _kind, "form-choice")
 

@@ -41,7 +41,7 @@ and seconds; and a time of day without separators, as in NMEA sentences."""
 
 
 def seconds_in(texts: pa.Array, where: str) -> Array:
-    """The times (n,) [s] that texts state; NaN for an empty or missing text.
+    """Converts texts to times [s], shape (n,). An empty or missing text gives NaN.
 
     `where`: a text that names the file and the column; it is used in messages. Raises `InstrumentError` for a text that is not a
     time, and if some texts contain a date and others do not."""
@@ -83,7 +83,8 @@ def seconds_of(text: str, where: str) -> float:
 
 
 def of_objects(values: Sequence[object] | NDArray[np.generic], where: str) -> Array:
-    """The times (n,) [s] in values of NumPy's type `datetime64`, in texts, or in times of Python; NaN for a missing value."""
+    """Converts values to times [s], shape (n,). The values have NumPy's type `datetime64`, or are texts or times of Python. A
+    missing value gives NaN."""
     import pyarrow as pa
 
     array = np.asarray(values)
@@ -94,7 +95,7 @@ def of_objects(values: Sequence[object] | NDArray[np.generic], where: str) -> Ar
 
 
 def of_arrow(values: pa.Array, where: str) -> Array:
-    """The times (n,) [s] in an Arrow array of time stamps, of times of day or of texts; NaN for a missing value."""
+    """Converts an Arrow array of time stamps, of times of day or of texts to times [s], shape (n,). A missing value gives NaN."""
     import pyarrow as pa
     from pyarrow import types
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class SqliteKeys(Record):
-    """Keys of a SQLite file."""
+    """Declares the bench-file keys of a SQLite file."""
 
     table: str | None = optional(
         Text(r"[^\x00-\x1f]{1,200}", "a table's name"), "The table; by default the only one.", "samples"
@@ -29,7 +29,7 @@ class SqliteKeys(Record):
 
 
 class SqliteFile(FormatFile[SqliteKeys]):
-    """A table of a SQLite file, read in the order of its rows. The file is opened for reading only; views and virtual tables are
+    """Reads a table of a SQLite file in the order of its rows. The file is opened for reading only; views and virtual tables are
     refused."""
 
     Parameters = SqliteKeys

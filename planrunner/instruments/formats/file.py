@@ -1,4 +1,4 @@
-"""Functions that all formats of recordings share: reading rows in batches, checking that times increase, and limiting sizes."""
+"""Contains what all formats of recordings share: reading rows in batches, checking that times increase, and limiting sizes."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class TimeStamps:
 
     @property
     def in_file(self) -> bool:
-        """True if each row contains its time, so that rows can be read without the preceding rows."""
+        """Returns True if each row contains its time, so that rows can be read without the preceding rows."""
         return self.column is not None and self.wraps is None
 
 
@@ -79,8 +79,8 @@ class SampleRows(Protocol):
         """The values (count,) of a column. A missing number is NaN. Raises `InstrumentError` for a value that is not a number."""
 
     def times(self, column: str, where: str) -> Array:
-        """The times (count,) [s] in a column of dates or times of day; a missing time is NaN. `where`: a text that names the file
-        and the column; it is used in messages. Raises `InstrumentError` for a value that is not a time."""
+        """Returns the times [s] in a column of dates or times of day, shape (count,). A missing time is NaN. `where`: a text that
+        names the file and the column; it is used in messages. Raises `InstrumentError` for a value that is not a time."""
 
 
 @dataclass
@@ -105,14 +105,14 @@ class _Counter:
 
 
 class NoKeys(Record):
-    """Keys of a format that needs none, because its files describe themselves."""
+    """Declares the bench-file keys of a format that needs none, because its files describe themselves."""
 
 
 Keys = TypeVar("Keys", bound=Record, covariant=True)
 
 
 class FormatFile(ABC, Generic[Keys]):
-    """A file of samples in some format.
+    """Reads a file of samples in some format.
 
     `name`: name of the file, used in messages. `stamps`: where the time of a row comes from. `channels`: for each channel, the name
     of its column. `parameters`: the keys of the format in the bench file. `origin`: time of the first row, s. `interval`: median
@@ -150,12 +150,13 @@ class FormatFile(ABC, Generic[Keys]):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks about rows and bytes that were skipped, in words. The counts are complete after a pass over all rows."""
+        """Returns remarks in words about rows and bytes that were skipped. The counts are complete after a pass over all rows."""
         return ()
 
     @property
     def wanted(self) -> list[str]:
-        """The names of the columns of the time and of the channels, each listed once."""
+        """Returns the names of the columns that are needed: the column of the time and the columns of the channels, each listed
+        once."""
         return list(dict.fromkeys((*self.stamps.columns, *self.channels.values())))
 
     def look(self) -> None:

@@ -144,7 +144,7 @@ class LikelyTime:
 
     @property
     def doubt(self) -> str:
-        """The reason why the unit may be wrong; empty if `sure` is True."""
+        """Returns the reason why the unit may be wrong; empty if `sure` is True."""
         if self.sure:
             return ""
         return (
@@ -155,7 +155,7 @@ class LikelyTime:
 
     @property
     def written(self) -> bool:
-        """True if the column contains dates or times of day as text."""
+        """Returns True if the column contains dates or times of day as text."""
         return self.unit in ("date_time", "time_of_day")
 
     @property
@@ -346,8 +346,8 @@ def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]
 
 
 def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, str]:
-    """For each column whose name says that it is a time or a channel, but that is not among the columns of `numbers`, the reason why
-    it cannot be read. Raises `InstrumentError` if the file cannot be read."""
+    """Finds columns that cannot be read although their names say that they are a time or a channel. Returns the reason for each of
+    them. `numbers`: the columns of numbers, which are left out. Raises `InstrumentError` if the file cannot be read."""
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
     found: dict[str, str] = {}
     for column in dict.fromkeys(known):
@@ -362,8 +362,8 @@ def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | N
 
 
 def columns_of_times(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, Array]:
-    """The columns that contain dates or times of day as text, each with its first times [s]. `numbers`: the columns of numbers, which
-    are left out. Raises `InstrumentError` if the file cannot be read."""
+    """Finds the columns that contain dates or times of day as text. Returns each of them with its first times [s]. `numbers`: the
+    columns of numbers, which are left out. Raises `InstrumentError` if the file cannot be read."""
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
     found: dict[str, Array] = {}
     for column in dict.fromkeys(known):
@@ -378,8 +378,8 @@ def columns_of_times(path: Path, name: str, numbers: Sequence[str], given: Forma
 
 
 def sensors_in_rows(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> tuple[str, tuple[str, ...]]:
-    """A column of a text file that states which sensor measured the row, and the names of these sensors; empty if there is none.
-    Raises `InstrumentError` if the file cannot be read."""
+    """Finds the column of a text file that states which sensor measured the row. Returns this column and the names of the sensors;
+    empty if there is no such column. Raises `InstrumentError` if the file cannot be read."""
     file = open_file(path, name, TimeStamps(None, period=1.0), {}, given)
     if not isinstance(file, TextFile):
         return "", ()
@@ -401,7 +401,7 @@ def opened(path: Path, name: str, columns: Sequence[str], given: Format | None, 
 
 
 def stated_rates(path: Path, name: str, given: Format | None) -> tuple[StatedRate, ...]:
-    """The rates that a text file states before its header, such as `// Sample rate: 100.0Hz`.
+    """Returns the rates that a text file states before its header, such as `// Sample rate: 100.0Hz`.
 
     Lines that are about filters or about other instruments are left out. Raises `InstrumentError` if the file cannot be opened."""
     if given is None or not isinstance(given.parameters, TextKeys):
@@ -479,8 +479,8 @@ def _number_time(
 
 
 def of_minutes(values: Array) -> bool:
-    """True if numbers such as 120059.99 state hours, minutes and seconds: seconds after 59.99 are missing, and steps of 40 replace
-    them. `values`: first values of the column."""
+    """Returns True if numbers such as 120059.99 state hours, minutes and seconds. Such numbers increase by a step of 40 after the
+    second 59.99. `values`: first values of the column."""
     steps = np.diff(values)
     jumps = steps[steps > 1]
     after_a_minute = ((jumps > 40) & (jumps < 41)) | ((jumps > 4040) & (jumps < 4041))
@@ -513,7 +513,7 @@ def _mean_step(values: Array) -> float | None:
 
 
 def wrap_of(backwards: Array, step: float, least: float, most: float) -> float | None:
-    """The value at which a counter returns to zero; None if its values decrease for another reason.
+    """Returns the value at which a counter returns to zero; None if its values decrease for another reason.
 
     `backwards`: the steps of the counter that are not positive. `step`: median step of the counter. `least`, `most`: smallest and
     largest value of the counter."""

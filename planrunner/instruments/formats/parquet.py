@@ -25,7 +25,7 @@ _END = struct.Struct("<I4s")
 
 
 def check_directory(file: BinaryIO, name: str) -> None:
-    """Checks that the directory of the file is not too large; the read position is then at the start of the file. Raises
+    """Checks that the directory of the file is not too large, and then moves the read position to the start of the file. Raises
     `InstrumentError` if the directory is too large."""
     size = file.seek(0, 2)
     if size >= _END.size:
@@ -38,8 +38,8 @@ def check_directory(file: BinaryIO, name: str) -> None:
 
 
 def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str], written: Collection[str] = ()) -> None:
-    """Checks the columns of a file: their number, the types of the `wanted` columns, and their size in a row group. `written`: the
-    columns that may contain dates or times of day. Raises `InstrumentError` if a check fails."""
+    """Checks the columns of a file: how many there are, which types the `wanted` columns have, and how large they are in a row
+    group. `written`: the columns that may contain dates or times of day. Raises `InstrumentError` if a check fails."""
     from pyarrow import types
 
     few_columns(file.metadata.num_columns, name)

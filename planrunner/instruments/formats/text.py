@@ -45,7 +45,7 @@ _EDGES = re.compile(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)")
 
 
 class TextKeys(Record):
-    """Keys of a file of separated text."""
+    """Declares the bench-file keys of a file of separated text."""
 
     separator: str = key(
         Choice(tuple(SEPARATORS)),
@@ -80,7 +80,7 @@ class TextKeys(Record):
 
 
 class TextFile(FormatFile[TextKeys]):
-    """A text file: a header line, then numbers; an empty field is a missing number."""
+    """Reads a text file that consists of a header line and numbers; an empty field is a missing number."""
 
     Parameters = TextKeys
 
@@ -107,7 +107,8 @@ class TextFile(FormatFile[TextKeys]):
             return list(reader.schema.names)
 
     def words(self, column: str) -> tuple[str, ...]:
-        """The different texts in the first rows of a column, at most 20. Raises `InstrumentError` if the file cannot be read."""
+        """Returns the different texts in the first rows of a column, at most 20. Raises `InstrumentError` if the file cannot be
+        read."""
         import pyarrow as pa
         import pyarrow.compute as pc
 
@@ -239,8 +240,8 @@ class TextFile(FormatFile[TextKeys]):
 
 
 class Blanks(io.RawIOBase):
-    """Text in which each sequence of blanks and tabs becomes one tab. Blanks and tabs at the ends of a line are removed. The first
-    `skip` lines are not changed, because they must still count as lines."""
+    """Reads a text in which each sequence of blanks and tabs becomes one tab. Blanks and tabs at the ends of a line are removed.
+    The first `skip` lines are not changed, because they must still count as lines."""
 
     def __init__(self, file: BinaryIO, skip: int = 0):
         self._file = file
@@ -268,8 +269,8 @@ class Blanks(io.RawIOBase):
 
 
 def check_header(file: BinaryIO, name: str, layout: TextKeys) -> None:
-    """Checks that the first line is not too long; the read position is then at the start of the file. Raises `InstrumentError` if
-    the first line is too long."""
+    """Checks that the first line is not too long, and then moves the read position to the start of the file. Raises
+    `InstrumentError` if the first line is too long."""
     for _ in range(layout.skip):
         file.readline(MAX_HEADER)
     start = file.read(MAX_HEADER + 1).removeprefix(b"\xef\xbb\xbf").lstrip(b"\r\n")

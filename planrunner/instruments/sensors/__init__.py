@@ -1,1 +1,1 @@
-"""Drivers of inertial sensors that stream frames over a serial line, with one file for each family of sensors."""
+"""Drivers of inertial sensors that stream frames over a serial line; each file is for one family of sensors."""

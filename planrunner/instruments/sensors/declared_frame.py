@@ -1,4 +1,4 @@
-"""A sensor for which there is no separate driver: the bench file describes its frames field by field.
+"""Drives a sensor for which there is no separate driver: the bench file describes its frames field by field.
 
 imu:
   driver: declared_frame
@@ -41,14 +41,14 @@ from planrunner.plan.kinds import Boolean, Choice, MapOf, Number, Record, Record
 
 
 class FieldOfFrame(ScaledNumber):
-    """Keys of a number in a frame that becomes a channel."""
+    """Declares the bench-file keys of a number in a frame that becomes a channel."""
 
     unit: str = key(UnitText(), "Unit of the result.", "deg/s")
 
 
 class CounterOfFrame(Record):
-    """Keys of the counter in a frame. It counts through all values of its type, or up to `modulus` − 1, and then starts again from
-    zero."""
+    """Declares the bench-file keys of the counter in a frame. It counts through all values of its type, or up to `modulus` − 1, and
+    then starts again from zero."""
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Position of its first byte.", 14, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
@@ -62,7 +62,7 @@ class CounterOfFrame(Record):
 
 
 class StatusOfFrame(Record):
-    """Keys of a status word in a frame; its set bits mark the frame as doubtful."""
+    """Declares the bench-file keys of a status word in a frame; its set bits mark the frame as doubtful."""
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Position of its first byte.", 15, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
@@ -81,7 +81,7 @@ PartOfFrame = FieldOfFrame | CounterOfFrame | StatusOfFrame
 
 
 class DeclaredFrameParameters(SerialSensorParameters):
-    """Keys of a sensor whose frames the bench file describes."""
+    """Declares the bench-file keys of a sensor whose frames the bench file describes."""
 
     sync: str = key(
         SYNC,

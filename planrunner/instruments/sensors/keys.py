@@ -1,4 +1,4 @@
-"""Keys in the bench file that sensors on serial lines have in common: port, rate, and declared noise and full scale."""
+"""Declares the bench-file keys that sensors on serial lines have in common: port, rate, and declared noise and full scale."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RATES, ACCELERATIONS = ("deg/s", "rad/s"), ("g", "m/s^2")
 
 
 class GyroKnowledge(Record):
-    """Keys for declared properties of the gyros, which are the same for all axes."""
+    """Declares the bench-file keys for declared properties of the gyros, which are the same for all axes."""
 
     full_scale: Quantity | None = optional(
         QuantityOf("angular rate", "positive"),
@@ -36,7 +36,7 @@ class GyroKnowledge(Record):
 
 
 class AccelerometerKnowledge(Record):
-    """Keys for declared properties of the accelerometers, which are the same for all axes."""
+    """Declares the bench-file keys for declared properties of the accelerometers, which are the same for all axes."""
 
     full_scale: Quantity | None = optional(
         QuantityOf("acceleration", "positive"), "Largest specific force, for both signs.", "10 g"
@@ -52,7 +52,7 @@ class AccelerometerKnowledge(Record):
 
 
 class SerialSensorParameters(Record):
-    """The keys that every sensor on a serial line has."""
+    """Declares the bench-file keys that every sensor on a serial line has."""
 
     port: str = key(
         Text(PORT, "a port's name"),

@@ -1,4 +1,5 @@
-"""KVH 1775 and DSP-1760: rotations and accelerations as floating-point numbers, in the binary output formats A, B and C.
+"""Drives the sensors KVH 1775 and DSP-1760. They send rotations and accelerations as floating-point numbers in the binary output
+formats A, B and C.
 
 In all formats, a frame consists of a sync, six numbers, a status, a sequence number and a CRC-32. In format B, a time stamp
 precedes the status. In format C, the sequence number determines whether a frame contains the temperature or a component of the
@@ -37,7 +38,7 @@ BIT_SYNC, BIT_LENGTH = bytes.fromhex("fe8100aa"), 11
 
 
 class Kvh1775Parameters(SerialSensorParameters):
-    """Keys of a KVH 1775 or DSP-1760 on a serial line."""
+    """Declares the bench-file keys of a KVH 1775 or DSP-1760 on a serial line."""
 
     format: str = key(Choice(("A", "B", "C")), "Output format.", "A", default="A")
     rotation: str = key(
@@ -98,7 +99,7 @@ class Kvh1775(SerialSensor[Kvh1775Parameters]):
 
 
 def layout(parameters: Kvh1775Parameters) -> FrameLayout:
-    """The positions of the fields in a frame."""
+    """Returns the positions of the fields in a frame."""
     rate, name = parameters.sample_rate.value, parameters.format
     scale = 1.0 if parameters.rotation == "rate" else rate
     fields = {f"gyro_{axis}": Field(4 + 4 * place, 4, FLOAT, scale) for place, axis in enumerate(AXES)}
@@ -124,8 +125,8 @@ def layout(parameters: Kvh1775Parameters) -> FrameLayout:
 
 @dataclass
 class MultiplexedTemperature:
-    """The decoder of format C, in which only every fourth frame, by its sequence number, contains the temperature. The other frames
-    get the last temperature received."""
+    """Decodes format C, in which only every fourth frame, by its sequence number, contains the temperature. The other frames get
+    the last temperature received."""
 
     plain: FrameLayout
     _last: float = data_field(default=np.nan)

@@ -1,4 +1,4 @@
-"""Decoded frames of a sensor: samples in columns, with the counter, the latency that the sensor reports, and doubts."""
+"""Contains the decoded frames of a sensor: samples in columns, the counter, the latency that the sensor reports, and doubts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Samples:
         )
 
     def and_then(self, later: Samples) -> Samples:
-        """These samples followed by later samples; `doubts` and `refused` are left out."""
+        """Returns these samples followed by later samples; `doubts` and `refused` are left out."""
         channels = {name: np.concatenate([values, later.channels[name]]) for name, values in self.channels.items()}
         columns = ("received", "counter", "latency", "doubtful")
         received, counter, latency, doubtful = (
@@ -140,5 +140,5 @@ class FrameLayout:
 
 
 def byte(offset: int) -> Field:
-    """The position of an unsigned byte, such as a counter or a status word."""
+    """Returns the position of an unsigned byte, such as a counter or a status word."""
     return Field(offset, 1, UNSIGNED)

@@ -1,4 +1,4 @@
-"""The samples of one segment: converts bytes to blocks with time stamps, and counts losses."""
+"""Makes the samples of one segment: converts bytes to blocks with time stamps, and counts losses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Arriving(Protocol):
 
 
 class SegmentStream:
-    """The stream of one segment: `wanted` samples after the time `start` [s by the bench's clock].
+    """The stream of one segment. It takes `wanted` samples after the time `start` [s by the bench's clock].
 
     `byte_time`: time per byte on the line, s. `skew`: relative skew of the sensor's clock, as determined from earlier frames.
     `haste`: seconds of the bench's clock per second of real time. `over`: True after all samples have been returned. `heard`:
@@ -65,7 +65,7 @@ class SegmentStream:
 
     @property
     def skew(self) -> float:
-        """Relative skew of the sensor's clock; positive if this clock is slow."""
+        """Returns the relative skew of the sensor's clock; positive if this clock is slow."""
         return self._clock.skew
 
     def take_doubts(self) -> tuple[str, ...]:

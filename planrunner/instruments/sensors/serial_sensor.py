@@ -1,4 +1,4 @@
-"""Functions that sensors on serial lines share: reading, streaming a segment, counting lost frames, reporting doubts.
+"""Contains what sensors on serial lines share: reading, streaming a segment, counting lost frames, and reporting doubts.
 
 The sensor's counter determines the times of the samples, on the bench's clock (`host_clock`); lost frames appear as gaps in time. A
 driver adds its keys, its decoder and, if it configures the sensor, the commands for this.

@@ -1,4 +1,5 @@
-"""STIM300: gyros, accelerometers and inclinometers in datagrams of normal mode (Safran TS1524).
+"""Drives the STIM300 (Safran TS1524). The sensor sends the data of its gyros, accelerometers and inclinometers in datagrams of
+normal mode.
 
 A datagram consists of its identifier; for each cluster, three axes of 24 bits and a status byte; the temperatures of the clusters;
 PPS or AUX; a counter of internal samples at 2000 Hz; the latency in µs; and a CRC-32 over all of this, padded with zeros to whole
@@ -63,7 +64,7 @@ class Datagram:
 
 
 class Stim300Parameters(SerialSensorParameters):
-    """Keys of a STIM300 on a serial line."""
+    """Declares the bench-file keys of a STIM300 on a serial line."""
 
     datagram: int = key(Datagram(), "Identifier of the datagram that the sensor is set to send.", 0xA7, default=0xA7)
     acceleration_range: str = key(
@@ -106,7 +107,7 @@ class Stim300(SerialSensor[Stim300Parameters]):
 
 
 def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: float) -> FrameLayout:
-    """The positions of the fields in a datagram. Scales are in deg/s and g per count. `rate`: sample rate, Hz."""
+    """Returns the positions of the fields in a datagram. Scales are in deg/s and g per count. `rate`: sample rate, Hz."""
     contents = DATAGRAMS[datagram]
     clusters = [("gyro", gyro_scale, "deg/s")]
     clusters += [("accel", acceleration_scale, "g")] if "a" in contents else []

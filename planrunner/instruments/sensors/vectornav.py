@@ -1,4 +1,4 @@
-"""VectorNav VN-100: binary outputs of the common group, or lines of text such as $VNYMR.
+"""Drives the VectorNav VN-100. The sensor sends binary outputs of the common group, or lines of text such as $VNYMR.
 
 A binary message consists of the byte FA, a byte for the groups, a word for each group that names its fields, the fields (low byte
 first), and a CRC-16 (high byte first). A line of text ends with `*` and, in hexadecimal, the exclusive-or of all bytes between `$`
@@ -57,7 +57,7 @@ LINES: Mapping[str, Mapping[str, str]] = {
 
 
 class VectorNavParameters(SerialSensorParameters):
-    """Keys of a VectorNav VN-100 on a serial line."""
+    """Declares the bench-file keys of a VectorNav VN-100 on a serial line."""
 
     output: str = key(
         Choice(("binary", *LINES)),
@@ -128,12 +128,13 @@ class VectorNav(SerialSensor[VectorNavParameters]):
 
 
 def line(body: str) -> bytes:
-    """The bytes that send a command such as `VNRRG,8`."""
+    """Returns the bytes that send a command such as `VNRRG,8`."""
     return f"${body}*{XOR8.of(body.encode('ascii')):02X}\r\n".encode("ascii")
 
 
 def body_of(reply: bytes) -> str:
-    """The text of a line between `$` and `*`. Raises `InstrumentError` if the checksum is wrong or if the sensor reports an error."""
+    """Returns the text of a line between `$` and `*`. Raises `InstrumentError` if the checksum is wrong or if the sensor reports an
+    error."""
     body, star, check = reply.strip(b"\r\n").removeprefix(b"$").partition(b"*")
     if not star or not body or check.upper() != f"{XOR8.of(body):02X}".encode("ascii"):
         raise InstrumentError(f"the VN-100 answers with an incomplete line: {reply[:60]!r}")
@@ -165,12 +166,12 @@ def ask(link: SerialStream, clock: Clock, body: str, patience: float = 1.0) -> s
 
 
 def word(fields: tuple[str, ...]) -> int:
-    """The word that names these fields of the common group."""
+    """Returns the word that names these fields of the common group."""
     return sum(1 << FIELDS[name][0] for name in set(fields))
 
 
 def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
-    """The layout of a binary message that contains these fields of the common group. `rate`: sample rate, Hz."""
+    """Returns the layout of a binary message that contains these fields of the common group. `rate`: sample rate, Hz."""
     found: dict[str, Field] = {}
     units: dict[str, str] = {}
     counts, counter = None, FrameCounter(1 / rate)

@@ -54,7 +54,7 @@ ATTEMPTS, PATIENCE = 3, 0.5
 
 
 class XsensParameters(SerialSensorParameters):
-    """Keys of an Xsens MTi on a serial line."""
+    """Declares the bench-file keys of an Xsens MTi on a serial line."""
 
     outputs: tuple[str, ...] = key(
         ListOf(Choice(tuple(OUTPUTS)), minimum=1),
@@ -105,13 +105,13 @@ class XsensMti(SerialSensor[XsensParameters]):
 
 
 def message(identifier: int, data: bytes = b"") -> bytes:
-    """The bytes of a message to the sensor. `data`: data of the message, at most 254 bytes."""
+    """Returns the bytes of a message to the sensor. `data`: data of the message, at most 254 bytes."""
     body = bytes([0xFF, identifier, len(data)]) + data
     return b"\xfa" + body + bytes([ZERO_SUM8.of(body)])
 
 
 def error_of(found: bytes) -> int | None:
-    """The error code in a message from the sensor; None if it is not an error message."""
+    """Returns the error code in a message from the sensor; None if it is not an error message."""
     return found[4] if len(found) > 5 and found[2] == ERROR else None
 
 

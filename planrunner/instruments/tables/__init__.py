@@ -1,1 +1,1 @@
-"""Drivers of real tables: the functions that all of them share (`axis_table`), and one file per controller with its commands."""
+"""Drivers of real tables: one file per controller with its commands, and the functions that all drivers share (`axis_table`)."""

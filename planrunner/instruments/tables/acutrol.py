@@ -1,4 +1,4 @@
-"""Tables with an ACUTROL 3000 or ACT2000 controller, in its command language ACL, over GPIB or raw TCP (port 9878).
+"""Drives tables with an ACUTROL 3000 or ACT2000 controller. The link is GPIB or raw TCP (port 9878), the command language is ACL.
 
 A command has the form `:Main:Sub axis,argument;Sub axis,argument`; the controller does not reply to it. The status byte shows
 whether a command was accepted; the query `:status:stb?` reads it without clearing it. Communication over GPIB follows the manual.
@@ -55,8 +55,8 @@ KINDS: dict[str, Header] = {
 
 
 def kind_of(reply: bytes) -> str | None:
-    """The form of the header of a complete reply, as a key of `KINDS`; None if the reply is a plain line. Raises `LinkFailure` if
-    the reply has neither a header nor the form of a line."""
+    """Returns the form of the header of a complete reply, as a key of `KINDS`; None if the reply is a plain line. Raises
+    `LinkFailure` if the reply has neither a header nor the form of a line."""
     for name, header in KINDS.items():
         try:
             _, length = header(reply[:HEADER])
@@ -115,7 +115,7 @@ MODES = {"p": "pos", "r": "rate", "s": "synt"}
 
 
 class AcutrolParameters(LinkedTableKeys):
-    """Keys of a table with an ACUTROL controller."""
+    """Declares the bench-file keys of a table with an ACUTROL controller."""
 
 
 class Acutrol(TableDriver[AcutrolParameters]):
@@ -129,7 +129,7 @@ class Acutrol(TableDriver[AcutrolParameters]):
 
 
 class AcutrolCommands(LinkedCommands):
-    """Commands of an ACUTROL controller, as `AxisCommands`."""
+    """Translates the operations of `AxisCommands` to commands of an ACUTROL controller."""
 
     rocks = True
 

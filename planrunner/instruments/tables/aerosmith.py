@@ -1,4 +1,4 @@
-"""Single-axis tables of Ideal Aerosmith in their table language ATL, over a serial line. The driver is experimental.
+"""Drives single-axis tables of Ideal Aerosmith over a serial line, in their table language ATL. The driver is experimental.
 
 It was written from open-source drivers only. A command consists of a mnemonic and a number; the reply consists of a line and a
 prompt. The controller replies to commands for jogging and rocking only when the motion ends; this driver does not wait for that
@@ -40,7 +40,7 @@ TELLING = PromptedLines(telling=True)
 
 
 class AerosmithParameters(LinkedTableKeys):
-    """Keys of a single-axis table of Ideal Aerosmith."""
+    """Declares the bench-file keys of a single-axis table of Ideal Aerosmith."""
 
 
 class Aerosmith(TableDriver[AerosmithParameters]):
@@ -56,7 +56,7 @@ class Aerosmith(TableDriver[AerosmithParameters]):
 
 
 class AerosmithCommands(LinkedCommands):
-    """Commands of an Ideal Aerosmith table, as `AxisCommands`."""
+    """Translates the operations of `AxisCommands` to commands of an Ideal Aerosmith table."""
 
     rocks = True
 

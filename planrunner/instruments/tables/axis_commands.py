@@ -1,4 +1,4 @@
-"""Interface of the commands of a table controller; each driver of a real table implements it."""
+"""Defines the operations that the commands of a table controller provide; each driver of a real table implements them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planrunner.instruments.wire.links import Commands
 
 @dataclass(frozen=True, slots=True)
 class AxisState:
-    """Position [deg] and rate [deg/s] of an axis, as the controller measures them."""
+    """Contains the position [deg] and the rate [deg/s] of an axis, as the controller measures them."""
 
     position: float
     rate: float
@@ -19,8 +19,8 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisBounds:
-    """Limits that an axis must enforce by itself, in the units in which its controller shows them: deg/s, deg/s² and deg. `lowest`
-    and `highest` are None if the axis has no stops."""
+    """Contains the limits that an axis must enforce by itself, in the units in which its controller shows them: deg/s, deg/s² and
+    deg. `lowest` and `highest` are None if the axis has no stops."""
 
     rate: float
     acceleration: float
@@ -60,7 +60,7 @@ class AxisCommands(Commands, Protocol):
     def rock(self, sines: Mapping[int, Sine]) -> None: ...
     def state(self, axis: int) -> AxisState: ...
     def faults(self) -> Sequence[str]:
-        """The reasons why the table cannot continue, in words; empty if there is no fault."""
+        """Returns the reasons why the table cannot continue, in words; empty if there is no fault."""
 
     def stop(self) -> None:
         """Brings every axis to rest in a controlled way."""

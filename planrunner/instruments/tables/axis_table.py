@@ -1,4 +1,4 @@
-"""Functions that all real tables share: converting attitudes to axis positions, spins, rocking, cycles, detecting that a state is
+"""Contains what all real tables share: converting attitudes to axis positions, spins, rocking, cycles, detecting that a state is
 held, and the safe state.
 
 The commands of each controller are in a separate file, as `AxisCommands`; this file does not depend on a manufacturer. Whether a
@@ -38,7 +38,7 @@ POLL = 0.05
 
 
 class LinkedTableKeys(LinkKeys, WiredTableKeys):
-    """Keys of a real table, including those of the link to its controller."""
+    """Declares the bench-file keys of a real table, including those of the link to its controller."""
 
 
 K = TypeVar("K", bound=LinkedTableKeys)
@@ -46,8 +46,8 @@ K = TypeVar("K", bound=LinkedTableKeys)
 
 @dataclass(frozen=True, slots=True)
 class Aim:
-    """The last commands to the axes, by index of the axis: joint angles [rad] of the axes that hold a position, and rates [rad/s]
-    of the axes that turn. Every new command makes a new `Aim`, even if its values are the same."""
+    """Contains the last commands to the axes, by index of the axis: joint angles [rad] of the axes that hold a position, and rates
+    [rad/s] of the axes that turn. Every new command makes a new `Aim`, even if its values are the same."""
 
     positions: Mapping[int, float] = field(default_factory=dict)
     rates: Mapping[int, float] = field(default_factory=dict)
@@ -360,7 +360,7 @@ def _refuse(excess: Sequence[Excess], where: str = "") -> None:
 
 
 class TableDriver(CommandedDriver[K, AxisCommands]):
-    """Base of the drivers of real tables.
+    """Base class for drivers of real tables.
 
     K is the record with the keys of the table. Derived drivers define `Parameters` and `commands_of`."""
 

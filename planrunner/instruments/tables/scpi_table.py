@@ -26,7 +26,7 @@ from planrunner.plan.source import Node, Scalar
 
 @dataclass(frozen=True, slots=True)
 class CommandTemplate:
-    """A command as a text with placeholders. `places`: the names that may appear in braces in the text."""
+    """Reads a command that is a text with placeholders. `places`: the names that may appear in braces in the text."""
 
     places: tuple[str, ...]
 
@@ -55,7 +55,7 @@ class CommandTemplate:
 
 
 def filled(template: str, axis: int, **values: float) -> str:
-    """The command that a template gives for this axis number and these values."""
+    """Returns the command that a template gives for this axis number and these values."""
     return template.format(axis=axis, **{name: written(value) for name, value in values.items()})
 
 
@@ -111,7 +111,7 @@ class TableCommands(Record):
 
 
 class ScpiTableParameters(LinkedTableKeys):
-    """Keys of a table whose commands the bench file declares."""
+    """Declares the bench-file keys of a table whose commands the bench file declares."""
 
     ends: str = key(Choice(tuple(ENDS)), "Terminator of a message, in both directions.", "LF", default="LF")
     commands: TableCommands = key(
@@ -136,7 +136,7 @@ class ScpiTable(TableDriver[ScpiTableParameters]):
 
 
 class ScpiTableCommands(LinkedCommands):
-    """Commands of a table that the bench file declares, as `AxisCommands`."""
+    """Sends the commands that the bench file declares for a table, as operations of `AxisCommands`."""
 
     def __init__(self, parameters: ScpiTableParameters):
         end = ENDS[parameters.ends]

@@ -12,7 +12,7 @@ from planrunner.plan.quantity import Quantity, parse_quantity
 
 
 class WiredAxisSpec(AxisSpec):
-    """Keys of one axis of a real table."""
+    """Declares the bench-file keys of one axis of a real table."""
 
     number: int | None = optional(
         Number(1, 16, integer=True), "Number of the axis at the controller; by default its position in the list.", 1
@@ -32,7 +32,7 @@ class WiredAxisSpec(AxisSpec):
 
 
 class WiredTableKeys(TableKeys):
-    """Keys of a real table, without those of the link to its controller."""
+    """Declares the bench-file keys of a real table, without those of the link to its controller."""
 
     axes: tuple[WiredAxisSpec, ...] = key(
         AxesKind(WiredAxisSpec),

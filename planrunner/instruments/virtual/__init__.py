@@ -1,1 +1,1 @@
-"""The simulated bench: one world that the virtual table and the virtual chamber change and that the virtual sensor measures."""
+"""The simulated bench. The virtual table and the virtual chamber change one world, and the virtual sensor measures this world."""

@@ -1,4 +1,4 @@
-"""Interface for effects that a simulation adds to a virtual sensor, in addition to its declared errors.
+"""Defines the interface for effects that a simulation adds to the declared errors of a virtual sensor.
 
 The virtual sensor provides the conditions at its samples, and its outputs without noise. The object in `World.added` changes these
 outputs and their noise. The sensor does not depend on effects, and an effect does not depend on the error model of the sensor.
@@ -37,7 +37,7 @@ class Moments:
 
 @dataclass(frozen=True, slots=True)
 class Gives:
-    """Unit and noise of one output of the sensor.
+    """States the unit and the noise of one output of the sensor.
 
     `unit`: unit of the output. `white`: coefficient N of the white noise, unit·√s. `step`: smallest step of a sample, unit.
     """
@@ -49,10 +49,10 @@ class Gives:
 
 class Added(Protocol):
     def levels(self, moments: Moments, levels: Mapping[str, Array], gives: Mapping[str, Gives]) -> Mapping[str, Array]:
-        """The outputs (n,) without noise, each in its unit, after the effects have been added."""
+        """Returns the outputs (n,) without noise, each in its unit, after the effects have been added."""
 
     def noise(self, output: str, gives: Gives) -> Gives:
-        """The noise of an output after the effects have been added."""
+        """Returns the noise of an output after the effects have been added."""
 
     def readings(self, moments: Moments, samples: Mapping[str, Array]) -> Mapping[str, Array]:
-        """The outputs (n,) with noise, each in its unit, as they are recorded."""
+        """Returns the outputs (n,) with noise, each in its unit, as they are recorded."""

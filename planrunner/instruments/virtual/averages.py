@@ -1,4 +1,4 @@
-"""Input of an integrating sensor: inertial rate and specific force, averaged over every sampling interval.
+"""Computes the input of an integrating sensor: inertial rate and specific force, averaged over every sampling interval.
 
 While the table turns, such a mean is an integral over products of sines of the joint angles. The integral is computed by
 Gauss-Legendre quadrature over stretches of smooth motion, with as many points as the fastest phase needs. Intervals in which a ramp

@@ -1,5 +1,5 @@
-"""The base of a virtual platform: the attitude of the table's inner ring, and the acceleration of parts that are mounted away from its
-centre."""
+"""Computes the motion of the base of a virtual platform: the attitude of the table's inner ring, and the acceleration of parts that
+are mounted away from its centre."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEP = 2e-3  # s, of the second difference; its error is a tenth of a ppm at 1 H
 
 
 def base_axes(world: World, times: Array) -> Array:
-    """The x, y and z axes of the base at `times`, as rows in East-North-Up, shape (n, 3, 3).
+    """Returns the x, y and z axes of the base at `times`, as rows in East-North-Up, shape (n, 3, 3).
 
     Every axis vector is rotated by one ring after the other, from the innermost outwards. The pointing error of the table is
     applied before the innermost ring.
@@ -29,7 +29,8 @@ def base_axes(world: World, times: Array) -> Array:
 
 
 def shaking(world: World, times: Array, lever_arm: Sequence[float]) -> Array:
-    """Acceleration (n, 3) [m/s^2] in East-North-Up of a point at `lever_arm` [m, in axes of the base] from the centre of the rings.
+    """Computes the acceleration of a point in East-North-Up [m/s^2], shape (n, 3). The point is at `lever_arm` [m, in axes of the
+    base] from the centre of the rings.
 
     It is the second difference of the position, so it contains the tangential and the centripetal part.
     """
@@ -41,7 +42,7 @@ def shaking(world: World, times: Array, lever_arm: Sequence[float]) -> Array:
 
 
 def mean_square_rate(world: World, times: Array) -> Array:
-    """The square of the base's angular rate at `times`, shape (n,), (rad/s)²."""
+    """Returns the square of the base's angular rate at `times` [(rad/s)²], shape (n,)."""
     squares = sum(np.square(part) for part in world.stimulus(times)[0])
     return np.array(np.broadcast_to(np.asarray(squares, dtype=float), times.shape))
 

@@ -19,7 +19,8 @@ FASTEST = 1000.0  # m/s
 
 
 class VirtualCarrierParameters(Record):
-    """Keys of a simulated carrier, which starts at the site and moves along a track at a given speed, at the height of the site."""
+    """Declares the bench-file keys of a simulated carrier, which starts at the site and moves along a track at a given speed, at
+    the height of the site."""
 
     speed: Quantity = key(
         QuantityLike("m/s", "not negative"),

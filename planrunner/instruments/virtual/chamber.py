@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class VirtualChamberParameters(ChamberKeys):
-    """Keys of a simulated chamber."""
+    """Declares the bench-file keys of a simulated chamber."""
 
 
 class VirtualChamber:

@@ -27,8 +27,8 @@ TURN = 2 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A time interval [s] within which the motion of a table is smooth. `pace`: the largest rate of change of the phases of its
-    sines, rad/s; 0 if nothing moves."""
+    """Describes a time interval [s] within which the motion of a table is smooth. `pace`: the largest rate of change of the phases
+    of its sines, rad/s; 0 if nothing moves."""
 
     begin: float
     end: float
@@ -39,13 +39,13 @@ class Course(Protocol):
     kind: ClassVar[str]
 
     def follow(self, times: Array) -> list[tuple[Value, Value]]:
-        """The angle [rad] and the rate [rad/s] of every joint at `times` [s since the start of the run]."""
+        """Returns the angle [rad] and the rate [rad/s] of every joint at `times` [s since the start of the run]."""
 
     def still(self, start: float) -> bool:
-        """True if nothing moves after the time `start`."""
+        """Returns True if nothing moves after the time `start`."""
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
-        """The intervals of smooth motion between two times, in order."""
+        """Returns the intervals of smooth motion between two times, in order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,16 +178,17 @@ class Rocking:
 
     @property
     def over(self) -> float:
-        """The time at which the joints are at rest again [s since the start of the run]."""
+        """Returns the time at which the joints are at rest again [s since the start of the run]."""
         return self.steady + self.duration + 1 / self.frequency
 
     @property
     def begins(self) -> float:
-        """The time at which the joints begin to move [s since the start of the run]."""
+        """Returns the time at which the joints begin to move [s since the start of the run]."""
         return self.steady - 1 / self.frequency
 
     def ended(self, now: float) -> Rocking:
-        """The same rocking, but fading out from the time `now` at the latest. The rocking must have begun before `now`."""
+        """Returns the same rocking, except that it begins to fade out at the time `now` or earlier. The rocking must have begun
+        before `now`."""
         return replace(self, duration=min(self.duration, now - self.steady))
 
 
@@ -252,14 +253,14 @@ def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[floa
 
 
 def profile(distance: float, max_rate: float, acceleration: float) -> tuple[float, float]:
-    """For a move from rest to rest over `distance` [rad]: the time [s] of the acceleration phase, and the total time [s]."""
+    """Returns the time [s] of the acceleration phase, and the total time [s], of a move from rest to rest over `distance` [rad]."""
     up = min(max_rate, math.sqrt(abs(distance) * acceleration)) / acceleration
     return up, move_time(distance, max_rate, acceleration)
 
 
 def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: float) -> tuple[Array, Array]:
-    """Angle [rad] and rate [rad/s] at the times `elapsed` [s] of a move from rest to rest over `distance` [rad], which may be
-    negative; constant before and after the move."""
+    """Computes the angle [rad] and the rate [rad/s] of a move from rest to rest, at the times `elapsed` [s]. They are constant
+    before and after the move. `distance`: length of the move, rad, which may be negative."""
     size, sign = np.abs(distance), np.sign(distance)
     peak = np.minimum(max_rate, np.sqrt(size * acceleration))
     up = peak / acceleration

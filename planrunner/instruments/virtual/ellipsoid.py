@@ -32,44 +32,44 @@ _INVERSE = (
 
 
 def meridian_radius(latitude: Latitude) -> Any:
-    """The radius of curvature M [m] in the meridian."""
+    """Returns the radius of curvature M [m] in the meridian."""
     return SEMI_MAJOR * (1 - ECCENTRICITY_SQUARED) / (1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2) ** 1.5
 
 
 def meridian_radius_slope(latitude: Latitude) -> Any:
-    """The derivative dM/dφ [m/rad] of the radius of curvature in the meridian."""
+    """Returns the derivative dM/dφ [m/rad] of the radius of curvature in the meridian."""
     sine = np.sin(latitude)
     slope = 3 * ECCENTRICITY_SQUARED * sine * np.cos(latitude) / (1 - ECCENTRICITY_SQUARED * sine**2)
     return meridian_radius(latitude) * slope
 
 
 def normal_radius(latitude: Latitude) -> Any:
-    """The radius of curvature N [m] in the prime vertical."""
+    """Returns the radius of curvature N [m] in the prime vertical."""
     return SEMI_MAJOR / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
 
 
 def meridian_arc(latitude: Latitude) -> Any:
-    """Length [m] of the meridian from the equator to a latitude."""
+    """Returns the length [m] of the meridian from the equator to a latitude."""
     return _ARC * (latitude + sum(c * np.sin(2 * k * latitude) for k, c in enumerate(_FORWARD, start=1)))
 
 
 def latitude_at_arc(arc: Any) -> Any:
-    """The latitude [rad] at the distance `arc` [m] from the equator along the meridian."""
+    """Returns the latitude [rad] at the distance `arc` [m] from the equator along the meridian."""
     rectifying = arc / _ARC
     return rectifying + sum(c * np.sin(2 * k * rectifying) for k, c in enumerate(_INVERSE, start=1))
 
 
 def isometric_latitude(latitude: Latitude) -> Any:
-    """The isometric latitude ψ, for which dψ = M/(N·cos φ)·dφ. Along a line of constant heading χ, the longitude increases by tan
-    χ·dψ."""
+    """Returns the isometric latitude ψ, for which dψ = M/(N·cos φ)·dφ. Along a line of constant heading χ, the longitude increases
+    by tan χ·dψ."""
     eccentricity = np.sqrt(ECCENTRICITY_SQUARED)
     sine = np.sin(latitude)
     return np.arctanh(sine) - eccentricity * np.arctanh(eccentricity * sine)
 
 
 def normal_gravity(latitude: Latitude, height: float) -> Any:
-    """Normal gravity [m/s^2] at `height` m above the ellipsoid, along the normal of the ellipsoid: Somigliana's formula and
-    TR8350.2 (4-3). Its component towards north, 8·10⁻⁹ m/s² per metre of height, is neglected."""
+    """Returns the normal gravity [m/s^2] at `height` [m] above the ellipsoid, by Somigliana's formula and TR8350.2 (4-3). It is the
+    component along the normal of the ellipsoid. The component towards north, 8·10⁻⁹ m/s² per metre of height, is neglected."""
     squared = np.sin(latitude) ** 2
     surface = _GRAVITY_EQUATOR * (1 + _SOMIGLIANA * squared) / np.sqrt(1 - ECCENTRICITY_SQUARED * squared)
     first = 1 + FLATTENING + _CENTRIFUGAL - 2 * FLATTENING * squared

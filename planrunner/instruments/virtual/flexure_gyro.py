@@ -37,7 +37,8 @@ THERMOMETER = "sensor_temperature"
 
 
 class ScaleFactors(Record):
-    """Keys for the scale factor of each torquer, which is the rate that corresponds to one pulse per second."""
+    """Declares the bench-file keys for the scale factor of each torquer, which is the rate that corresponds to one pulse per
+    second."""
 
     x: Quantity = key(
         QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_X, scale factor of the X torquer.", "0.2 (deg/h)/(pulse/s)"
@@ -48,7 +49,8 @@ class ScaleFactors(Record):
 
 
 class Drift(Record):
-    """Keys for the drift of one axis: a constant part, and parts proportional to the specific force along each axis."""
+    """Declares the bench-file keys for the drift of one axis: a constant part, and parts proportional to the specific force along
+    each axis."""
 
     F: Quantity = key(QuantityOf("angular rate"), "Drift that does not depend on specific force.", "1.8 deg/h")
     X: Quantity = key(QuantityLike("deg/h/g"), "Drift proportional to specific force along X.", "3.2 deg/h/g")
@@ -57,7 +59,7 @@ class Drift(Record):
 
 
 class VirtualFlexureGyroParameters(Record):
-    """Keys of a simulated flexure gyro, whose true parameters are known."""
+    """Declares the bench-file keys of a simulated flexure gyro, whose true parameters are known."""
 
     scale_factor: ScaleFactors = key(
         RecordOf(ScaleFactors),
@@ -217,7 +219,8 @@ class VirtualFlexureGyro(OnlyRead):
         return Readout(p.white_noise.value * math.sqrt(rate), p.resolution.value, p.full_scale.value)
 
     def pulses(self, times: Array) -> tuple[Value, Value]:
-        """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats if the gyro is at rest, otherwise arrays (n,).
+        """Returns the torquer currents i_x, i_y [pulse/s] without noise at `times`: floats if the gyro is at rest, otherwise arrays
+        (n,).
 
         They follow from the 2×2 balance of the rotor, whose right-hand side is linear in the input of the gyro.
         """

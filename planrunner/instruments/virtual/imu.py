@@ -1,4 +1,4 @@
-"""The virtual inertial sensor: gyros and accelerometers on the table of the virtual world. They integrate their input.
+"""Simulates an inertial sensor: gyros and accelerometers on the table of the virtual world. They integrate their input.
 
 A sample is the mean over its sampling interval; its time is the end of the interval. The error model is in `inertial_axis.py`; it
 shares no formula with the estimators."""
@@ -326,8 +326,9 @@ def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
 
 
 def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
-    """Angle [rad] by which the table has turned since the orientation was reached, and its rate [rad/s], each (n,). The angle and
-    the rate refer to the axis of the segment's motion; they are zero if the table neither spins nor rocks.
+    """Returns the angle [rad] by which the table has turned since the orientation was reached, and the rate of this angle [rad/s].
+    Both arrays have the shape (n,). The angle and the rate refer to the axis of the segment's motion; they are zero if the table
+    neither spins nor rocks.
 
     Raises `InstrumentError` if several rings rock.
     """
@@ -345,7 +346,8 @@ def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
 
 
 def mean_angle(world: World, segment: Segment, times: Array, interval: float) -> Array:
-    """Mean angle [rad] over each sampling interval that ends at one of `times`. The outputs are means over the same intervals."""
+    """Returns the mean angle [rad] over each sampling interval that ends at one of `times`. The outputs are means over the same
+    intervals."""
     places, weights = np.polynomial.legendre.leggauss(3)
     total = np.zeros(len(times))
     for place, weight in zip(places, weights, strict=True):

@@ -1,4 +1,4 @@
-"""Keys of a virtual inertial sensor in the bench file: its axes and their errors.
+"""Declares the bench-file keys of a virtual inertial sensor: its axes and their errors.
 
 A key next to `axes` applies to all gyros (or accelerometers); the same key of an axis takes precedence. A value that is not given
 is zero. `docs/virtual-sensors.md` describes the error model with these coefficients.
@@ -18,7 +18,8 @@ FRAME = ("x", "y", "z")
 
 
 class ScaleErrors(Record):
-    """Keys for the differences between the true and the declared scale factor; gyros and accelerometers have the same keys."""
+    """Declares the bench-file keys for the differences between the true and the declared scale factor; gyros and accelerometers
+    have the same keys."""
 
     scale_factor_error: Quantity | None = optional(
         QuantityOf("ratio"),
@@ -54,7 +55,7 @@ class ScaleErrors(Record):
 
 
 class GyroErrors(ScaleErrors):
-    """Keys for the errors of one gyro, or of all gyros."""
+    """Declares the bench-file keys for the errors of one gyro, or of all gyros."""
 
     scale_factor: Quantity | None = optional(
         QuantityLike("(pulse/s)/(deg/s)", "positive", ("1",)),
@@ -122,7 +123,7 @@ class GyroErrors(ScaleErrors):
 
 
 class AccelerometerErrors(ScaleErrors):
-    """Keys for the errors of one accelerometer, or of all accelerometers."""
+    """Declares the bench-file keys for the errors of one accelerometer, or of all accelerometers."""
 
     scale_factor: Quantity | None = optional(
         QuantityLike("(pulse/s)/(m/s^2)", "positive", ("1",)),
@@ -181,7 +182,8 @@ class AccelerometerErrors(ScaleErrors):
 
 
 class InputAxisDirection(Record):
-    """Keys for the direction of an input axis in the sensor's frame: tilted by a fixture, or near an axis of the frame."""
+    """Declares the bench-file keys for the direction of an input axis in the sensor's frame: tilted by a fixture, or near an axis
+    of the frame."""
 
     angle: Quantity | None = optional(
         QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg"
@@ -202,15 +204,15 @@ class InputAxisDirection(Record):
 
 
 class GyroAxis(GyroErrors, InputAxisDirection):
-    """Keys of one gyro."""
+    """Declares the bench-file keys of one gyro."""
 
 
 class AccelerometerAxis(AccelerometerErrors, InputAxisDirection):
-    """Keys of one accelerometer."""
+    """Declares the bench-file keys of one accelerometer."""
 
 
 class Gyros(GyroErrors):
-    """Keys of the gyros: the axes, and errors that all gyros have in common."""
+    """Declares the bench-file keys of the gyros: the axes, and errors that all gyros have in common."""
 
     axes: dict[str, GyroAxis] = key(
         MapOf(RecordOf(GyroAxis), pattern=AXIS_NAME),
@@ -220,7 +222,7 @@ class Gyros(GyroErrors):
 
 
 class Accelerometers(AccelerometerErrors):
-    """Keys of the accelerometers: the axes, and errors that all accelerometers have in common."""
+    """Declares the bench-file keys of the accelerometers: the axes, and errors that all accelerometers have in common."""
 
     axes: dict[str, AccelerometerAxis] = key(
         MapOf(RecordOf(AccelerometerAxis), pattern=AXIS_NAME),
@@ -265,7 +267,8 @@ def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
 
 
 class VirtualImuParameters(Record):
-    """Keys of a simulated inertial sensor whose true errors are known: gyros, accelerometers or both, and a thermometer."""
+    """Declares the bench-file keys of a simulated inertial sensor whose true errors are known. It has gyros, accelerometers or
+    both, and a thermometer."""
 
     kind: str = key(
         Text(KIND, "a kind of sensor", "lower-case letters, digits and -, such as gyro-triad"),

@@ -1,4 +1,4 @@
-"""One input axis of a virtual inertial sensor, as numbers: its direction and its errors.
+"""Describes one input axis of a virtual inertial sensor by numbers: its direction and its errors.
 
 Let u be the mean inertial rate (for an accelerometer, the mean specific force) along the axis over a sampling interval; ΔT, ΔV and
 Δp the differences from the reference temperature, the nominal supply and the standard atmosphere; and f the mean specific force
@@ -37,7 +37,7 @@ WARM_UP_TIME = 600.0  # s, where nothing is said of it
 
 @dataclass(frozen=True, slots=True)
 class InertialAxis:
-    """One input axis and its coefficients, with the symbols that the docstring of the module uses.
+    """Contains one input axis and its coefficients, with the symbols that the docstring of the module uses.
 
     `name`, `unit`: name and unit of the output. `direction`: array of shape (3,), unit vector along the axis in the sensor's frame.
     `nominal`: declared scale factor K, in the output's unit per SI input. `error`: relative scale-factor error δ. `step`: smallest
@@ -78,7 +78,7 @@ class InertialAxis:
     walk: float
 
     def output(self, rate: float) -> OutputModel:
-        """The declared model of the output, sampled at `rate` [Hz]."""
+        """Returns the declared model of the output, sampled at `rate` [Hz]."""
         noise = NoiseModel(
             self.white * self.nominal,
             self.bias_instability * self.nominal,
@@ -90,7 +90,7 @@ class InertialAxis:
         return OutputModel(self.name, self.unit, self.full_scale * self.nominal, noise, senses=senses)
 
     def step_of_sample(self, rate: float) -> float:
-        """The smallest step of one sample, in `unit`. `rate`: sample rate, Hz."""
+        """Returns the smallest step of one sample, in `unit`. `rate`: sample rate, Hz."""
         return self.step * rate if self.counted else self.step
 
     def scale(self, off: Array, drawn: float) -> Array:
@@ -116,7 +116,7 @@ class InertialAxis:
         )
 
     def felt(self, rates: Components, forces: Components) -> Value:
-        """The input (SI), including the errors that do not depend on temperature or time; a float if nothing moves."""
+        """Returns the input (SI), including the errors that do not depend on temperature or time; a float if nothing moves."""
         u = _along(self.direction, rates if self.turns else forces)
         felt = u
         if self.asymmetry:
@@ -128,8 +128,8 @@ class InertialAxis:
         return felt
 
     def level(self, felt: Value, drift: Array, scale: Array, hold: int) -> Array:
-        """The output without white noise, in `unit`. `drift`, `scale`: one value for every `hold` samples. The result has as many
-        values as `felt`, or as `drift` if `felt` is a float."""
+        """Returns the output without white noise, in `unit`. `drift`, `scale`: one value for every `hold` samples. The result has
+        as many values as `felt`, or as `drift` if `felt` is a float."""
         if isinstance(felt, np.ndarray):
             drift, scale = (np.repeat(values, hold)[: felt.size] for values in (drift, scale))
         total = felt + drift
@@ -140,7 +140,7 @@ class InertialAxis:
 
 
 def axes_of(parameters: VirtualImuParameters) -> tuple[InertialAxis, ...]:
-    """The gyros, then the accelerometers, in the order of the bench file."""
+    """Returns the gyros, then the accelerometers, in the order of the bench file."""
     groups = (("gyro", parameters.gyros), ("accel", parameters.accelerometers))
     return tuple(
         _axis(f"{prefix}_{name}", name, group, axis)

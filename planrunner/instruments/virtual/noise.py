@@ -1,4 +1,4 @@
-"""Noise of a simulated output, drawn in blocks. Memory and state do not grow with the length of the run.
+"""Simulates the noise of an output, drawn in blocks. Memory and state do not grow with the length of the run.
 
 White noise comes directly from the random generator. Bias instability (flicker) is a sum of Ornstein-Uhlenbeck processes whose
 correlation times are one octave apart. If each has the variance v, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²) ≈
@@ -26,8 +26,8 @@ TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
 
 
 def generator(seed: int, *occasion: int) -> np.random.Generator:
-    """The random generator for one occasion, which is identified by numbers such as the index of a segment. It always gives the
-    same numbers for the same arguments."""
+    """Returns the random generator for one occasion, which is identified by numbers such as the index of a segment. It always gives
+    the same numbers for the same arguments."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=occasion)))
 
 
@@ -59,8 +59,8 @@ class Flicker:
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The sum of the processes [unit] at the next `nodes` moments, which are `step` s apart; the first of these moments is the
-        present one."""
+        """Returns the sum of the processes [unit] at the next `nodes` moments, which are `step` seconds apart. The first of these
+        moments is the present one."""
         if self.coefficient == 0.0:
             return np.zeros(nodes)
         assert self.state is not None
@@ -91,8 +91,8 @@ class Flicker:
 
 
 class RandomWalk:
-    """A bias that is a random walk: after T s, its standard deviation is `coefficient`·√T [unit]. `coefficient`: coefficient K of
-    the random walk, in unit/√s."""
+    """Simulates a bias that is a random walk: after T s, its standard deviation is `coefficient`·√T [unit]. `coefficient`:
+    coefficient K of the random walk, in unit/√s."""
 
     def __init__(self, coefficient: float):
         self.coefficient = coefficient
@@ -105,7 +105,8 @@ class RandomWalk:
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The walk [unit] at the next `nodes` moments, which are `step` s apart; the first of these moments is the present one."""
+        """Returns the value of the random walk [unit] at the next `nodes` moments, which are `step` seconds apart. The first of
+        these moments is the present one."""
         if self.coefficient == 0.0:
             return np.zeros(nodes)
         walked = self.value + np.cumsum(self.coefficient * math.sqrt(step) * draw.standard_normal(nodes))
@@ -142,7 +143,8 @@ class GaussMarkov:
         self.time = time
 
     def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
-        """The bias [unit] at the next `nodes` moments, which are `step` s apart; the first of these moments is the present one."""
+        """Returns the bias [unit] at the next `nodes` moments, which are `step` seconds apart. The first of these moments is the
+        present one."""
         from scipy.signal import lfilter
 
         assert self.value is not None
@@ -162,8 +164,8 @@ class GaussMarkov:
 
 
 class PulseCounter:
-    """An integrating output that counts pulses: the part of a sample that does not fill a pulse is carried to the next sample.
-    `step`: smallest step of one sample, in the output's unit."""
+    """Simulates an integrating output that counts pulses: the part of a sample that does not fill a pulse is carried to the next
+    sample. `step`: smallest step of one sample, in the output's unit."""
 
     def __init__(self, step: float):
         self.step = step
@@ -183,8 +185,8 @@ class PulseCounter:
 
 @dataclass(frozen=True, slots=True)
 class Readout:
-    """How one output is read: with white noise of the standard deviation `sigma` for one sample, in counts of the size `resolution`
-    (0 for none), clipped at ±`full_scale`."""
+    """Describes how one output is read: white noise of the standard deviation `sigma` is added to each sample, which is rounded to
+    counts of the size `resolution` (0 for none) and limited to ±`full_scale`."""
 
     sigma: float
     resolution: float = 0.0

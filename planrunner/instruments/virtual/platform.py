@@ -1,4 +1,4 @@
-"""The virtual gimballed platform: three accelerometers on a stabilised element within gimbals, mounted rigidly on the virtual
+"""Simulates a gimballed platform: three accelerometers on a stabilised element within gimbals, mounted rigidly on the virtual
 table.
 
 When caged, the element is fixed to the base, with an attitude error that is random for each caging. In navigation, the element is
@@ -56,7 +56,8 @@ class RingEncoders:
         return cls(before, after, lag, wander, np.zeros(rings))
 
     def read(self, course: Course, times: Array, step: float, draw: np.random.Generator) -> list[Array]:
-        """The angles [rad] that the encoders show for each ring, the outermost first, at `times`, which are `step` s apart."""
+        """Returns the angles [rad] that the encoders show at `times`, for each ring, the outermost first. The times are `step`
+        seconds apart."""
         over = course.over if isinstance(course, Rocking) else math.inf
         readings = []
         for k, (angle, rate) in enumerate(course.follow(times)):
@@ -68,8 +69,8 @@ class RingEncoders:
 
 
 def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
-    """Outer, middle and inner gimbal angle, three arrays of shape (n,) in rad. `base`, `element`: axes of the base and of the
-    element as rows; both arrays have the shape (n, 3, 3).
+    """Returns the outer, the middle and the inner gimbal angle [rad] as three arrays of shape (n,). `base`, `element`: axes of the
+    base and of the element as rows; both arrays have the shape (n, 3, 3).
 
     The outer gimbal turns about the x axis of the base, the middle gimbal about its own y axis, and the inner gimbal, which carries
     the element, about its own z axis.
@@ -82,8 +83,8 @@ def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
 
 
 def resolver(angle: Array, error: float, speeds: int, phase: float) -> Array:
-    """The reading [rad] at `angle` [rad] of a resolver with `speeds` electrical turns per mechanical turn. `error`: amplitude of
-    the resolver's error [rad]."""
+    """Returns the reading [rad] of a resolver at `angle` [rad]. `speeds`: number of electrical turns per mechanical turn. `error`:
+    amplitude of the resolver's error [rad]."""
     return angle + error * np.sin(speeds * angle + phase)
 
 

@@ -1,4 +1,4 @@
-"""Keys of the virtual platform in the bench file."""
+"""Declares the bench-file keys of the virtual platform in the bench file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def _each(kind: Kind, description: str, example: str, default: str) -> Quantity:
 
 
 class Rates(Record):
-    """Keys for a rate about each axis of the stabilised element."""
+    """Declares the bench-file keys for a rate about each axis of the stabilised element."""
 
     x: Quantity = _each(QuantityOf("angular rate"), "About x.", "0.3 deg/h", "0 deg/h")
     y: Quantity = _each(QuantityOf("angular rate"), "About y.", "-0.2 deg/h", "0 deg/h")
@@ -21,7 +21,8 @@ class Rates(Record):
 
 
 class DriftByRocking(Record):
-    """Keys for the drift that rocking causes, which is proportional to the square of the base's angular rate."""
+    """Declares the bench-file keys for the drift that rocking causes, which is proportional to the square of the base's angular
+    rate."""
 
     rms_rate: Quantity = key(
         QuantityOf("angular rate", "positive"),
@@ -34,7 +35,7 @@ class DriftByRocking(Record):
 
 
 class Caging(Record):
-    """Keys for the errors after caging and release."""
+    """Declares the bench-file keys for the errors after caging and release."""
 
     dead_region: Quantity = _each(
         QuantityOf("angle", "not negative"),
@@ -59,8 +60,8 @@ class Caging(Record):
 
 
 class InstallationAngles(Record):
-    """Keys for the rotation of each accelerometer's input axis about the other two axes, right-handed; xz is the rotation of the x
-    accelerometer about z."""
+    """Declares the bench-file keys for the rotation of each accelerometer's input axis about the other two axes, right-handed; xz
+    is the rotation of the x accelerometer about z."""
 
     xz: Quantity = _each(QuantityOf("angle"), "x accelerometer about z.", "12 arcsec", "0 arcsec")
     xy: Quantity = _each(QuantityOf("angle"), "x accelerometer about y.", "-8 arcsec", "0 arcsec")
@@ -71,7 +72,7 @@ class InstallationAngles(Record):
 
 
 class QuartzAccelerometers(Record):
-    """Keys of the three quartz accelerometers on the stabilised element."""
+    """Declares the bench-file keys of the three quartz accelerometers on the stabilised element."""
 
     range: str = key(Choice(("1.25 g", "20 g")), "Range of the current converter.", "1.25 g", default="1.25 g")
     bits: int = key(
@@ -104,7 +105,7 @@ class QuartzAccelerometers(Record):
 
 
 class GimbalEncoders(Record):
-    """Keys of the multi-speed resolvers on the gimbals."""
+    """Declares the bench-file keys of the multi-speed resolvers on the gimbals."""
 
     resolution: Quantity = _each(
         QuantityOf("angle", "not negative"), "Smallest step; 0 for no quantisation.", "1 arcsec", "0 arcsec"
@@ -116,7 +117,8 @@ class GimbalEncoders(Record):
 
 
 class TableEncoders(Record):
-    """Keys of the ring encoders of the rocking table, which are recorded with the platform, and of their errors."""
+    """Declares the bench-file keys of the ring encoders of the rocking table, and of the encoders' errors. The encoders are
+    recorded with the platform."""
 
     resolution: Quantity = _each(
         QuantityOf("angle", "not negative"), "Smallest step; 0 for no quantisation.", "0.4 arcsec", "0 arcsec"
@@ -137,7 +139,7 @@ class TableEncoders(Record):
 
 
 class VirtualPlatformParameters(Record):
-    """Keys of a simulated gimballed platform on the virtual table, whose true parameters are known."""
+    """Declares the bench-file keys of a simulated gimballed platform on the virtual table, whose true parameters are known."""
 
     drift: Rates = key(
         RecordOf(Rates), "Constant drift of the stabilised element.", {"x": "0.3 deg/h"}, default_factory=Rates

@@ -1,5 +1,5 @@
-"""The stabilised element of a virtual platform: it is caged to the base, then released and fixed in inertial space except for its
-drift.
+"""Simulates the stabilised element of a virtual platform. It is caged to the base, then released and fixed in inertial space except
+for its drift.
 
 In axes of the element, the drift angle is the sum of a constant rate, a rate caused by rocking, a random walk, and a transient
 after caging: during the first minute, the element leaves the dead region of the levelling loops. Rocking causes drift by
@@ -26,7 +26,7 @@ CATCH_UP = 100.0  # Hz, with which the time between two recordings is followed
 
 @dataclass(frozen=True, slots=True)
 class DriftLaw:
-    """Coefficients of the drift of the stabilised element.
+    """Contains the coefficients that determine the drift of the stabilised element.
 
     `constant`: constant drift rate, rad/s. `rectified`: drift rate divided by the square of the base's angular rate, s.
     `random_walk`: coefficient of the random walk, rad/√s. `leaving`: time constant with which the element leaves the dead region of
@@ -70,7 +70,7 @@ class Element:
         return np.stack([turn_by(base[:, :, k], -self.caged) for k in range(3)], axis=2)
 
     def advance(self, world: World, time: float, law: DriftLaw, draw: np.random.Generator) -> Element:
-        """The state of the element at a later time [s], at which a recording begins."""
+        """Returns the state of the element at a later time [s], at which a recording begins."""
         walk = draw.standard_normal(3)
         if self.released is None or self.drifted is None or time <= self.at:
             return self

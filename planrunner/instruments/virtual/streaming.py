@@ -1,4 +1,4 @@
-"""Output of a simulated sensor's samples in blocks of limited size, in step with the clock of the bench."""
+"""Sends the samples of a simulated sensor in blocks of limited size, in step with the clock of the bench."""
 
 from __future__ import annotations
 
@@ -66,6 +66,6 @@ class Sampling:
         return time
 
     def middles(self, first: int, length: int) -> Array:
-        """The times [s] in the middle of each group of `hold` samples."""
+        """Returns the times [s] in the middle of each group of `hold` samples."""
         middle: Array = np.arange(0.5, -(-length // self.hold)) * self.hold
         return self.start + (first + middle) / self.rate

@@ -1,4 +1,5 @@
-"""The virtual position/rate table: one to three axes with limits; a pointing error at every orientation, and a rate error."""
+"""Simulates a position/rate table with one to three axes and their limits. It has a pointing error at every orientation, and a rate
+error."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ CLOCK_ROUNDING = 1e-6  # s; a clock that adds up sleeps may stop short of a time
 
 
 class VirtualTableParameters(TableKeys):
-    """Keys of a simulated table."""
+    """Declares the bench-file keys of a simulated table."""
 
     position_error: Quantity = key(
         QuantityOf("angle", "not negative"),
@@ -169,7 +170,7 @@ class VirtualTable:
         return self._set_course(rocking, record)
 
     def pointing_error(self, attitude: Array) -> Array:
-        """A small random rotation, which depends only on the seed and the commanded attitude."""
+        """Returns a small random rotation, which depends only on the seed and the commanded attitude."""
         size = self.parameters.position_error.value
         if size == 0.0:
             return np.eye(3)

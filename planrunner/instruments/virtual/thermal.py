@@ -28,7 +28,8 @@ class Lags:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """The temperatures [K] at the moment of a command. `start`: time of the command, s. `target`: final value of the setpoint."""
+    """Contains the temperatures [K] at the moment of a command. `start`: time of the command, s. `target`: final value of the
+    setpoint."""
 
     start: float
     setpoint: float
@@ -59,7 +60,7 @@ def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Arr
 
 
 def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
-    """Time [s] after the command until the air stays within `tolerance` [K] of the target.
+    """Returns the time [s] after the command until the air stays within `tolerance` [K] of the target.
 
     After the ramp, the difference between the air and the target decays exponentially. Before the end of the ramp, the air can be
     within the tolerance only if the whole change is no larger than the tolerance.

@@ -1,4 +1,5 @@
-"""Tracks: position and motion of a simulated carrier on the Earth, and the inertial rate and specific force of a level bench on it.
+"""Computes position and motion of a simulated carrier along its track on the Earth. Also computes the inertial rate and the
+specific force of a level bench on the carrier.
 
 The carrier does not change its height. There are two kinds of tracks, both exact. One is a line of constant heading over the
 ellipsoid; distances are measured along the ellipsoid. The other is a great circle of the ellipsoid's normals; its angular rate
@@ -58,8 +59,8 @@ class TrackProgress:
 
 @dataclass(frozen=True, slots=True)
 class CarrierPlace:
-    """Position of the carrier: latitude and longitude [rad] with their first and second time derivatives; heading of the bench
-    [rad, clockwise from north] with its first time derivative."""
+    """Contains the position of the carrier: latitude and longitude [rad] with their first and second time derivatives, and the
+    heading of the bench [rad, clockwise from north] with its first time derivative."""
 
     latitude: Array
     longitude: Array
@@ -89,7 +90,7 @@ class Track:
 
     @property
     def pace(self) -> float:
-        """The largest rate of change of the phases in the stimulus that the carrier causes, rad/s."""
+        """Returns the largest rate of change [rad/s] of the phases in the stimulus that the carrier causes."""
         turning = 2 * math.pi / self.progress.period if self.progress.period is not None else 0.0
         return turning + 2 * self.progress.speed / (ellipsoid.MEAN_RADIUS * math.cos(POLAR))
 
@@ -99,7 +100,7 @@ class Track:
         return [Stretch(first, last, stretch.pace + self.pace) for first, last in pairwise(times)]
 
     def place(self, times: Array) -> CarrierPlace:
-        """The position of the carrier at `times` [s]. Raises `InstrumentError` if the carrier comes near a pole."""
+        """Returns the position of the carrier at `times` [s]. Raises `InstrumentError` if the carrier comes near a pole."""
         place = self._on_great_circle(times) if self.great_circle else self._on_rhumb_line(times)
         if float(np.max(np.abs(place.latitude))) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"
@@ -114,8 +115,8 @@ class Track:
         return place.longitude_rate * parallel, place.latitude_rate * meridian
 
     def felt(self, times: Array, earth_rate: float) -> tuple[Vector, Vector]:
-        """Inertial rate [rad/s] and specific force [m/s^2] of the bench, in its own East-North-Up axes, whose north is the heading
-        of the bench.
+        """Returns the inertial rate [rad/s] and the specific force [m/s^2] of the bench. They are in the bench's own East-North-Up
+        axes, whose north is the heading of the bench.
 
         In true East-North-Up axes: f = v̇ + (2·Ω + ω_en) × v − g.
         """

@@ -1,4 +1,4 @@
-"""The virtual world: attitude of the table, temperatures, and input of the sensor at any time.
+"""Simulates the surroundings of the sensor: attitude of the table, temperatures, and input of the sensor at any time.
 
 It depends only on the last command and the time since then, not on the number of queries. A resumed run is therefore identical to
 an uninterrupted one, to the bit. The drivers of table and chamber change the world; the sensor reads it.
@@ -53,7 +53,7 @@ class World:
 
     @classmethod
     def of(cls, surroundings: Surroundings) -> World:
-        """The world that all drivers of a bench share; the first call makes it."""
+        """Returns the world that all drivers of a bench share; the first call makes it."""
         if isinstance(surroundings.world, World):
             return surroundings.world
         world = cls(surroundings.clock, surroundings.site, surroundings.seed, surroundings.real_time)
@@ -66,19 +66,20 @@ class World:
     # -- motion --------------------------------------------------------------------------------------------------------
 
     def joints(self, time: float) -> tuple[Array, Array]:
-        """Joint angles [rad] and rates [rad/s] at one time, two arrays with one element for each axis."""
+        """Returns the joint angles [rad] and rates [rad/s] at one time as two arrays with one element for each axis."""
         followed = self.course.follow(np.array([time]))
         angles, rates = zip(*followed, strict=True) if followed else ((), ())
         return np.array([float(np.ravel(v)[0]) for v in angles]), np.array([float(np.ravel(v)[0]) for v in rates])
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
-        """The intervals between two times within which the stimulus of the sensor is smooth."""
+        """Returns the intervals between two times within which the stimulus of the sensor is smooth."""
         stretches = self.course.stretches(begin, end)
         track = self.track
         return stretches if track is None else [part for item in stretches for part in track.stretches(item)]
 
     def stimulus(self, times: Array) -> tuple[Components, Components]:
-        """Inertial rate [rad/s] and specific force [m/s^2] along the axes of the sensor at `times`; floats if nothing moves.
+        """Returns the inertial rate [rad/s] and the specific force [m/s^2] along the axes of the sensor at `times`; floats if
+        nothing moves.
 
         Vectors of the site are transformed inwards axis by axis, v ← R(−q)·v; each joint adds its own rate along its axis.
         """
@@ -108,8 +109,8 @@ class World:
     # -- position ------------------------------------------------------------------------------------------------------
 
     def position(self, times: Array) -> tuple[Value, Value, Value, Value, Value]:
-        """Geodetic latitude and longitude [rad], height [m], and velocity east and north [m/s] at `times`; floats if the bench does
-        not move."""
+        """Returns geodetic latitude and longitude [rad], height [m], and velocity east and north [m/s] at `times`; floats if the
+        bench does not move."""
         if self.track is None:
             return self.site.on_ellipsoid.latitude, self.site.longitude, self.site.height, 0.0, 0.0
         place = self.track.place(times)
@@ -118,11 +119,11 @@ class World:
     # -- temperature ---------------------------------------------------------------------------------------------------
 
     def air(self, times: Array) -> Array:
-        """Temperature [K] of the air in the chamber at `times`."""
+        """Returns the temperature [K] of the air in the chamber at `times`."""
         return thermal.temperatures(self.command, self.lags, times)[1]
 
     def sensor(self, times: Array) -> Array:
-        """Temperature [K] of the sensor at `times`."""
+        """Returns the temperature [K] of the sensor at `times`."""
         return thermal.temperatures(self.command, self.lags, times)[2]
 
     def head_for(self, kelvin: float) -> None:

@@ -22,7 +22,7 @@ _ALL = 0xFFFFFFFF
 
 @dataclass(frozen=True)
 class Checksum:
-    """A method to compute a check value of `width` bits from bytes.
+    """Describes a method to compute a check value of `width` bits from bytes.
 
     `kind`: CRC; SUM, the sum of the bytes mod 2^width; NEGATIVE_SUM, the value that makes the sum zero; or XOR. The other
     attributes apply to a CRC and are defined as in catalogues of CRCs: `polynomial` (without its leading one), `initial`,
@@ -52,9 +52,9 @@ class Checksum:
         return rows
 
     def by_position(self, length: int, padding: int = 0) -> tuple[NDArray[np.uint32], int]:
-        """A table and a constant for the CRC of exactly `length` bytes followed by `padding` zero bytes. The table has the shape
-        (length, 256). The CRC is the exclusive-or of the constant and of one entry for each byte: for byte k, the entry of row k
-        whose index is the value of the byte. This works because the division of polynomials is linear."""
+        """Returns a table and a constant for the CRC of exactly `length` bytes followed by `padding` zero bytes. The table has the
+        shape (length, 256). The CRC is the exclusive-or of the constant and of one entry for each byte: for byte k, the entry of
+        row k whose index is the value of the byte. This works because the division of polynomials is linear."""
         rows = np.zeros((length, 256), np.uint32)
         lowest, initial = self.tables[0], np.array([(self.initial << (32 - self.width)) & _ALL], np.uint32)
         registers = lowest
@@ -77,8 +77,8 @@ class Checksum:
         return int(value(np.frombuffer(data, np.uint8), 0, len(data), 0, *self.arguments))
 
     def over(self, data: Bytes, starts: NDArray[np.int64], length: int, padding: int = 0) -> NDArray[np.uint32]:
-        """The check values of `length` bytes from each start in `starts`, as if `padding` zero bytes followed. The result has the
-        shape of `starts`."""
+        """Computes the check values of `length` bytes from each start in `starts`, as if `padding` zero bytes followed. The result
+        has the shape of `starts`."""
         from planrunner.instruments.wire.kernels import values
 
         found: NDArray[np.uint32] = values(data, starts, length, padding, *self.arguments)
@@ -86,7 +86,7 @@ class Checksum:
 
     @property
     def arguments(self) -> tuple[int, int, NDArray[np.uint32], int, bool, int]:
-        """The fields as arguments of the compiled kernels."""
+        """Returns the fields as arguments of the compiled kernels."""
         return self.kind, self.width, self.tables, self.initial, self.reflected, self.final
 
 

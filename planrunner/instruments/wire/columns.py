@@ -14,9 +14,9 @@ from planrunner.instruments.wire.framing import Frames
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A number at the byte `offset` of every frame. Its value is the encoded number multiplied by `scale`. `kind`: UNSIGNED or
-    SIGNED with a `width` of 1 to 8 bytes; FLOAT with a width of 4 or 8; or FRACTION_FIRST (32 bits of the fraction, then 16 bits of
-    the integer). Integers are exact up to 53 bits; with `whole_numbers`, up to 64 bits."""
+    """Describes a number at the byte `offset` of every frame. Its value is the encoded number multiplied by `scale`. `kind`:
+    UNSIGNED or SIGNED with a `width` of 1 to 8 bytes; FLOAT with a width of 4 or 8; or FRACTION_FIRST (32 bits of the fraction,
+    then 16 bits of the integer). Integers are exact up to 53 bits; with `whole_numbers`, up to 64 bits."""
 
     offset: int
     width: int
@@ -26,7 +26,7 @@ class Field:
 
 
 def numbers(frames: Frames, fields: Sequence[Field]) -> NDArray[np.float64]:
-    """The scaled values of the fields in all frames, shape (fields, frames)."""
+    """Returns the scaled values of the fields in all frames, shape (fields, frames)."""
     from planrunner.instruments.wire.kernels import scaled
 
     places = np.array([(item.offset, item.width, item.kind, item.little) for item in fields], np.int64).reshape(-1, 4)
@@ -36,7 +36,7 @@ def numbers(frames: Frames, fields: Sequence[Field]) -> NDArray[np.float64]:
 
 
 def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
-    """The values (n,) of an integer field without its scale; unsigned values of eight bytes wrap at 2⁶³."""
+    """Returns the values of an integer field without its scale, shape (n,). Unsigned values of eight bytes wrap at 2⁶³."""
     from planrunner.instruments.wire.kernels import bits
 
     found: NDArray[np.int64] = bits(
@@ -46,8 +46,8 @@ def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
 
 
 def alike(frames: Frames, places: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """For each frame, whether its bytes at `places` equal those of the first frame; `places` are counted from the start of a frame.
-    Every frame must be long enough to contain the bytes at all `places`."""
+    """Compares the bytes at `places` in each frame with those in the first frame. Returns True for each frame in which they are
+    equal. `places` are counted from the start of a frame. Every frame must be long enough to contain the bytes at all `places`."""
     from planrunner.instruments.wire import kernels
 
     found: NDArray[np.bool_] = kernels.alike(frames.data, frames.starts, places)

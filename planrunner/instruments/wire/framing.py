@@ -22,7 +22,7 @@ MOST_TABLES = 256  # of one KiB each: more would not stay close to the processor
 
 @dataclass(frozen=True)
 class Framing:
-    """The format of the frames in a stream.
+    """Describes the format of the frames in a stream.
 
     `sync`: the first bytes of a frame. `rule`: FIXED means that every frame has `longest` bytes. XBUS means that the length is in
     the byte at offset 3 or, if this byte is FF, in the next two bytes. LINE means that a frame ends with a line feed. Frames of the

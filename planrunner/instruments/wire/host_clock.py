@@ -39,8 +39,8 @@ FORESTALLED = 1.0
 
 @dataclass(frozen=True, slots=True)
 class FrameCounter:
-    """The counter of a sensor: a count lasts `tick` s, a frame takes `step` counts, and the counter restarts at `modulus`. For a
-    sensor without a counter, the modulus is 1. Then lost frames are detected only if they interrupt the stream."""
+    """Describes the counter of a sensor: a count lasts `tick` seconds, a frame takes `step` counts, and the counter restarts at
+    `modulus`. For a sensor without a counter, the modulus is 1. Then lost frames are detected only if they interrupt the stream."""
 
     tick: float
     step: float = 1.0
@@ -71,10 +71,10 @@ class Unwrapping:
     _floor: float = math.nan
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
-        """The indices of frames, which are counts since the first frame. The result contains the first frames, as far as their
-        indices can be decided, or all frames if `final` is True. Frames whose index is not returned must be passed again, together
-        with the frames that follow. `received`: array of shape (n,), times of reading, s. `raw`: array of shape (n,), values of the
-        counter. Raises `InstrumentError` if the counter was reset."""
+        """Returns the indices of frames, which are counts since the first frame. The result contains the first frames, as far as
+        their indices can be decided, or all frames if `final` is True. Frames whose index is not returned must be passed again,
+        together with the frames that follow. `received`: array of shape (n,), times of reading, s. `raw`: array of shape (n,),
+        values of the counter. Raises `InstrumentError` if the counter was reset."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):
@@ -135,9 +135,9 @@ class Unwrapping:
 
 @dataclass
 class HostClock:
-    """The line that relates a counter to the computer's clock. `skew`: relative skew, positive if the ticks of the sensor are
-    longer than nominal; the initial value applies until there are enough readings. `usual_delay`, `worst_delay`: median and largest
-    delay of reading frames relative to the line, s."""
+    """Determines the line that relates a counter to the computer's clock. `skew`: relative skew, positive if the ticks of the
+    sensor are longer than nominal; the initial value applies until there are enough readings. `usual_delay`, `worst_delay`: median
+    and largest delay of reading frames relative to the line, s."""
 
     counter: FrameCounter
     skew: float = 0.0
@@ -195,9 +195,9 @@ class HostClock:
 
 
 def line_under(points: Array) -> tuple[float, float]:
-    """Slope and offset of the line that lies below all points (n, 2) and is, on average, closest to them. The line contains one
-    edge of the lower convex hull of the points: the edge above or below which the mean abscissa of all points lies. The abscissae
-    must increase."""
+    """Returns the slope and the offset of the line that lies below all points and is, on average, closest to them. The points have
+    the shape (n, 2). The line contains one edge of the lower convex hull of the points: the edge above or below which the mean
+    abscissa of all points lies. The abscissae must increase."""
     hull: list[tuple[float, float]] = []
     for x, y in points.tolist():
         while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]) >= (y - hull[-2][1]) * (

@@ -1,4 +1,4 @@
-"""Compiled operations on every byte of a stream: computing checksums, searching for frames, converting fields to columns.
+"""Contains compiled operations on every byte of a stream: computing checksums, searching for frames, converting fields to columns.
 
 The functions of `checksums`, `framing` and `columns` that call these kernels document the shapes and meanings of the arguments.
 This module imports numba, so it is imported only when there are bytes to process.
@@ -53,8 +53,8 @@ def _word(data, place, little):  # type: ignore[no-untyped-def]
 
 @compiled()
 def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """The check value of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are reduced
-    to 32 bits. With an unsigned index, numba does not check for negative values."""
+    """Computes the check value of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are
+    reduced to 32 bits. With an unsigned index, numba does not check for negative values."""
     if kind == XOR:
         together = np.int64(0)
         for item in range(length):
@@ -287,7 +287,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
 
 @compiled()
 def alike(data, starts, places):  # type: ignore[no-untyped-def]
-    """For each frame, whether its bytes at `places` are those of the first frame."""
+    """Returns, for each frame, whether its bytes at `places` are those of the first frame."""
     found = np.ones(starts.size, np.bool_)
     for frame in range(starts.size):
         for item in range(places.size):
@@ -363,9 +363,9 @@ def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no
 
 @compiled()
 def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
-    """The decimal numbers that follow the commas of each line, up to `*`; and whether each line contains exactly as many numbers as
-    `out` has rows. A number may have at most 15 digits: it is computed as a whole number divided by a power of ten, so it is
-    rounded only once.
+    """Reads the decimal numbers that follow the commas of each line, up to `*`. Also returns whether each line contains exactly as
+    many numbers as `out` has rows. A number may have at most 15 digits: it is computed as a whole number divided by a power of ten,
+    so it is rounded only once.
 
     Each line must end with a line feed, as in the result of `find`. A line feed is not a comma, asterisk, sign, point or digit, so
     every search ends there.

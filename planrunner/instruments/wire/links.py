@@ -40,7 +40,7 @@ _making = threading.Lock()
 
 
 def lock_of(address: str) -> threading.RLock:
-    """The lock of a resource, which all links to the resource in this process share."""
+    """Returns the lock of a resource. All links to the resource in this process share this lock."""
     with _making:
         return _locks.setdefault(address, threading.RLock())
 
@@ -54,7 +54,7 @@ class AnswerFraming(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LineAnswers:
-    """The framing in which every answer is one line."""
+    """Defines the framing in which every answer is one line."""
 
     end: bytes = b"\n"
 
@@ -333,7 +333,7 @@ class MessageLink:
 
 
 class LinkedCommands:
-    """Base of the commands of a controller that has one link."""
+    """Base class for the commands of a controller that has one link."""
 
     link: MessageLink
 
@@ -411,7 +411,7 @@ RESOURCE = (
 
 
 class LinkKeys(Record):
-    """Keys for the connection to an instrument."""
+    """Declares the bench-file keys for the connection to an instrument."""
 
     address: str = key(
         Text(
@@ -460,7 +460,7 @@ K = TypeVar("K", bound=LinkKeys)
 
 
 class Commanded(Generic[C]):
-    """Base of real instruments that are operated through the commands `C` of a controller."""
+    """Base class for real instruments that are operated through the commands `C` of a controller."""
 
     def __init__(self, commands: C):
         self.commands = commands
@@ -476,13 +476,13 @@ class Commanded(Generic[C]):
 
 
 class CommandedDriver(Generic[K, C]):
-    """Base of the drivers of instruments that are operated through the commands `C` of a controller.
+    """Base class for drivers of instruments that are operated through the commands `C` of a controller.
 
     K is the record with the keys of the instrument. Derived drivers define `Parameters` and `commands_of`."""
 
     @classmethod
     def commands_of(cls, parameters: K) -> C:
-        """The commands of an instrument with these keys."""
+        """Returns the commands of an instrument with these keys."""
         raise NotImplementedError
 
     @classmethod

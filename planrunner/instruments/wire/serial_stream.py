@@ -1,4 +1,4 @@
-"""A serial port that streams: a thread reads in bulk into a ring buffer of limited size, from which consumers take the bytes.
+"""Streams from a serial port: a thread reads in bulk into a ring buffer of limited size, from which consumers take the bytes.
 
 pyserial reads a thousand times faster in bulk than byte by byte. Without a consumer, the ring buffer keeps only the newest bytes.
 With a consumer, it keeps all bytes until it is full; it then drops and counts further bytes.
@@ -36,8 +36,8 @@ class SerialPort(Protocol):
 
 
 class Ring:
-    """A buffer for the pieces of a stream, between the thread that reads them and the thread that takes them. `dropped`: number of
-    bytes that were dropped because the buffer was full."""
+    """Buffers the pieces of a stream, between the thread that reads them and the thread that takes them. `dropped`: number of bytes
+    that were dropped because the buffer was full."""
 
     def __init__(self, capacity: int = CAPACITY):
         self.capacity = capacity
@@ -49,7 +49,7 @@ class Ring:
 
     @property
     def held(self) -> int:
-        """The number of bytes in the buffer."""
+        """Returns the number of bytes in the buffer."""
         return self._held
 
     def put(self, piece: Piece) -> None:
