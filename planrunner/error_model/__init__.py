@@ -1,1 +1,1 @@
-"""The catalogue of the error model: terms and effects as functions of the stimulus, and the addition of effects to simulations."""
+"""The catalogue of the error model. It contains terms and effects as functions of the stimulus, and adds effects to simulations."""

@@ -83,8 +83,8 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Addition:
-    """An effect with the values of all its parameters. `values`: maps each parameter to its value in its unit. `units`: maps each
-    parameter to its unit."""
+    """Contains an effect with the values of all its parameters. `values`: maps each parameter to its value in its unit. `units`:
+    maps each parameter to its unit."""
 
     effect: Effect
     values: Mapping[str, float]
@@ -95,7 +95,7 @@ class Addition:
         return self.effect.id
 
     def in_si(self, name: str) -> float:
-        """The value of a parameter, converted to SI units."""
+        """Returns the value of a parameter, converted to SI units."""
         return self.values[name] * unit(self.units[name]).factor
 
 
@@ -180,7 +180,7 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
 
 
 def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
-    """The parameters of an effect; empty if the effect cannot act in this recording."""
+    """Returns the parameters of an effect; empty if the effect cannot act in this recording."""
     if isinstance(effect, SamplesStuck):
         return [EffectParameter("time", "s", 60.0, "zero"), EffectParameter(LASTING, "s", 1.0, "zero")]
     if isinstance(effect, OutsideCoefficients) and effect.outside == "gauss-markov":
@@ -222,8 +222,8 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
 
 
 def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], before: float | None = None) -> Array:
-    """The readings (n,) of an output after the effects of stuck samples: each stuck sample repeats an earlier reading. `time`:
-    array of shape (n,), s since power-on. `before`: the reading before the first of `values`."""
+    """Returns the readings of an output after the effects of stuck samples, shape (n,). Each stuck sample repeats an earlier
+    reading. `time`: array of shape (n,), s since power-on. `before`: the reading before the first of `values`."""
     for item in additions:
         if isinstance(item.effect, SamplesStuck):
             lasting = item.values.get(f"{LASTING}_{name}", item.values.get(LASTING, 0.0))
@@ -235,7 +235,7 @@ def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], 
 def added(
     observed: Observed, levels: Array, additions: Sequence[Addition], seed: int, orientation: int | None = None
 ) -> Array:
-    """The outputs (N, K), in SI units, without noise, after all effects have been added, one stage after the other.
+    """Adds all effects to the outputs, one stage after the other. Returns the outputs without noise, in SI units, shape (N, K).
 
     `seed` and `orientation` are used for data of one segment. `seed`: the seed from which the amplitudes of each orientation are
     drawn. `orientation`: the number of the segment's orientation, counted from 1 in the order of first use. If the data contain

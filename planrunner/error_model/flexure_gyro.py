@@ -1,4 +1,4 @@
-"""The flexure gyro: relations between its physical coefficients and the coefficients of its two outputs.
+"""Relates the physical coefficients of a flexure gyro to the coefficients of its two outputs.
 
 Static model of the torquer outputs (CN100554884C), rows of the design matrix [1, ω_Y, ω_X, a_X, a_Y, a_Z]:
 
@@ -41,18 +41,18 @@ _DRIFT_COLUMNS = (0, 3, 4, 5)
 
 
 def static_model(products: tuple[str, ...] = ()) -> ErrorModel:
-    """The static model, which is the same for both outputs: bias, ω_Y, ω_X, a_X, a_Y, a_Z and the chosen `PRODUCTS`."""
+    """Returns the static model, which is the same for both outputs: bias, ω_Y, ω_X, a_X, a_Y, a_Z and the chosen `PRODUCTS`."""
     return ErrorModel((BIAS, RATE_Y, RATE_X, ACCEL_X, ACCEL_Y, ACCEL_Z, *(PRODUCTS[name][0] for name in products)))
 
 
 def physical_names(products: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """The names of the physical coefficients, SF_X, SF_Y, epsilon, xi, D_X_F, D_X_X, …, D_Y_F, …: twelve names, and two more for
-    each product term."""
+    """Returns the names of the physical coefficients, SF_X, SF_Y, epsilon, xi, D_X_F, D_X_X, …, D_Y_F, …: twelve names, and two
+    more for each product term."""
     return (*_GEOMETRY, *(f"D_{axis}_{drift}" for axis in "XY" for drift in drifts(products)))
 
 
 def drifts(products: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """The letters of the drift coefficients of one axis: F, X, Y, Z, and one more for each product term."""
+    """Returns the letters of the drift coefficients of one axis: F, X, Y, Z, and one more for each product term."""
     return (*_DRIFTS, *(PRODUCTS[name][1] for name in products))
 
 
@@ -106,7 +106,8 @@ def physical_coefficients(outputs: Array) -> Array:
 
 
 def compensated_rates(outputs: Array, observed: Array, specific_force: Array) -> Array:
-    """The rates [ω_Y, ω_X] computed from the two outputs by the compensation model G0, shape (n, 2) or (n, 2, k), rad/s.
+    """Computes the rates [ω_Y, ω_X] from the two outputs by the compensation model G0. Returns an array of shape (n, 2) or (n, 2,
+    k), in rad/s.
 
     `outputs`: the output coefficients [U; V], an array of shape (2, p) with p = 6; or k sets of output coefficients, an array of
     shape (2, p, k). `observed`: array of shape (n, 2), the outputs i_x and i_y. `specific_force`: array of shape (n, 3) in m/s^2.

@@ -53,8 +53,8 @@ def axis_of(name: str) -> int | None:
 
 
 def channel_of(name: str, text: str, white: float, flicker: float, resolution: float) -> Channel | None:
-    """The channel for an output that measures angular rate (a gyro) or acceleration and whose name contains an axis; None for other
-    outputs. `text`: unit of the output and of its noise, as text."""
+    """Returns the channel for an output that measures angular rate (a gyro) or acceleration and whose name contains an axis; None
+    for other outputs. `text`: unit of the output and of its noise, as text."""
     kind, axis = KINDS.get(unit(text).dimension), axis_of(name)
     if kind is None or axis is None:
         return None
@@ -64,7 +64,7 @@ def channel_of(name: str, text: str, white: float, flicker: float, resolution: f
 
 @dataclass(frozen=True, slots=True)
 class TemperatureCourse:
-    """The temperature over a segment or over a part of a segment.
+    """Describes the temperature over a segment or over a part of a segment.
 
     `time`: array of shape (n,), s since power-on, ascending. `temperature`: array of shape (n,) in degC. `rate`: slope of the
     temperature at the end, K/s.
@@ -77,7 +77,7 @@ class TemperatureCourse:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSegment:
-    """One segment of an `Observed`, with n samples.
+    """Contains one segment of an `Observed`, with n samples.
 
     `motion`, `attitude`, `last_change`: one value for the whole segment; the attitude has the shape (3, 3). `time`, `angle`,
     `rate`, `acceleration`, `temperature`, `temperature_rate`: arrays of shape (n,). `values`: array of shape (n, K), the recorded
@@ -216,7 +216,7 @@ class Observed:
         return len(self.labels)
 
     def segments(self) -> list[slice]:
-        """One slice per segment, which selects the samples of the segment."""
+        """Returns one slice per segment, which selects the samples of the segment."""
         return self._slices
 
     @cached_property
@@ -225,7 +225,7 @@ class Observed:
 
     @cached_property
     def unsteady(self) -> NDArray[np.bool_]:
-        """A mask (S,), True for the segments in which the rate of rotation changes."""
+        """Returns a mask of shape (S,), which is True for the segments in which the rate of rotation changes."""
         changing = [bool(self.acceleration[part].any()) for part in self.segments()]
         return np.array(
             [change or isinstance(m, RecordedMotion) for change, m in zip(changing, self.motions, strict=True)]
@@ -233,12 +233,12 @@ class Observed:
 
     @cached_property
     def moved(self) -> NDArray[np.bool_]:
-        """A mask (S,), True for the segments whose motion is known only from the recording."""
+        """Returns a mask of shape (S,), which is True for the segments whose motion is known only from the recording."""
         return np.array([isinstance(motion, RecordedMotion) for motion in self.motions], dtype=bool)
 
     @cached_property
     def angle_from(self) -> tuple[AngleFrom, ...]:
-        """For each of the S segments, how the angle of the table is known: from the plan, from gravity or not at all."""
+        """Returns, for each of the S segments, how the angle of the table is known: from the plan, from gravity or not at all."""
         if self.encoder:
             return (AngleFrom.PLAN,) * len(self)
         axes = [self.channels[index].axis for index in self.of_kind("accel")]
@@ -247,9 +247,10 @@ class Observed:
 
     @cached_property
     def unknown_phase(self) -> Array:
-        """The complex amplitude (S, K), SI, of the part of each channel's nominal input that varies once per turn and whose phase is
-        unknown. If the angle θ of the table were right, this part would be the real part of the amplitude times exp(iθ). The amplitude is
-        zero in segments whose table angle is known or can be seen from gravity."""
+        """Returns a complex amplitude for each segment and channel, SI, shape (S, K). It describes the part of the channel's
+        nominal input that varies once per turn and whose phase is unknown. If the angle θ of the table were right, this part would
+        be the real part of the amplitude times exp(iθ). The amplitude is zero in segments whose table angle is known or can be seen
+        from gravity."""
         out = np.zeros((len(self), len(self.channels)), dtype=complex)
         for index, (motion, source) in enumerate(zip(self.motions, self.angle_from, strict=True)):
             if source is AngleFrom.NOTHING and isinstance(motion, Spin):
@@ -260,12 +261,13 @@ class Observed:
 
     @cached_property
     def turn(self) -> Array:
-        """The angular rate (N, 3) of the sensor in its axes, rad/s; it is relative to the Earth if the attitude is known."""
+        """Returns the angular rate of the sensor in its axes [rad/s], shape (N, 3). The rate is relative to the Earth if the
+        attitude is known."""
         return self._by_course(self.rate[:, None] * self.table_axis, lambda course: course.turn)
 
     @cached_property
     def swing(self) -> Array:
-        """The angular acceleration (N, 3) of the sensor in its axes, rad/s²."""
+        """Returns the angular acceleration of the sensor in its axes [rad/s²], shape (N, 3)."""
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
 
     def turn_before(self, seconds: float) -> Array:
@@ -305,15 +307,15 @@ class Observed:
 
     @cached_property
     def mean_square_rate(self) -> Array:
-        """The mean square (N,) of the angular rate of a rocking table, rad²/s²; 0 in other segments. For harmonic motion with the
-        angular frequency p, the mean square is (ω² + (α/p)²)/2, where ω and α are the rate and the angular acceleration at any
-        moment."""
+        """Returns the mean square of the angular rate of a rocking table [rad²/s²], shape (N,); 0 in other segments. For harmonic
+        motion with the angular frequency p, the mean square is (ω² + (α/p)²)/2, where ω and α are the rate and the angular
+        acceleration at any moment."""
         return np.asarray(self.mean_square_acceleration / np.where(self.pulsation > 0, self.pulsation, 1.0) ** 2)
 
     @cached_property
     def mean_square_acceleration(self) -> Array:
-        """The mean square (N,) of the angular acceleration of a rocking table, rad²/s⁴; 0 in other segments. It is (α² + (p·ω)²)/2,
-        with the symbols of the docstring of `mean_square_rate`."""
+        """Returns the mean square of the angular acceleration of a rocking table [rad²/s⁴], shape (N,); 0 in other segments. It is
+        (α² + (p·ω)²)/2, with the symbols of the docstring of `mean_square_rate`."""
         return np.where(self.pulsation > 0, (self.acceleration**2 + (self.pulsation * self.rate) ** 2) / 2, 0.0)
 
     def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:
@@ -326,14 +328,14 @@ class Observed:
 
     @cached_property
     def pulsation(self) -> Array:
-        """The angular frequency (N,) of a rocking table, rad/s, which is 2π times its frequency; 0 in other segments and while the
-        table is at rest."""
+        """Returns the angular frequency of a rocking table [rad/s], which is 2π times its frequency, shape (N,); 0 in other
+        segments and while the table is at rest."""
         each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
         return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
 
     @cached_property
     def rocked(self) -> list[slice]:
-        """One slice per segment in which the table rocks."""
+        """Returns one slice per segment in which the table rocks."""
         return [
             part
             for part, motion in zip(self.segments(), self.motions, strict=True)
@@ -342,29 +344,29 @@ class Observed:
 
     @cached_property
     def owner(self) -> NDArray[np.int64]:
-        """The index (N,) of the segment to which each sample belongs."""
+        """Returns the index of the segment to which each sample belongs, shape (N,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.bounds))
 
     @cached_property
     def bin_size(self) -> NDArray[np.int64]:
-        """The number (S,) of samples that are averaged in each value of a segment."""
+        """Returns the number of samples that are averaged in each value of a segment, shape (S,)."""
         return np.ones(len(self), dtype=np.int64) if self.bins is None else self.bins.size
 
     @cached_property
     def counts(self) -> NDArray[np.int64]:
-        """The number (S,) of recorded samples in each segment. All samples that are averaged in a bin are counted."""
+        """Returns the number of recorded samples in each segment, shape (S,). All samples that are averaged in a bin are counted."""
         return np.diff(self.bounds) * self.bin_size
 
     @cached_property
     def turning(self) -> Array:
-        """The direction (S, 3) in site axes about which the table turns in each segment."""
+        """Returns the direction about which the table turns in each segment, in site axes, shape (S, 3)."""
         return np.array(
             [m.about if isinstance(m, Spin | RecordedMotion) else (0.0, 0.0, 1.0) for m in self.motions], dtype=float
         )
 
     @cached_property
     def sample_rate(self) -> float:
-        """Samples per second, from the median interval of the run."""
+        """Returns the number of samples per second, computed from the median interval of the run."""
         if self.bins is not None:
             return self.bins.rate
         return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
@@ -396,33 +398,33 @@ class Observed:
 
     @cached_property
     def earth_rate(self) -> Array:
-        """The Earth's rotation (N, 3) in sensor axes, rad/s."""
+        """Returns the Earth's rotation in sensor axes [rad/s], shape (N, 3)."""
         return self.in_sensor_axes(self.site.earth_rate_enu)
 
     @cached_property
     def table_axis(self) -> Array:
-        """The direction (N, 3), in sensor axes, of the axis about which the table turns; it is constant within a segment."""
+        """Returns the axis about which the table turns, in sensor axes, shape (N, 3); it is constant within a segment."""
         felt: Array = np.einsum("sij,sj->si", self.attitude, self.turning)[self.owner]
         return felt
 
     @cached_property
     def omega(self) -> Array:
-        """The nominal angular rate (N, 3) relative to inertial space in sensor axes, rad/s."""
+        """Returns the nominal angular rate relative to inertial space, in sensor axes [rad/s], shape (N, 3)."""
         if self.felt is not None:
             return self.felt[0]
         return self._by_course(self.earth_rate + self.rate[:, None] * self.table_axis, lambda course: course.omega)
 
     @cached_property
     def force(self) -> Array:
-        """The nominal specific force (N, 3) in sensor axes, m/s², for a sensor on the axis of rotation."""
+        """Returns the nominal specific force in sensor axes [m/s²], shape (N, 3), for a sensor on the axis of rotation."""
         if self.felt is not None:
             return self.felt[1]
         return self._by_course(self.in_sensor_axes(self.site.specific_force_enu), lambda course: course.force)
 
     @cached_property
     def nominal_output(self) -> Array:
-        """The output (N, K) of the channels without any effect, SI. It comes from the fitted nominal model, or from an ideal sensor
-        before the fit."""
+        """Returns the output of the channels without any effect, SI, shape (N, K). It comes from the fitted nominal model, or from
+        an ideal sensor before the fit."""
         if self.fitted is not None:
             return self.fitted
         felt = {"gyro": self.omega, "accel": self.force}
@@ -430,19 +432,19 @@ class Observed:
 
     @cached_property
     def gyro_output(self) -> Array:
-        """The columns (N, G) of `nominal_output` that belong to gyros."""
+        """Returns the columns of `nominal_output` that belong to gyros, shape (N, G)."""
         return np.ascontiguousarray(self.nominal_output[:, self.of_kind("gyro")])
 
     @cached_property
     def gyro_range(self) -> Array:
-        """The smallest and the largest `gyro_output` of any gyro in each segment, (S, 2). The range always contains 0: a smallest
-        value that is positive, and a largest value that is negative, are replaced by 0."""
+        """Returns the smallest and the largest `gyro_output` of any gyro in each segment, shape (S, 2). The range always contains
+        0: a smallest value that is positive, and a largest value that is negative, are replaced by 0."""
         parts = [self.gyro_output[part] for part in self.segments()]
         return np.array([(part.min(initial=0.0), part.max(initial=0.0)) for part in parts]).reshape(-1, 2)
 
     @cached_property
     def largest_gyro_output(self) -> Array:
-        """The largest magnitude of `gyro_output` of any gyro in each segment, (S,)."""
+        """Returns the largest magnitude of `gyro_output` of any gyro in each segment, shape (S,)."""
         return np.asarray(np.abs(self.gyro_range).max(axis=1))
 
     def seen(self, index: int, vector: Array) -> Array:
@@ -454,8 +456,8 @@ class Observed:
         return np.where(np.abs(component) > rounding, component, 0.0)
 
     def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
-        """The input axes of a triad as tuples (axis, channel, cosine): the index of the axis; the index of a channel that shows the
-        input of this axis; and the direction cosine between the axis and the direction of the channel, (N,) or 1."""
+        """Returns the input axes of a triad as tuples (axis, channel, cosine): the index of the axis; the index of a channel that
+        shows the input of this axis; and the direction cosine between the axis and the direction of the channel, shape (N,), or 1."""
         if self.along is None:
             return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
         return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
@@ -477,19 +479,19 @@ class Observed:
 
     @property
     def sampled(self) -> dict[str, Array]:
-        """All attributes with one value (N,) per sample, except `values`, by the name of the attribute."""
+        """Returns all attributes with one value per sample, shape (N,), except `values`, by the name of the attribute."""
         names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
         found = {name: getattr(self, name) for name in (*names, "excess_voltage", "excess_pressure")}
         return {name: own for name, own in found.items() if own is not None}
 
     def of_kind(self, kind: str) -> list[int]:
-        """The indices of the channels of one kind, 'gyro' or 'accel'."""
+        """Returns the indices of the channels of one kind, `gyro` or `accel`."""
         return [index for index, channel in enumerate(self.channels) if channel.kind == kind]
 
 
 def planned_excess(segment: Segment, nominal_supply: float) -> tuple[float, float]:
-    """The planned supply voltage minus the nominal voltage [V], and the planned pressure minus the standard atmosphere [Pa]; 0 for
-    a quantity that the plan does not state."""
+    """Returns the planned supply voltage minus the nominal voltage [V], and the planned pressure minus the standard atmosphere
+    [Pa]; 0 for a quantity that the plan does not state."""
     voltage, pressure = segment.supply_voltage, segment.ambient_pressure
     return (
         0.0 if voltage is None else voltage - nominal_supply,
@@ -524,5 +526,5 @@ class Bins:
     levels: tuple[Array, ...]
 
     def followed(self, further: int) -> Bins:
-        """The same bins, with additional segments whose values are single samples."""
+        """Returns the same bins and additional segments whose values are single samples."""
         return replace(self, size=np.concatenate([self.size, np.ones(further, dtype=np.int64)]))

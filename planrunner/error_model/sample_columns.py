@@ -1,5 +1,5 @@
-"""The model of an output that changes within segments, made of effects of the catalogue at the samples of a recording or at the
-bins of a long recording.
+"""Models an output that changes within segments by effects of the catalogue. The effects are computed at the samples of a
+recording, or at the bins of a long recording.
 
     output = F(own input + Σ amplitude · column)
 
@@ -41,7 +41,7 @@ def shaped(part: EffectPart) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleColumns:
-    """The columns of the model of one output at N samples.
+    """Contains the columns of one output's model at N samples.
 
     `own`: array of shape (N,) in SI units, the input along the axis of the output, after the effects on the rate. `rows`: array of
     shape (p, N), SI output for an amplitude of 1 in SI units, zero for an amplitude of the stimulus. `available`: maps each effect
@@ -56,8 +56,8 @@ class SampleColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSamples:
-    """The model of one output at samples. `observed`: the stimulus at N samples. The constructor named `ErrorsAtSamples.of`
-    replaces the channels of a recording by two ideal triads."""
+    """Models one output at the samples of a recording. `observed`: the stimulus at N samples. The constructor named
+    `ErrorsAtSamples.of` replaces the channels of a recording by two ideal triads."""
 
     observed: Observed
     errors: OutputErrors
@@ -68,8 +68,8 @@ class ErrorsAtSamples:
         return cls(replace(observed, channels=TRIADS, values=ideal, along=None), errors)
 
     def grid(self, part: EffectPart) -> Array:
-        """The values of an effect's shape that the catalogue gives for this recording, ascending; empty if the effect cannot act on
-        this output."""
+        """Returns the values of an effect's shape that the catalogue gives for this recording, in ascending order; empty if the
+        effect cannot act on this output."""
         effect = part.effect
         seen = replace(self.observed, fitted=self._alone(self._own(self.observed)))
         variants = effect.variants(seen)
@@ -108,13 +108,13 @@ class ErrorsAtSamples:
         return linear
 
     def slope(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """The derivative (N,) of the function F at the output values `linear`."""
+        """Returns the derivative of the function F at the output values `linear`, shape (N,)."""
         step = _STEP * max(float(np.abs(linear).max()), 1e-12)
         return np.asarray((self.output(linear + step, shapes) - self.output(linear - step, shapes)) / (2 * step))
 
     @property
     def bent(self) -> bool:
-        """Whether there is an effect on the output, so that the function F is not the identity."""
+        """Returns True if there is an effect on the output, so that the function F is not the identity."""
         return any(
             isinstance(part.effect, ChangesWithinSegments) and part.effect.acts_on == "output"
             for part in self.errors.chosen

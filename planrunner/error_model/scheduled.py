@@ -26,14 +26,14 @@ _SAMPLES = 8  # of each segment
 
 
 def sensor_channels(sensor: SensorModel) -> tuple[Channel, ...]:
-    """The channels of a sensor on which effects can act."""
+    """Returns the channels of a sensor on which effects can act."""
     listed = ((o.name, o.unit, o.noise.white, o.noise.bias_instability, o.noise.resolution) for o in sensor.outputs)
     return tuple(made for one in listed if (made := channel_of(*one)) is not None)
 
 
 def everything(site: Site, channels: Sequence[Channel], rate: float) -> Observed:
-    """A sample schedule with everything that an effect may need: several orientations, a constant rate, rocking, and changes of
-    temperature."""
+    """Returns a sample schedule with everything that an effect may need: several orientations, a constant rate, rocking, and
+    changes of temperature."""
     places = [np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0), np.diag([1.0, -1.0, -1.0])]
     spin, rock = Spin(np.radians(100.0)), Rock(np.radians(5.0), 1.0, (0.0,), 10.0)
     motions: list[Motion] = [Rest(), Rest(), Rest(), Rest(), spin, rock]
@@ -63,7 +63,7 @@ def scheduled(
     rate: float,
     nominal_supply: float = NOMINAL_SUPPLY,
 ) -> Observed:
-    """A recording with a few samples of every segment in which the sensor rests or turns about one axis; other segments are
+    """Makes a recording with a few samples of every segment in which the sensor rests or turns about one axis; other segments are
     omitted. `rate`: sampling rate, Hz. `nominal_supply`: nominal supply voltage of the sensor, V."""
     usable = [s for s in segments if s.attitude is not None and isinstance(s.motion, Rest | Spin | Rock)]
     since = np.arange(_SAMPLES) / rate

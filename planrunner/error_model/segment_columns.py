@@ -56,7 +56,7 @@ _CHANGED = 1.0  # K between segments: less is no change of temperature
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SegmentStates:
-    """Time, temperature, supply voltage and pressure of n segments; all arrays have the shape (n,).
+    """Contains time, temperature, supply voltage and pressure of n segments; all arrays have the shape (n,).
 
     `time`: middle of the segment, s since power-on. `seconds`: length of the segment, s. `celsius`: mean temperature, degC. `ramp`:
     change of the temperature from the start to the end of the segment, K. `last_change`: sign of the last change of temperature, 0
@@ -78,7 +78,8 @@ class SegmentStates:
         return SegmentStates(**{one.name: getattr(self, one.name)[place] for one in fields(self)})
 
     def measured(self, celsius: Array) -> SegmentStates:
-        """The states in which measured mean temperatures (n,), degC, replace the planned ones. The ramps stay as planned."""
+        """Returns the states in which measured mean temperatures [degC], shape (n,), replace the planned ones. The ramps stay as
+        planned."""
         return replace(
             self, celsius=celsius, last_change=_last_changes(celsius - self.ramp / 2, celsius + self.ramp / 2)
         )
@@ -115,7 +116,7 @@ def _last_changes(begin: Array, end: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class EffectPart:
-    """One effect in the model of one output.
+    """Describes one effect in the model of one output.
 
     `only`: names of the effect's columns in the model, without the letter of the axis; empty if the model contains all columns of
     the effect. `shape`: value of the effect's shape; None for an effect without shape. `sizes`: maps the name of a column, without
@@ -131,8 +132,8 @@ class EffectPart:
 
 @dataclass(frozen=True, slots=True)
 class OutputErrors:
-    """The effects in the model of one output. `kind`: gyro or accel. `axis`: 0, 1 or 2 for the sensor axis x, y or z along which
-    the output measures."""
+    """Lists the effects in the model of one output. `kind`: gyro or accel. `axis`: 0, 1 or 2 for the sensor axis x, y or z along
+    which the output measures."""
 
     output: str
     kind: str
@@ -146,7 +147,7 @@ class OutputErrors:
 
 @dataclass(frozen=True, slots=True)
 class Amplitude:
-    """One amplitude (coefficient) in the model of an output.
+    """Describes one amplitude (coefficient) in the model of an output.
 
     `name`: name of the column without the letter of the axis. `several`: True if the effect has other amplitudes for this output.
     `alone`: True if the column acts on this output only. `unit`: unit for display. `factor`: SI value of this unit. `along`: if the
@@ -170,7 +171,7 @@ class Amplitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputColumns:
-    """The columns of the model of one output at n segments.
+    """Contains the columns of one output's model at n segments.
 
     `own`: array of shape (n,) in SI units, the output of an ideal sensor. `matrix`: array of shape (n, p), SI output for an
     amplitude of 1 in SI units, one column for each amplitude. `available`: maps each effect to the names of all amplitudes that it
@@ -184,14 +185,14 @@ class OutputColumns:
 
     @property
     def magnitudes(self) -> Array:
-        """The positive magnitudes (p,) by which the columns are divided."""
+        """Returns the positive magnitudes by which the columns are divided, shape (p,)."""
         return np.array([one.size or 1.0 for one in self.amplitudes])
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSegments:
-    """The model of m outputs at n segments, in which the sensor rests or turns in known orientations. `stimulus`: planned means
-    over the segments."""
+    """Models m outputs at n segments, in which the sensor rests or turns in known orientations. `stimulus`: planned means over the
+    segments."""
 
     outputs: tuple[OutputErrors, ...]
     segments: tuple[Segment, ...]
@@ -201,9 +202,10 @@ class ErrorsAtSegments:
     of_motion: bool = False
 
     def columns(self, stimulus: Stimulus) -> Array:
-        """The columns (k·n, P) of all outputs, output after output. The columns of one output are its own input, and then one
-        column for each amplitude. `stimulus`: k·n rows, which are k copies of the planned stimulus of the n segments, each copy
-        with different small changes; k may be 1. A change of the mean stimulus of a segment is applied to all nodes of the segment."""
+        """Computes the columns of all outputs, output after output, shape (k·n, P). The columns of one output are its own input,
+        and then one column for each amplitude. `stimulus`: k·n rows, which are k copies of the planned stimulus of the n segments,
+        each copy with different small changes; k may be 1. A change of the mean stimulus of a segment is applied to all nodes of
+        the segment."""
         n, found = len(self.segments), []
         for low in range(0, len(stimulus), n):
             part = slice(low, low + n)
@@ -216,13 +218,13 @@ class ErrorsAtSegments:
         return np.vstack(found)
 
     def shapes_of(self, effect: ShapedOverSegments) -> Array:
-        """The values of an effect's shape that the catalogue gives for these segments, ascending."""
+        """Returns the values of an effect's shape that the catalogue gives for these segments, in ascending order."""
         return effect.grid(self._planned)
 
     def course(self, output: int, effect: Effect, amplitudes: Array) -> tuple[Array, Array]:
-        """The values that an effect with a shape adds to one output within each segment, at the planned stimulus. Returns the
-        positions (L,) along a segment, from −0.5 to 0.5, and the values (n, L) at these positions. `amplitudes`: amplitudes of the
-        effect's columns in this output."""
+        """Computes the values that an effect with a shape adds to one output within each segment, at the planned stimulus. Returns
+        the positions (L,) along a segment, from −0.5 to 0.5, and the values (n, L) at these positions. `amplitudes`: amplitudes of
+        the effect's columns in this output."""
         errors, observed = self.outputs[output], self._planned
         part = next(one for one in errors.chosen if one.effect is effect)
         _, rows, _ = amplitudes_of(part, errors, observed, _columns(part.effect, observed, part.shape))
@@ -231,7 +233,7 @@ class ErrorsAtSegments:
         return along, np.array([own.reshape(-1, len(along)).mean(axis=0) for own in values])
 
     def of_outputs(self) -> tuple[OutputColumns, ...]:
-        """The columns of each output at the planned stimulus."""
+        """Computes the columns of each output at the planned stimulus."""
         return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))
 
     def _evaluated(self, changes: tuple[Array, Array], faster: Array) -> tuple[OutputColumns, ...]:
@@ -328,8 +330,8 @@ class ErrorsAtSegments:
 def amplitudes_of(
     part: EffectPart, output: OutputErrors, observed: Observed, columns: Sequence[Column]
 ) -> tuple[list[Amplitude], list[Array], tuple[str, ...]]:
-    """For one effect and one output: the amplitudes in the model, their columns (N,), and the names of all amplitudes that the
-    effect has for this output. `columns`: all columns of the effect, for all outputs."""
+    """Returns the amplitudes that an effect has in the model of one output, their columns (N,), and the names of all amplitudes
+    that the effect has for this output. `columns`: all columns of the effect, for all outputs."""
     here = [column for column in columns if output.channel in column.parts]
     several = len(here) > 1 or isinstance(part.effect, ShapedOverSegments | ChangesWithinSegments)
     amplitudes, rows = [], []

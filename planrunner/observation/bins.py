@@ -55,7 +55,7 @@ class Averaged:
 
 
 def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
-    """The number of samples per bin for each segment (S,); None if the recording is not averaged."""
+    """Returns the number of samples per bin for each segment, shape (S,); None if the recording is not averaged."""
     counts = np.array([item.statistics.count for item in recording])
     if counts.sum() <= BUDGET:
         return None

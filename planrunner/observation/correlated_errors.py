@@ -1,4 +1,4 @@
-"""Errors that correlate the means of different segments: declared flicker, and errors of the table.
+"""Describes errors that correlate the means of different segments: declared flicker, and errors of the table.
 
 A correlated error describes how every observation depends on r independent inputs that have a common stated uncertainty. Two things
 follow from this: the contribution to the covariance of the observations, which determines their weights, and the sensitivity of
@@ -38,14 +38,14 @@ class CorrelatedError:
     channel: str = ""
 
     def covariance(self, one: int, other: int) -> Array | float:
-        """The contribution (n, n) of the error to the covariance between the observations of two outputs; 0.0 if the error does not
-        act on both outputs."""
+        """Returns what the error contributes to the covariance between the observations of two outputs, shape (n, n); 0.0 if the
+        error does not act on both outputs."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
 
     def through(self, functionals: Array, in_scatter: bool = False) -> Influence:
-        """The influence of the error on q quantities. `functionals`: array of shape (q, m, n), the coefficients with which each
+        """Computes how the error influences q quantities. `functionals`: array of shape (q, m, n), the coefficients with which each
         quantity depends linearly on the observations."""
         moved = sum(functionals[:, output] @ change for output, change in self.changes.items())
         return Influence(self.quantity, np.asarray(moved), in_scatter, self.parts)
@@ -60,15 +60,15 @@ def functionals_of(gains: Array) -> Array:
 
 
 def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
-    """The contribution (n,) of correlated errors to the variance within the segments."""
+    """Returns what correlated errors contribute to the variance within the segments, shape (n,)."""
     shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
     return sum(shares, 0.0)
 
 
 def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> Array:
-    """The changes (outputs, n, r) of the n observations of each output for an error of one standard uncertainty of every input; 0
-    for an error that does not act on an output. If L₁ and L₂ are the changes of two outputs, L₁·L₂ᵀ is the contribution of the
-    errors to the covariance between their observations."""
+    """Computes how the n observations of each output change for an error of one standard uncertainty of every input. Returns an
+    array of shape (outputs, n, r); 0 for an error that does not act on an output. If L₁ and L₂ are the changes of two outputs,
+    L₁·L₂ᵀ is the contribution of the errors to the covariance between their observations."""
     roots = []
     for effect in effects:
         columns = next(iter(effect.changes.values())).shape[1]
@@ -80,8 +80,9 @@ def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> A
 
 
 def mixed(spread: Array, roots: Array) -> Array:
-    """The covariance (…, n, n) of the observations of outputs. It is the sum of two parts: noise with the standard uncertainty
-    `spread` (…, n), and the contribution of correlated errors with the roots (…, n, r) from `stacked_roots`."""
+    """Returns the covariance of the observations of outputs, shape (…, n, n). It is the sum of two parts: noise, and correlated
+    errors. `spread`: array of shape (…, n), standard uncertainty of the noise. `roots`: array of shape (…, n, r) from
+    `stacked_roots`."""
     covariance = np.asarray(roots @ roots.swapaxes(-1, -2))
     i = np.arange(spread.shape[-1])
     variances = covariance[..., i, i] + spread**2

@@ -1,5 +1,5 @@
-"""Drift functions: functions of the time, of the temperature, or of the rate of change of the temperature, to which a slow drift of
-the outputs during a test may be proportional.
+"""Describes a slow drift of the outputs during a test by drift functions. A drift function is a function of the time, of the
+temperature, or of the rate of change of the temperature, to which the drift may be proportional.
 
 A drift is a nuisance: the drift functions are fitted together with the coefficients, so that the unknown drift contributes to the
 uncertainties of the coefficients. A drift function is described by its mean over each segment, minus its average over the recorded
@@ -57,7 +57,7 @@ def thermometer() -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftCourse:
-    """One drift function, as columns for a fit.
+    """Contains one drift function as columns for a fit.
 
     `columns`: array of shape (n, r), the same drift function for r parts of an output, without the unit of the output. `per`: the
     unit by which the unit of the output is divided to give the unit of a fitted amplitude. `parts`: names of the parts if there are
@@ -92,8 +92,8 @@ NO_DRIFT = DriftCourses()
 
 
 def asked(words: Sequence[str]) -> tuple[str, ...]:
-    """The names of the drift functions that a plan requests, including the lower powers of the time; for `by_evidence`, the drift
-    functions that are tried. Raises `EstimationError` for options that exclude each other."""
+    """Names the drift functions that a plan requests, including the lower powers of the time. If `by_evidence` is True, names the
+    drift functions that are tried. Raises `EstimationError` for options that exclude each other."""
     alone = [word for word in words if word in (BY_EVIDENCE, NONE)]
     if alone and len(set(words)) > 1:
         other = next(word for word in words if word != alone[0])
@@ -115,7 +115,7 @@ def drift_of(
     segments: Sequence[RecordedSegment],
     test: Sequence[RecordedSegment],
 ) -> DriftCourses:
-    """The drift functions for the observations of recorded segments.
+    """Returns the drift functions for the observations of recorded segments.
 
     `channel`: the thermometer that the plan names, or None. `segments`: the segments of the observations, in the same order; empty
     if the observations are parts of segments and have no known temperature. `test`: all segments that the estimate uses. Raises
@@ -150,8 +150,8 @@ def drift_of(
 def courses_by_evidence(
     start: Array, end: Array, seconds: Array, kelvin: Array | None, observed: int
 ) -> tuple[DriftCourses, DriftCourses]:
-    """The drift functions that n observations may show; and the same drift functions for all r rows, which are the observations
-    followed by further times.
+    """Returns the drift functions that n observations may show, and the same drift functions for all r rows. The rows are the
+    observations, followed by further times.
 
     `start`, `end`: arrays of shape (r,) in s, start and end of each observation, then the further times. `seconds`: array of shape
     (r,), recorded time of each observation, s, and 0 at the further times. `kelvin`: array of shape (r,), temperatures, K, None if
@@ -185,8 +185,8 @@ def _courses(
 
 
 def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)) -> tuple[DriftCourse, ...]:
-    """Drift functions that are powers of the time [h] since the middle of the test, up to the highest order. `start`, `end`: arrays
-    of shape (n,) in s. `seconds`: array of shape (n,), recorded time of the used samples, s."""
+    """Returns drift functions that are powers of the time [h] since the middle of the test, up to the highest order. `start`,
+    `end`: arrays of shape (n,) in s. `seconds`: array of shape (n,), recorded time of the used samples, s."""
     middle = (float(start.min()) + float(end.max())) / 2
     low, high = (start - middle) / _HOUR, (end - middle) / _HOUR
     made = []
@@ -218,12 +218,12 @@ def _centred(values: Array, seconds: Array) -> Array:
 
 
 def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | None, by_evidence: bool) -> str | None:
-    """The thermometer that is recorded in all segments, chosen as in `thermometer_of`."""
+    """Returns the thermometer that is recorded in all segments; it is chosen as in `thermometer_of`."""
     return thermometer_of(_common(segments), channel, by_evidence)
 
 
 def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: bool) -> str | None:
-    """The channel that contains the temperature; None if there is no such channel and the plan does not require one.
+    """Returns the channel that contains the temperature; None if there is no such channel and the plan does not require one.
 
     `units`: units of the channels that every segment has. `channel`: the channel that the plan names, or None. Raises
     `EstimationError` if the named channel is not a recorded temperature, or if the plan requires a thermometer and there is not

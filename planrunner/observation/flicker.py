@@ -1,4 +1,4 @@
-"""The effect of an output's bias instability on the means of segments. Bias instability is flicker noise, whose slow part
+"""Computes how an output's bias instability affects the means of segments. Bias instability is flicker noise, whose slow part
 correlates all segments of a test.
 
 Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). The spectrum of flicker
@@ -39,7 +39,7 @@ def drift_span() -> Quantity:
 
 
 def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """The correlated error of each output whose bias instability is stated. `span`: time span around the test, over which a
+    """Returns the correlated error of each output whose bias instability is stated. `span`: time span around the test, over which a
     constant is the average, s."""
     outputs = observations.channels
     stated = {
@@ -73,23 +73,23 @@ def _root(covariance: Array) -> Array:
 
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """The flicker with B = 1, in the output's unit, of each output for which the bench file states no bias instability. For
-    expected observations the result is empty, because they contain only declared effects. `span`: time span around the test, over
-    which a constant is the average, s."""
+    """Returns the flicker of each output for which the bench file states no bias instability. It has the size B = 1, in the
+    output's unit. For expected observations the result is empty, because they contain only declared effects. `span`: time span
+    around the test, over which a constant is the average, s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
     return _effects(observations, silent, span)
 
 
 def of_unit_size(channel: str, unit: str) -> InputQuantity:
-    """The coefficient B of a channel whose bias instability is not stated. B is set to one unit, so that influences of the flicker
-    are stated per unit of B."""
+    """Returns the coefficient B of a channel whose bias instability is not stated, as an input quantity. B is set to one unit, so
+    that influences of the flicker are stated per unit of B."""
     return InputQuantity(Aspect.BIAS_INSTABILITY.of(channel), 0.0, unit, 1.0)
 
 
 def mean_covariance(start: Array, end: Array, span: float) -> Array:
-    """The covariance (n, n) of means over n segments of flicker noise with B = 1, after its average over `span` [s] around the
-    segments has been subtracted.
+    """Computes the covariance of means over n segments of flicker noise with B = 1, shape (n, n). Before that, the average of the
+    noise over `span` [s] around the segments is subtracted.
 
     `start`, `end`: arrays of shape (n,), start and end times of the segments, s. A span shorter than the time from the first start
     to the last end is extended to that time.
@@ -103,9 +103,9 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
 
 
 def weighted_covariance(weights: Array, step: float, span: float) -> Array:
-    """The covariance (…, q, q) of q weighted sums of means over n consecutive intervals of the length `step` [s]. The means are
-    those of flicker noise with B = 1, after its average over `span` [s] around the intervals has been subtracted. `weights`: array
-    of shape (…, q, n), the weights of the n means in each sum.
+    """Computes the covariance of q weighted sums of means over n consecutive intervals of the length `step` [s]. Returns an array
+    of shape (…, q, q). The means are those of flicker noise with B = 1, after its average over `span` [s] around the intervals has
+    been subtracted. `weights`: array of shape (…, q, n), the weights of the n means in each sum.
 
     For intervals of equal length, the result agrees with that of `mean_covariance`. The covariance of two means then depends only
     on the distance between their intervals. The product of this covariance with the weights is therefore a convolution (a Toeplitz
@@ -160,8 +160,8 @@ _ROWS = 64  # computed at a time, so that the parts of the sum stay in the proce
 
 
 def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) -> Array:
-    """The contribution (n,) of flicker with B = 1 to the square of the standard error of each mean. If the standard error is
-    estimated from b batch means, the contribution is ln b/(π·(b − 1)).
+    """Returns what flicker with B = 1 contributes to the square of the standard error of each mean, shape (n,). If the standard
+    error is estimated from b batch means, the contribution is ln b/(π·(b − 1)).
 
     A mean over the time T has the variance (c − ln T + 3/2)/π, where c is a constant. The variance of one batch mean is therefore
     larger than that of the mean of all batches by ln b/π. If functions of time are fitted to the batch means, the fit removes a

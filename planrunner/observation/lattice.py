@@ -19,13 +19,13 @@ _PIECE = 4096  # values taken at once
 
 
 def levels_of(values: Array, step: float) -> Array:
-    """The distinct values (n,) of a channel in units of the declared count, in ascending order."""
+    """Returns the n distinct values of a channel in units of the declared count, in ascending order."""
     return np.unique(np.round(values / step, 2))
 
 
 def coarsening(levels: Array) -> float:
-    """The smallest step between the levels, in units of the declared count; 1 if this step is not clearly coarser than the declared
-    count, or if there are too few levels."""
+    """Returns the smallest step between the levels, in units of the declared count. Returns 1 if this step is not clearly coarser
+    than the declared count, or if there are too few levels."""
     if len(levels) < DISTINCT:
         return 1.0
     smallest = float(np.diff(levels).min())
@@ -33,18 +33,18 @@ def coarsening(levels: Array) -> float:
 
 
 def settled(levels: Array) -> bool:
-    """True if the levels already confirm the declared count, so that further values cannot change the result."""
+    """Returns True if the levels already confirm the declared count, so that further values cannot change the result."""
     return len(levels) >= DISTINCT and coarsening(levels) == 1.0
 
 
 def holds(levels: Array) -> bool:
-    """True if the levels are whole numbers of declared counts, so that the values are multiples of the declared count."""
+    """Returns True if the levels are whole numbers of declared counts, so that the values are multiples of the declared count."""
     return float(np.abs(levels - np.round(levels)).max(initial=0.0)) <= 2 * OFF_LATTICE
 
 
 def undeclared_step(values: Array) -> float:
-    """The count of a channel that has no declared count, in the channel's unit; 0 if its values (N,) are not multiples of any
-    count."""
+    """Finds the count of a channel that has no declared count, in the channel's unit. Returns 0 if the N values are not multiples
+    of any count."""
     some = values[:: max(len(values) // _PIECE, 1)]
     distinct = np.unique(np.round((some - some.min()) / max(float(np.ptp(some)), 1e-300), 9))
     steps = np.diff(distinct) * float(np.ptp(some))

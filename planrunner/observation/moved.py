@@ -1,4 +1,4 @@
-"""The motion of a sensor, as channels of the recording show it, if no plan commands this motion. The plan names these channels."""
+"""Computes the motion of a sensor from channels of the recording, if no plan commands this motion. The plan names these channels."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class MotionShown:
 def recorded_course(
     motion: RecordedMotion, attitude: Array | None, site: Site, time: Array, shown: Mapping[str, Array]
 ) -> MotionShown:
-    """The motion at n samples, computed from recorded channels.
+    """Computes the motion at n samples from recorded channels.
 
     `attitude`: attitude of the sensor at the first sample of the segment. `time`: array of shape (n,) in s. `shown`: the values
     (n,) of each channel, SI.
@@ -92,8 +92,8 @@ def recorded_course(
 
 
 def supposed_course(time: Array, site: Site) -> MotionShown:
-    """An assumed motion about all axes, used for a segment that has not been recorded. The motion is chosen such that every effect
-    can act. Numbers that are reported must not depend on this motion."""
+    """Returns an assumed motion about all axes, which is used for a segment that has not been recorded. The motion is chosen such
+    that every effect can act. Numbers that are reported must not depend on this motion."""
     since = time - time[0]
     rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
     zero = np.zeros(len(time))

@@ -1,4 +1,4 @@
-"""Observations: the means of channels over segments, with uncertainties from the scatter within the segments."""
+"""Computes observations: the means of channels over segments, with uncertainties from the scatter within the segments."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SIGNIFICANCE = (
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """Means of k channels over n segments, in the channels' units.
+    """Contains the means of k channels over n segments, in the channels' units.
 
     `mean`: array of shape (n, k), the means. `standard_error`: array of shape (n, k), standard error of each mean, estimated from
     the scatter within its segment; NaN if the segment is too short. `batches`: array of shape (n,), number of batches from which
@@ -83,13 +83,13 @@ class Observations:
 
     @property
     def seconds(self) -> Array:
-        """The recorded time (n,) that is used in each segment, s."""
+        """Returns the recorded time [s] that is used in each segment, shape (n,)."""
         lasted: Array = self.end - self.start
         return lasted if self.share is None else lasted * self.share
 
 
 class Weighting(StrEnum):
-    """The noise that determines the weights of the segments of a channel. Reports show the values of this enumeration."""
+    """States which noise determines the weights of a channel's segments. Reports show the values of this enumeration."""
 
     DECLARED = "declared noise"
     EQUAL = "equal"
@@ -99,7 +99,7 @@ class Weighting(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WithinSegmentNoise:
-    """The standard uncertainty of the means of one channel due to the noise within segments.
+    """Contains the standard uncertainty that the noise within segments gives to the means of one channel.
 
     `sigma`: array of shape (n,), standard uncertainties, all positive. `known`: False if the samples give no information about the
     noise; all elements of `sigma` are then 1. `degrees_of_freedom`: degrees of freedom of `sigma`, over all segments together.
@@ -112,12 +112,12 @@ class WithinSegmentNoise:
 
     @property
     def unequal(self) -> bool:
-        """True if the weights of the segments differ by more than the jitter of recorded times causes."""
+        """Returns True if the weights of the segments differ by more than the jitter of recorded times causes."""
         return bool(self.sigma.max() > 1.05 * self.sigma.min())
 
 
 def weights_of(channels: Sequence[str], noises: Sequence[WithinSegmentNoise]) -> dict[str, str]:
-    """For each channel, a text that describes its weights; an estimate reports these texts among its settings."""
+    """Returns, for each channel, a text that describes its weights. An estimate reports these texts among its settings."""
     return {name: noise.weighting.value for name, noise in zip(channels, noises, strict=True)}
 
 
@@ -171,7 +171,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 
 
 def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Array], Array]) -> float:
-    """The standard error of a channel's mean over a segment, computed from the scatter of the samples about a known function of
+    """Computes the standard error of a channel's mean over a segment from the scatter of the samples about a known function of
     time. The samples are read once more. If there are only published statistics and no samples, the standard error is that of the
     statistics. `course`: returns this function at times (k,), s since the start of the segment, in the unit of the channel."""
     whole = recorded.statistics
@@ -232,7 +232,7 @@ def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
 def within_segment_noise(
     observations: Observations, channel: int, explained: Array | float = 0.0
 ) -> WithinSegmentNoise:
-    """The noise of the means of one channel, for weights and for uncertainties.
+    """Determines the noise of the means of one channel, for weights and for uncertainties.
 
     The variance of a mean multiplied by its recorded time is pooled over the segments, unless Bartlett's test (Snedecor and
     Cochran, Statistical Methods, 13.10) finds that this product differs between the segments. In that case, each segment keeps its
@@ -252,7 +252,7 @@ def within_segment_noise(
 
 
 def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentNoise:
-    """The noise of n means, pooled as in `within_segment_noise`.
+    """Determines the noise of n means; it is pooled as in `within_segment_noise`.
 
     `error`: array of shape (n,), standard errors. `seconds`: array of shape (n,), recorded times, s. `freedom`: array of shape
     (n,), degrees of freedom of the standard errors.
@@ -277,7 +277,8 @@ def _left(variance: Array, explained: Array | float) -> Array:
 
 
 def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
-    """True if Bartlett's test finds that g positive variances (g,), with degrees of freedom (g,), differ from the pooled variance."""
+    """Returns True if Bartlett's test finds that g variances differ from the pooled variance. The variances are positive; variances
+    and degrees of freedom have the shape (g,)."""
     from scipy.special import chdtrc
 
     total, groups = float(degrees.sum()), len(degrees)
@@ -287,7 +288,7 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
 
 
 def dithered(sensor: SensorModel, channel: str, variance: float | Array) -> NDArray[np.bool_]:
-    """True if noise with this variance [unit²] between samples is large enough to dither the mean of the channel
+    """Returns True if the noise between samples, with this variance [unit²], is large enough to dither the mean of the channel
     (`NoiseModel.dithers`)."""
     return _noise(sensor, channel).dithers(variance)
 

@@ -35,7 +35,7 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
-    """True if all segments are at rest in unknown orientations. Segments whose motion is recorded need no orientation.
+    """Returns True if all segments are at rest in unknown orientations. Segments whose motion is recorded need no orientation.
 
     Raises `ObservationError` if only some of the segments are in unknown orientations, or if a segment in an unknown orientation
     moves."""
@@ -65,7 +65,8 @@ def poses(
     *,
     only: Collection[str] | None = None,
 ) -> Observed:
-    """Recorded poses as input of a diagnosis. There is one channel `accel`, the reading of the accelerometers along gravity.
+    """Makes the input of a diagnosis from recorded poses. There is one channel `accel`, the reading of the accelerometers along
+    gravity.
 
     `nominal`: terms that the nominal simulation fits; they are used to find the directions of gravity. Gyros are left out, because
     at rest in an unknown orientation they show only a bias. Raises `ObservationError` if there is no complete triad of
@@ -117,8 +118,8 @@ def poses(
 
 
 def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array:
-    """The directions (S, 3) of the specific force in the sensor's axes. They are found from mean readings (S, 3), m/s², while the
-    nominal model is fitted to these readings.
+    """Finds the directions of the specific force in the sensor's axes while the nominal model is fitted to the mean readings. The
+    readings [m/s²] and the directions have the shape (S, 3).
 
     Raises `ObservationError` if the fit does not converge.
     """

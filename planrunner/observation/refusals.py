@@ -1,4 +1,4 @@
-"""Errors that report that a recording is not suitable for a diagnosis or an estimate."""
+"""Defines the errors that report that a recording is not suitable for a diagnosis or an estimate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Input of a diagnosis: the samples and their planned states over the whole run, as an `Observed`."""
+"""Makes the input of a diagnosis: an `Observed` with the samples and their planned states over the whole run."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def observed(
 
 
 def channels_of(first: RecordedSegment, sensor: SensorModel, only: Collection[str] | None) -> tuple[Channel, ...]:
-    """The recorded channels of angular rate and acceleration that have an axis."""
+    """Returns the recorded channels of angular rate and acceleration that have an axis."""
     found = []
     for name, text in first.units.items():
         output = sensor.output(name)
@@ -128,7 +128,7 @@ def channels_of(first: RecordedSegment, sensor: SensorModel, only: Collection[st
 
 
 def measures_motion(text: str) -> bool:
-    """True if a channel with this unit measures angular rate or acceleration, so that it is diagnosed."""
+    """Returns True if a channel with this unit measures angular rate or acceleration, so that it is diagnosed."""
     return unit(text).dimension in KINDS
 
 

@@ -1,4 +1,5 @@
-"""Screening: finds spikes, bursts, stuck and clipped stretches, lost and repeated samples, and steps; leaves out wrong samples.
+"""Screens recordings: finds spikes, bursts, stuck and clipped stretches, lost and repeated samples, and steps; leaves out wrong
+samples.
 
 Samples are read in pieces of fixed size, counted from the start of the segment. The findings therefore do not depend on the
 division into blocks, and memory does not grow with the data. For most pieces, a few sums are sufficient. Only a piece with a large
@@ -144,8 +145,8 @@ def _angle(name: str) -> float | None:
 
 
 def threshold(samples: int) -> float:
-    """The factor g for windows with this number of samples: a sample is an outlier if its distance exceeds g scale estimates. g is
-    larger for few samples, because the scale estimate is then less certain."""
+    """Returns the factor g for windows with this number of samples: a sample is an outlier if its distance exceeds g scale
+    estimates. g is larger for few samples, because the scale estimate is then less certain."""
     from scipy.special import stdtrit
 
     return -float(stdtrit(max(0.3 * samples, 3.0), CHANCE / 2))
@@ -296,7 +297,7 @@ class _Runs:
 
 
 class Screening:
-    """The screening of one segment, in one pass over its samples."""
+    """Screens one segment in one pass over its samples."""
 
     def __init__(
         self,
@@ -856,7 +857,7 @@ def without_bad(recorded: RecordedSegment) -> RecordedSegment:
 
 
 def rows_of(finds: Iterable[Find]) -> int:
-    """The number of rows that the findings cover; overlapping rows count once."""
+    """Returns the number of rows that the findings cover; overlapping rows count once."""
     covered, end = 0, 0
     for one in sorted(finds, key=lambda one: one.first):
         covered += max(0, one.first + one.rows - max(end, one.first))

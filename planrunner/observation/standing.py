@@ -103,9 +103,9 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
-    """True if white noise with the standard deviation `noise` leaves one count within `samples` samples. The criterion is that the
-    probability of staying within the count is at most `chance`. Of the variance, 0.3 count² is not attributed to noise, because a
-    channel that alternates between two counts without any noise has such a variance."""
+    """Returns True if white noise with the standard deviation `noise` leaves one count within `samples` samples. The criterion is
+    that the probability of staying within the count is at most `chance`. Of the variance, 0.3 count² is not attributed to noise,
+    because a channel that alternates between two counts without any noise has such a variance."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False

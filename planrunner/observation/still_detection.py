@@ -24,9 +24,9 @@ _MOST_BATCHES = 64
 
 @dataclass(frozen=True, slots=True)
 class StillSpan:
-    """A span of time in which the sensor is still. `count`: number of samples. `mean`, `standard_error`: arrays of shape (k,),
-    means of the detection's channels, and their standard errors, in the units of the channels. The standard errors are computed
-    from `batches` consecutive batch means; NaN if there are fewer than two."""
+    """Describes a span of time in which the sensor is still. `count`: number of samples. `mean`, `standard_error`: arrays of shape
+    (k,), means of the detection's channels, and their standard errors, in the units of the channels. The standard errors are
+    computed from `batches` consecutive batch means; NaN if there are fewer than two."""
 
     span: Span
     count: int
@@ -69,7 +69,7 @@ def _limits(recorded: RecordedSegment, detection: Detection) -> Array:
 
 
 def longest_span(dwell: float, detection: Detection) -> float:
-    """The longest span [s] that can be found in a dwell at rest; half a window is lost at each end."""
+    """Returns the longest span [s] that can be found in a dwell at rest; half a window is lost at each end."""
     return dwell - detection.window.value
 
 
@@ -77,8 +77,8 @@ _CHANNELS = "name the accelerometers of the sensor under `channels` of `segments
 
 
 def detection_limits(detection: Detection, units: Mapping[str, str], what: str) -> Array:
-    """The threshold (k,) in the unit of each channel. `units`: units of the recorded channels. `what`: name of the recording, used
-    in messages. Raises `EstimationError` if a channel is missing or is not an acceleration."""
+    """Returns the threshold of each channel in the channel's unit, shape (k,). `units`: units of the recorded channels. `what`:
+    name of the recording, used in messages. Raises `EstimationError` if a channel is missing or is not an acceleration."""
     limits = []
     for channel in detection.channels:
         if channel not in units:

@@ -1,4 +1,4 @@
-"""The surroundings of a sensor at each sample: its temperature, its supply voltage, and the ambient pressure.
+"""Determines the surroundings of a sensor at each sample: its temperature, its supply voltage, and the ambient pressure.
 
 They come from recorded channels, whose noise is smoothed, or from the plan. Voltage and pressure are stated as differences from
 their reference values.
@@ -41,7 +41,7 @@ class Temperature:
 
 
 def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> Temperature:
-    """The smoothed reading of the thermometer or, if `kelvin` is None, the planned temperature."""
+    """Returns the smoothed reading of the thermometer. If `kelvin` is None, returns the planned temperature."""
     if kelvin is None:
         planned = item.segment.begins_at
         celsius = REFERENCE_TEMPERATURE if planned is None else planned - ZERO_CELSIUS
@@ -99,8 +99,8 @@ def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Arra
 
 
 def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Array:
-    """The sign (S,) of the last change of temperature up to each segment, from setpoints if they are planned, otherwise from mean
-    temperatures."""
+    """Returns the sign of the last change of temperature up to each segment, shape (S,). It comes from setpoints if they are
+    planned, otherwise from mean temperatures."""
     signs, last, before = [], 0.0, None
     for item, mean in zip(recording, means, strict=True):
         now = item.segment.ramp_to if item.segment.ramp_to is not None else item.segment.temperature
@@ -114,7 +114,7 @@ def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Arr
 
 @dataclass(frozen=True, slots=True)
 class Monitors:
-    """Names of the channels that show the state of the sensor besides its motion; None for a state that comes from the plan.
+    """Names the channels that show the state of the sensor besides its motion; a name is None if this state comes from the plan.
 
     `thermometer`: channel with the temperature of the sensor. `voltmeter`: channel with the supply voltage of the sensor.
     `barometer`: channel with the ambient pressure. `nominal_supply`: nominal supply voltage, V.
@@ -130,8 +130,8 @@ class Monitors:
         return [one for one in (self.thermometer, self.voltmeter, self.barometer) if one is not None]
 
     def excess_of(self, item: RecordedSegment, time: Array, table: Mapping[str, Array]) -> dict[str, Array]:
-        """The overvoltage and the overpressure at the samples (n,) of a segment, computed from smoothed recorded values if they are
-        recorded."""
+        """Returns the overvoltage and the overpressure at the n samples of a segment. They are computed from smoothed recorded
+        values if there are any."""
         planned = planned_excess(item.segment, self.nominal_supply)
         found = {}
         for name, channel, reference, stated in (

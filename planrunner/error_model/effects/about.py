@@ -1,4 +1,4 @@
-"""What an engineer needs to know about an effect: its plain name, its physics, who can remove it, and what to do."""
+"""Describes what an engineer needs to know about an effect: its plain name, its physics, who can remove it, and what to do."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Actor(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """The description of an effect for an engineer.
+    """Describes an effect for an engineer.
 
     `name`: the effect in plain words. `physics`: the cause, in one sentence. `remedy`: what to do; in this text, `{found}` is
     replaced by the fitted parameters. `figures`: a function that computes further values for the remedy, such as a bandwidth from a
@@ -39,7 +39,7 @@ class About:
     figures: Callable[[float], Mapping[str, str]] | None = None
 
     def advice(self, found: str, shape: float | None) -> str:
-        """The remedy, with the fitted parameters inserted as text."""
+        """Returns the remedy, with the fitted parameters inserted as text."""
         values = {} if self.figures is None or shape is None else dict(self.figures(shape))
         wanted = {field for _, field, _, _ in Formatter().parse(self.remedy) if field}
         return self.remedy.format(**dict.fromkeys(wanted, "unknown") | values | {"found": found})

@@ -1,4 +1,4 @@
-"""Wrong declarations: axes, signs, units and senses of rotation that the plan or the bench file states wrongly.
+"""Effects that are wrong declarations: the plan or the bench file states axes, signs, units or senses of rotation wrongly.
 
 These effects change a whole output. A diagnosis therefore does not evaluate them like other effects:
 `gap/hypotheses/declarations.py` finds them before the effects of the sensor are evaluated. If such an effect is added to a
@@ -170,7 +170,7 @@ class MountTurned:
 
 
 def turned_back(observed: Observed) -> Observed:
-    """The recording as if the table turned in the opposite sense."""
+    """Returns the recording as if the table turned in the opposite sense."""
     motions = tuple(replace(m, rate=-m.rate) if isinstance(m, Spin) else m for m in observed.motions)
     return replace(
         observed,
@@ -182,5 +182,5 @@ def turned_back(observed: Observed) -> Observed:
 
 
 def rearranged(observed: Observed, sources: Sequence[int], factors: Sequence[float]) -> Observed:
-    """The recording with corrected channels: channel k is the output of channel `sources[k]` divided by `factors[k]`."""
+    """Returns the recording with corrected channels: channel k is the output of channel `sources[k]` divided by `factors[k]`."""
     return replace(observed, values=observed.values[:, list(sources)] / np.asarray(factors))

@@ -47,8 +47,8 @@ class GyroBandwidth(Shaped):
 
 
 def lagging(observed: Observed, tau: float) -> Array:
-    """The change (N, 3) of the nominal rate due to a first-order lag; zero in segments with a constant rate. While the table rocks
-    with the angular frequency p, its motion is taken as steady and harmonic: the lagged rate is (ω − τ·dω/dt)/(1 + (pτ)²)."""
+    """Computes how a first-order lag changes the nominal rate, shape (N, 3); zero in segments with a constant rate. While the table
+    rocks with the angular frequency p, its motion is taken as steady and harmonic: the lagged rate is (ω − τ·dω/dt)/(1 + (pτ)²)."""
     change = observed.turn_lagged(tau)
     for rows in observed.rocked:
         squared = (observed.pulsation[rows] * tau) ** 2

@@ -1,4 +1,4 @@
-"""Stuck samples: periods in which the outputs repeat their last value."""
+"""Effects that make samples stick: the outputs repeat their last value for some time."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class SamplesStuck:
 
 
 def sticking(time: Array, values: Array, begin: float, lasting: float, before: float) -> Array:
-    """The values (n,) of an output at `time` [s], in which the values from the time `begin` on, for `lasting` seconds, repeat the
-    last value before `begin`. `before`: the value before the first of `values`."""
+    """Returns the values of an output in which samples are stuck, shape (n,). From the time `begin` on, for `lasting` seconds, the
+    values repeat the last value before `begin`. `before`: the value before the first of `values`."""
     inside = np.flatnonzero((time >= begin) & (time < begin + lasting))
     if not len(inside):
         return values

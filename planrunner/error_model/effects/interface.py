@@ -41,7 +41,7 @@ from planrunner.error_model.observed import Observed, TemperatureCourse
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column of an effect, which is multiplied by one amplitude.
+    """Describes one column of an effect, which is multiplied by one amplitude.
 
     `magnitude`: prior scale of the amplitude in SI units, relative to the magnitudes of the effect's other columns.
     `unit`: unit in which the amplitude is displayed.
@@ -74,8 +74,8 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """An effect at one value of its shape. `shape`: the value in `shape_unit`, None for an effect without shape. `widths`: if a
-    variant combines several effects, the number of columns of each effect."""
+    """Describes an effect at one value of its shape. `shape`: the value in `shape_unit`, None for an effect without shape.
+    `widths`: if a variant combines several effects, the number of columns of each effect."""
 
     columns: tuple[Column, ...]
     shape: float | None = None
@@ -89,8 +89,8 @@ class Effect(Protocol):
     stage: str
 
     def variants(self, observed: Observed) -> list[Variant]:
-        """The variants of the effect for this recording; empty if the effect cannot act, for example because the channel is missing
-        or nothing rotates."""
+        """Returns the variants of the effect for this recording; empty if the effect cannot act, for example because the channel is
+        missing or nothing rotates."""
 
 
 @runtime_checkable
@@ -112,7 +112,7 @@ def effect_named(name: str) -> Effect:
 
 
 def shown_by(effect: Effect) -> str:
-    """A description of the segments that determine an effect; empty if the effect has none."""
+    """Describes the segments that determine an effect; empty if the effect states none."""
     return effect.shown_by if isinstance(effect, Explained) else ""
 
 
@@ -133,7 +133,7 @@ class FollowsTemperature(Effect, Protocol):
 
 
 class Follows(StrEnum):
-    """The quantities, other than the motion, to which an effect can be proportional."""
+    """Lists the quantities, other than the motion, to which an effect can be proportional."""
 
     SUPPLY = "supply voltage"
     PRESSURE = "ambient pressure"
@@ -181,8 +181,8 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
-    """An effect that a diagnosis does not look for in the coefficients to which it reduces a recording: an effect on the noise, a
-    line interference, or samples that repeat their values. An effect with the stage covariance has no columns at all. A line
+    """An effect on the noise, a line interference, or samples that repeat their values. A diagnosis reduces a recording to
+    coefficients, and does not look for such an effect in them. An effect with the stage covariance has no columns at all. A line
     interference has columns, which only a simulation uses."""
 
     outside: OutsideKind
@@ -197,7 +197,7 @@ class OfAccelerometers(OutsideCoefficients, Protocol):
 
 
 def triad_of(effect: OutsideCoefficients) -> Literal["gyro", "accel"]:
-    """The triad on which an effect of the kind `OutsideCoefficients` acts."""
+    """Returns the triad on which an effect of the kind `OutsideCoefficients` acts."""
     return "accel" if isinstance(effect, OfAccelerometers) else "gyro"
 
 
@@ -252,7 +252,7 @@ class CurvedAndShaped(HasShape, Protocol):
     """An effect that has a shape, and that is proportional to its amplitudes only while they are small."""
 
     def secant(self, amplitudes: Array) -> Shaped:
-        """The effect for given `amplitudes` (SI), which need not be small: the sum of its columns, each multiplied by its
+        """Returns the effect for given `amplitudes` (SI), which need not be small: the sum of its columns, each multiplied by its
         amplitude, is the complete effect."""
 
 
@@ -261,7 +261,7 @@ class Curved(Effect, Protocol):
     """An effect that is proportional to its amplitudes only while they are small."""
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """The variants for given `amplitudes` (SI), which need not be small: the sum of the columns, each multiplied by its
+        """Returns the variants for given `amplitudes` (SI), which need not be small: the sum of the columns, each multiplied by its
         amplitude, is the complete effect."""
 
 
@@ -279,7 +279,7 @@ class Shaped:
         raise NotImplementedError
 
     def at(self, observed: Observed, value: float) -> Variant:
-        """The variant of the effect at one value of the shape."""
+        """Returns the variant of the effect at one value of the shape."""
         raise NotImplementedError
 
     def variants(self, observed: Observed) -> list[Variant]:
@@ -297,7 +297,7 @@ class HasAlternatives(Effect, Protocol):
 
 
 def ways_of(effect: Effect) -> Sequence[Effect]:
-    """The ways in which an effect may act, each as an effect; usually this is the effect itself."""
+    """Returns the ways in which an effect may act, each as an effect; usually this is the effect itself."""
     return effect.alternatives if isinstance(effect, HasAlternatives) else (effect,)
 
 
@@ -313,7 +313,8 @@ class ShapedOverSegments(HasShape, Protocol):
 
 
 def products(vector: Array) -> list[tuple[str, Array]]:
-    """Names and values (N,) of the products of two components of a vector (N, 3): first the squares xx, yy, zz, then xy, yz, zx."""
+    """Returns the names and the values of the products of two vector components: first the squares xx, yy, zz, then xy, yz, zx. The
+    vector has the shape (N, 3), each product the shape (N,)."""
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)]
     return [("xyz"[i] + "xyz"[j], vector[:, i] * vector[:, j]) for i, j in pairs]
 
@@ -332,8 +333,9 @@ def per_axis(
 
 
 def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) -> Mapping[int, Array]:
-    """The changes of the outputs, by index of the channel, that a change of the stimulus causes. `omega`: array of shape (N, 3),
-    additional angular rate. `force`: array of shape (N, 3), additional specific force; None if the specific force does not change."""
+    """Computes how the outputs change with a change of the stimulus. Returns the changes by index of the channel. `omega`: array of
+    shape (N, 3), additional angular rate. `force`: array of shape (N, 3), additional specific force; None if the specific force
+    does not change."""
     parts = {}
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
@@ -343,9 +345,9 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """The changes of the gyros' outputs, by index of the channel, that a change of the rate causes. `omega`: array of shape (N, 3),
-    additional angular rate. The changes are computed with the response of the gyros in the fitted model if this response is known,
-    otherwise with the declared response."""
+    """Computes how the gyros' outputs change with a change of the rate. Returns the changes by index of the channel. `omega`: array
+    of shape (N, 3), additional angular rate. The changes are computed with the response of the gyros in the fitted model if this
+    response is known, otherwise with the declared response."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}
@@ -356,14 +358,14 @@ def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
 def whole(
     parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None, *, either_sign: bool = False
 ) -> Column:
-    """The column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. `either_sign`: True if the
-    opposite of the effect also exists, as for a delay; a lag or a dead zone cannot be negative."""
+    """Returns the column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. `either_sign`: True
+    if the opposite of the effect also exists, as for a delay; a lag or a dead zone cannot be negative."""
     smallest = -np.inf if either_sign else 0.0
     return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None, smallest=smallest)
 
 
 def single(columns: Sequence[Column]) -> list[Variant]:
-    """The only variant of an effect without a shape."""
+    """Returns the only variant of an effect without a shape."""
     return [Variant(tuple(columns))] if columns else []
 
 

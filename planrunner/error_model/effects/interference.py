@@ -1,4 +1,4 @@
-"""Line interference: a sine of one frequency in the outputs of a triad, caused by the electric supply or a vibration.
+"""Effects of line interference: the electric supply or a vibration causes a sine of one frequency in the outputs of a triad.
 
 Interference and its aliases are a single effect. The sine is taken at the times of the samples, so that a line above half of the
 sampling rate f_s appears at its folded frequency |f − n·f_s| (Oppenheim and Schafer, Discrete-Time Signal Processing, sampling

@@ -1,4 +1,4 @@
-"""The terms bias, scale factor, misalignment and Earth rate as candidate effects, for nominal models that lack one of them."""
+"""Offers the terms bias, scale factor, misalignment and Earth rate as candidate effects, for nominal models that lack one of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DEG = 3.141592653589793 / 180
 
 
 def felt(observed: Observed, kind: str) -> Array:
-    """The quantity (N, 3) that a triad measures: angular rate or specific force."""
+    """Returns the quantity that a triad measures, angular rate or specific force, shape (N, 3)."""
     return observed.omega if kind == "gyro" else observed.force
 
 
@@ -42,9 +42,9 @@ def misalignment(observed: Observed, kind: str) -> list[Column]:
 def towards_others(
     observed: Observed, kind: str, unit: str, magnitude: float, factor: Array | float = 1.0, inputs: bool = False
 ) -> list[Column]:
-    """Columns for the response of each axis to the inputs of the other axes, multiplied by `factor`. `unit`: the unit of the
-    amplitudes, which is arcsec or arcsec per SI unit of the factor. `inputs`: True if the columns are the unchanged inputs of the
-    sensor (`Column.along`)."""
+    """Returns the columns for the response of each axis to the inputs of the other axes, multiplied by `factor`. `unit`: the unit
+    of the amplitudes, which is arcsec or arcsec per SI unit of the factor. `inputs`: True if the columns are the unchanged inputs
+    of the sensor (`Column.along`)."""
     columns = []
     largest = 1.0 if isinstance(factor, float) else np.inf  # a component of the input axis, which is a unit vector
     for other in range(3):

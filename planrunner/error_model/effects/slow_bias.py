@@ -1,5 +1,5 @@
-"""Random changes of biases over time: a random walk of the accelerometers, and first-order Gauss–Markov processes. The random walk
-of the gyros' bias is in `gyro_output`."""
+"""Effects that change biases randomly over time: a random walk of the accelerometers, and first-order Gauss–Markov processes. The
+random walk of the gyros' bias is in `gyro_output`."""
 
 from __future__ import annotations
 

@@ -125,10 +125,9 @@ class MountShift(Shaped):
 
 
 class SamplesDropped(Shaped):
-    """Samples of the sensor are lost at a moment, a time since power-on, and the times of later samples do not include the lost
-    samples. After the loss, the gyros show the motion at a later time than their time stamps state. `lost`: the lost time [s] for
-    which the columns are exact. For a short lost time, the change of the rate is the lost time multiplied by the angular
-    acceleration."""
+    """The sensor loses samples at a certain time since power-on. The time stamps of later samples do not include the lost samples.
+    After the loss, the gyros show the motion at a later time than their time stamps state. `lost`: the lost time [s] for which the
+    columns are exact. For a short lost time, the change of the rate is the lost time multiplied by the angular acceleration."""
 
     id, stage, hypothesis, shape_name, shape_unit = "samples_dropped", "acquisition", False, "time", "s"
     about = About(
@@ -145,8 +144,8 @@ class SamplesDropped(Shaped):
         return SamplesDropped(float(amplitudes[0]))
 
     def grid(self, observed: Observed) -> Array:
-        """Possible moments of the loss, from the start of the first segment in which the rate changes to the end of the last such
-        segment."""
+        """Returns possible moments of the loss, from the start of the first segment in which the rate changes to the end of the
+        last such segment."""
         if not observed.unsteady.any() or not observed.of_kind("gyro") or observed.along is not None:
             return np.empty(0)
         moments, first = _moments(observed), int(np.flatnonzero(observed.unsteady)[0])

@@ -17,8 +17,8 @@ _RIPPLE = 0.1
 
 
 def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
-    """The column for a table base that is turned by an angle ε about a site axis. The sensor senses every site vector v as v −
-    ε·axis × v.
+    """Computes the column for a table base that is turned by an angle ε about a site axis. The sensor senses every site vector v as
+    v − ε·axis × v.
 
     The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), where A is the attitude at table angle 0 and R(−θ) is the rotation of the
     table. The axis of the table turns with the base, so the rate of the table about this axis is unchanged for the sensor.
@@ -33,9 +33,9 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
 
 
 def secant(axis: Array, vector: Array, turned: Array) -> Array:
-    """The change of a vector, per radian of rotation about one axis, that is exact for a complete rotation by `turned`. `turned`:
-    array of shape (3,) in rad, the complete rotation vector φ. If the changes for the three axes are multiplied by the components
-    of φ and added, the sum is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v) (Rodrigues)."""
+    """Computes the change of a vector per radian of rotation about one axis. It is exact for a complete rotation by `turned`.
+    `turned`: array of shape (3,) in rad, the complete rotation vector φ. If the changes for the three axes are multiplied by the
+    components of φ and added, the sum is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v) (Rodrigues)."""
     first = np.cross(axis, vector)
     angle = float(np.linalg.norm(turned)) / np.pi
     return np.asarray(-np.sinc(angle) * first + np.sinc(angle / 2) ** 2 / 2 * np.cross(turned, first))

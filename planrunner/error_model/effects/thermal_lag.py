@@ -1,4 +1,4 @@
-"""Thermal lag: the temperature of the sensing element follows, with a delay, the temperature that the thermometer shows."""
+"""Effects of thermal lag: the temperature of the sensing element follows the temperature that the thermometer shows with a delay."""
 
 from __future__ import annotations
 
@@ -69,10 +69,10 @@ class AccelBiasTemperatureLagged(_BiasTemperatureLagged):
 
 
 def lag(observed: Observed, tau: float) -> Array:
-    """The difference Tₑ − T (N,), K, where T is the temperature that the thermometer shows, and Tₑ is T after a first-order lag of
-    `tau` [s]. Between two segments, the temperature is assumed to approach its next value exponentially. The approach starts with
-    the slope at the end of the earlier segment. If this slope is zero or points away from the next value, the temperature is
-    assumed to change in a step."""
+    """Computes the difference Tₑ − T [K], shape (N,), where T is the temperature that the thermometer shows, and Tₑ is T after a
+    first-order lag of `tau` [s]. Between two segments, the temperature is assumed to approach its next value exponentially. The
+    approach starts with the slope at the end of the earlier segment. If this slope is zero or points away from the next value, the
+    temperature is assumed to change in a step."""
     found = np.empty(len(observed.time))
     behind, before = 0.0, None
     for course in observed.past.get(tau, ()):

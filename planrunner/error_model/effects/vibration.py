@@ -1,4 +1,4 @@
-"""Vibration rectification: a shift of the bias that is proportional to the mean square of an oscillation."""
+"""Effects of vibration rectification: an oscillation shifts the bias in proportion to its mean square."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The warm-up of a triad: an error that decays exponentially after power-on."""
+"""Effects of the warm-up of a triad: an error that decays exponentially after power-on."""
 
 from __future__ import annotations
 
