@@ -1,2 +1,2 @@
-"""Benches: the equipment and site that a plan runs on. This package contains bench files, the models made from them, the connected
-bench and its clock."""
+"""Describes benches: the equipment and the site for which a plan is made. This package contains bench files, the models made from
+them, the connected bench and its clock."""

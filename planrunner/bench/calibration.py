@@ -17,7 +17,7 @@ SOON = timedelta(days=30)  # time before the due date from which `check` gives a
 
 
 class Calibration(Record):
-    """The calibration or survey from which uncertainties come, and the last day on which it is valid."""
+    """States the calibration or survey from which uncertainties come, and the last day on which it is valid."""
 
     certificate: str = key(
         Text(LINE, "a certificate"), "Certificate or report that gives the values.", "RT-0042 / 2026-117"
@@ -81,7 +81,7 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
 
 
 def parsed_day(text: str | None) -> date | None:
-    """The calendar date that a text states; None if the text is not a date."""
+    """Returns the calendar date that a text states; None if the text is not a date."""
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:
@@ -89,7 +89,7 @@ def parsed_day(text: str | None) -> date | None:
 
 
 class Laboratory(Record):
-    """The laboratory that is responsible for measurements on this bench; certificates need this record."""
+    """States the laboratory that is responsible for measurements on this bench; certificates need this record."""
 
     name: str = key(Text(LINE, "a name"), "Name of the laboratory.", "Inertial calibration laboratory")
     address: str = key(Text(LINE, "an address"), "Its address.", "1 Example Street, 00000 Example Town")

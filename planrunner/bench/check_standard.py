@@ -1,5 +1,5 @@
-"""The check standard of a bench: a device that stays in the laboratory and is measured repeatedly. It shows whether the measurement
-process is in control (NIST/SEMATECH e-Handbook of Statistical Methods, 2.2; NIST SOP 17, NISTIR 7383)."""
+"""Declares the check standard of a bench: a device that stays in the laboratory and is measured repeatedly. It shows whether the
+measurement process is in control (NIST/SEMATECH e-Handbook of Statistical Methods, 2.2; NIST SOP 17, NISTIR 7383)."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class CheckStandardRule(Record):
 
     @property
     def plan_name(self) -> str:
-        """The name under which the archive lists the check standard's plan."""
+        """Returns the name under which the archive lists the check standard's plan."""
         return Path(self.plan).stem
 
     def measured_by(self, plan_name: str, info: Mapping[str, object]) -> bool:

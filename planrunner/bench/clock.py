@@ -1,4 +1,4 @@
-"""Clocks: simulated time and real time have the same methods, so that the executor need not know which one it uses."""
+"""Provides clocks. Simulated time and real time have the same methods, so that the executor need not know which one it uses."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Checks of a cycle of turns and stops: whether the table axis can execute it, and how much of a constant sensor error in the
-horizontal plane it leaves.
+"""Checks a cycle of turns and stops: whether the table axis can execute it, and which part of a constant sensor error in the
+horizontal plane remains after it.
 
 A cycle that cancels constant errors has zero residual over its stops, zero residual over its turns, and a mean angle of zero. The figures
 come from `planrunner.physics.rotation_cycle`.

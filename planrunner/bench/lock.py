@@ -76,12 +76,12 @@ def watchdog_lock(bench: Bench, shown: str) -> Iterator[None]:
 
 
 class InUseError(InputError):
-    """The error for an instrument that another process holds."""
+    """Reports that another process holds an instrument."""
 
 
 def lock_folder() -> Path:
-    """The folder for locks on this computer. Raises `OSError` if the folder cannot be created, and `UntrustedFolderError` if other
-    users could change it."""
+    """Returns the folder for locks on this computer. Raises `OSError` if the folder cannot be created, and `UntrustedFolderError`
+    if other users could change it."""
     named = os.environ.get(FOLDER)
     if named:
         return _named(Path(named))

@@ -1,4 +1,4 @@
-"""The bench as data: its site and instruments, each key with a description and an example.
+"""Describes a bench as data: its site and its instruments. Each key has a description and an example.
 
 The code that reads bench files, the JSON Schema in `schemas/` and the key reference in `docs/` are all derived from these records.
 The keys of one instrument are declared by its driver.
@@ -48,8 +48,8 @@ SINGLE_ROLES = ("table", "chamber", "sensor")  # roles that drivers have a model
 
 
 class MagneticFieldSpec(Record):
-    """The Earth's magnetic field at the site, by its true components. Only the ratios of the components matter unless sensitivities
-    are to have a unit."""
+    """States the true components of the Earth's magnetic field at the site. Only the ratios of the components matter unless
+    sensitivities are to have a unit."""
 
     east: float = key(Number(-1e6, 1e6), "Component towards east.", 0.0, default=0.0)
     north: float = key(Number(-1e6, 1e6), "Component towards north.", 22.0)
@@ -57,7 +57,7 @@ class MagneticFieldSpec(Record):
 
 
 class DeviationOfVertical(Record):
-    """Deviation of the plumb line from the normal of the ellipsoid at the site."""
+    """States the deviation of the plumb line from the normal of the ellipsoid at the site."""
 
     north: Quantity = key(
         QuantityOf("angle", uncertain=True), "ξ, astronomic less geodetic latitude, north positive.", "3.2 arcsec"
@@ -116,8 +116,8 @@ class SiteSpec(Record):
 
 
 def astronomic_latitude(site: SiteSpec) -> Quantity:
-    """The latitude of the plumb line [rad], which gives the direction of the Earth's rotation relative to gravity. It is Φ = φ + ξ
-    if the geodetic latitude is stated."""
+    """Returns the latitude of the plumb line [rad], which gives the direction of the Earth's rotation relative to gravity. It is Φ
+    = φ + ξ if the geodetic latitude is stated."""
     stated, deviation = site.latitude, site.deviation_of_vertical
     if deviation is None or site.latitude_kind == "astronomic":
         return stated
@@ -126,8 +126,8 @@ def astronomic_latitude(site: SiteSpec) -> Quantity:
 
 
 def geodetic_latitude(site: SiteSpec) -> float:
-    """The latitude on the ellipsoid [rad], which is used for navigated positions. It is φ = Φ − ξ if the astronomic latitude is
-    stated."""
+    """Returns the latitude on the ellipsoid [rad], which is used for navigated positions. It is φ = Φ − ξ if the astronomic
+    latitude is stated."""
     deviation = site.deviation_of_vertical
     known = site.latitude_kind == "astronomic" and deviation is not None
     return site.latitude.value - (deviation.north.value if known and deviation is not None else 0.0)
@@ -157,7 +157,7 @@ class InstrumentEntry(Record):
 
 
 class FixtureSpec(Record):
-    """The fixture that the sensor is mounted in; its angles are in a plan's `mounting`."""
+    """Describes the fixture in which the sensor is mounted; its angles are in a plan's `mounting`."""
 
     asset: str | None = optional(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007")
     reach: Quantity | None = optional(
@@ -313,7 +313,7 @@ def site_of(bench: Bench) -> Site:
 
 
 def models(bench: Bench) -> BenchModels:
-    """The models of the bench's instruments that its drivers declare, restricted by the limits of `protection`."""
+    """Returns the models that the drivers declare for the bench's instruments, restricted by the limits of `protection`."""
     drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}
     table, chamber, sensor = None, None, None
     for name, driver in drivers.items():
@@ -344,7 +344,7 @@ def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool
 
 
 def real_instruments(bench: Bench) -> tuple[str, ...]:
-    """Names of the instruments that are not simulated within this program, in the order in which they are made safe."""
+    """Names the instruments that are not simulated within this program, in the order in which they are made safe."""
     return tuple(name for name in safe_order(bench) if not issubclass(driver_of(bench.instruments[name]), Resumable))
 
 
@@ -358,8 +358,8 @@ def _virtual(bench: Bench, replays: bool) -> bool:
 
 
 def safe_order(bench: Bench) -> tuple[str, ...]:
-    """Names of the instruments in the order in which they are made safe. This is the order stated in the bench; by default, the
-    table comes first, then the chamber, then all others."""
+    """Names all instruments in the order in which they are made safe. This is the order stated in the bench; by default, the table
+    comes first, then the chamber, then all others."""
     if bench.safe_order:
         return bench.safe_order
     ranks = {"table": 0, "chamber": 1}
@@ -418,7 +418,7 @@ def shipped_benches() -> Mapping[str, Path]:
 
 @lru_cache(maxsize=16)
 def benches_for(kind: str) -> tuple[str, ...]:
-    """The shipped benches with a sensor of this kind."""
+    """Returns the shipped benches with a sensor of this kind."""
     found = []
     for name in shipped_benches():
         sensor = models(read_bench(name)[0]).sensor
@@ -428,7 +428,7 @@ def benches_for(kind: str) -> tuple[str, ...]:
 
 
 def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
-    """The file of a bench and the name of the file in messages. Raises `InputError` for an unknown shipped name."""
+    """Returns the file of a bench, and the name of this file in messages. Raises `InputError` for an unknown shipped name."""
     if re.fullmatch(NAME, name_or_path):
         known = shipped_benches()
         if name_or_path not in known:

@@ -52,8 +52,8 @@ def start_motion(
     at: MarkOf,
     log: Findings,
 ) -> tuple[float, TableState]:
-    """Time [s] until the table is in motion, and the state of the table after the dwell. A motion that the table cannot execute
-    becomes a finding at the position of the motion in the plan.
+    """Returns the time [s] until the table is in motion, and the state of the table after the dwell. A motion that the table cannot
+    execute becomes a finding at the position of the motion in the plan.
 
     `input_axes`: array of shape (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not
     known. `at`: returns the mark of one of the motion's keys in the plan or, for an empty key, the mark of the whole motion.

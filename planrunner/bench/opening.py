@@ -1,4 +1,4 @@
-"""The connected bench: its instruments by role and name, its clock, and the way to make it safe.
+"""Connects a bench: its instruments by role and name, and its clock; and makes it safe.
 
 Only the instruments that this process took control of are made safe. Connecting to an instrument does not count as commanding it:
 an instrument that someone else started must not be stopped. When the bench is made safe, each instrument is tried in the bench's
@@ -36,7 +36,7 @@ from planrunner.physics.earth import Site
 
 
 class NotSafeError(InstrumentError):
-    """The error for a bench on which something could not be brought to its safe state."""
+    """Reports that something on a bench could not be brought to its safe state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class OpenBench:
 
     @property
     def untouched(self) -> tuple[str, ...]:
-        """The instruments that were never commanded and are therefore left as they were."""
+        """Returns the instruments that were never commanded and are therefore left as they were."""
         return tuple(name for name in self.instruments if name not in self._controlled)
 
     def make_safe(self) -> list[SafetyFailure]:
@@ -152,7 +152,7 @@ class OpenBench:
 
 
 def real_clock(bench: Bench) -> WallClock:
-    """A clock of real time; if a separate process simulates the bench, a clock at the speed of that process."""
+    """Returns a clock of real time. If a separate process simulates the bench, returns a clock at the speed of that process."""
     if bench.simulation is None:
         return WallClock()
     drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}
@@ -212,7 +212,7 @@ def guarded_bench(
     seed: int | None = None,
     notice: Announce | None = None,
 ) -> Iterator[OpenBench]:
-    """The connected bench for the duration of a `with` block. At the end of the block, the bench is made safe and closed.
+    """Connects the bench for the duration of a `with` block. At the end of the block, the bench is made safe and closed.
 
     `bench_file`: the exact bytes of the bench file, which the watchdog uses to connect. `shown`: name of the bench file in
     messages. `notice`: receives the progress of work before the run, as in `open_bench`. Raises `InputError` if another run holds

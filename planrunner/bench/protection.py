@@ -1,4 +1,4 @@
-"""Protection of a bench: limits that its instruments enforce themselves and that plans must not exceed.
+"""Protects a bench: its instruments enforce limits themselves, and plans must not exceed these limits.
 
 Instruments that support limits receive them before the first move. planrunner also compares its own readings with these limits.
 """
@@ -60,8 +60,8 @@ PROTECTION = RecordOf(Protection, _check)
 
 
 def kept_table(table: TableModel, protection: Protection) -> TableModel:
-    """The table with the limits that plans must observe. A limit is that of the table or that of the protection, whichever is
-    lower."""
+    """Returns the table with the limits that plans must observe. A limit is that of the table or that of the protection, whichever
+    is lower."""
     rate = math.inf if protection.rate is None else protection.rate.value
     acceleration = math.inf if protection.acceleration is None else protection.acceleration.value
     axes = tuple(
@@ -76,8 +76,8 @@ def kept_table(table: TableModel, protection: Protection) -> TableModel:
 
 
 def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
-    """The chamber with the temperature range that plans must observe: its own range, narrowed to the range that the protection
-    permits."""
+    """Returns the chamber with the temperature range that plans must observe: its own range, narrowed to the range that the
+    protection permits."""
     coldest, hottest = protection.coldest, protection.hottest
     return replace(
         chamber,
@@ -87,7 +87,7 @@ def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
 
 
 def own_limits(protection: Protection) -> OwnLimits:
-    """The limits of the protection that the instruments themselves must enforce."""
+    """Returns the limits of the protection that the instruments themselves must enforce."""
 
     def si(quantity: Quantity | None) -> float | None:
         return None if quantity is None else quantity.value

@@ -12,8 +12,8 @@ REACHED_BY = ("address", "port", "baud", "timeout")
 
 
 def other_than_reached(first: bytes, second: bytes, shown: tuple[str, str]) -> list[str]:
-    """The keys in which two bench files differ, such as instruments.table.axes. The addresses of instruments are not compared.
-    `shown`: names of the two files, for messages. Raises `InputError` for a file that cannot be read."""
+    """Returns the keys in which two bench files differ, such as instruments.table.axes. The addresses of instruments are not
+    compared. `shown`: names of the two files, for messages. Raises `InputError` for a file that cannot be read."""
     one, other = (
         source.plain(source.parse(source.decode(data, name), name))
         for data, name in zip((first, second), shown, strict=True)

@@ -1,4 +1,4 @@
-"""Names for the address of an instrument on this computer: two addresses of the same instrument have a name in common.
+"""Gives names to the address of an instrument on this computer. Two addresses of the same instrument have a name in common.
 
 A serial port has several names (`/dev/ttyUSB0`, a link in `/dev/serial/by-id`, `ASRL/dev/ttyUSB0::INSTR`; `COM3` and `ASRL3::INSTR`), and
 so has a network host. If an instrument has two connections, such as GPIB and network or two ports of a host, their addresses have no name
@@ -24,9 +24,9 @@ _HOST_AND_PORT = re.compile(r"\[?([^\]/]+)\]?:(\d+)/?")
 
 
 def names_of(address: str) -> frozenset[str]:
-    """All names under which the instrument at `address` can be addressed on this computer. An address is a VISA resource, a serial
-    port as pyserial names it, or a text that only its driver understands, which is then the only name. The result is never empty;
-    an unknown host keeps its name."""
+    """Returns all names under which the instrument at `address` can be addressed on this computer. An address is a VISA resource, a
+    serial port as pyserial names it, or a text that only its driver understands, which is then the only name. The result is never
+    empty; an unknown host keeps its name."""
     text = address.strip()
     if found := _SOCKET.fullmatch(text):
         return _of_host(found[1], f"port {int(found[2])}")
@@ -89,7 +89,7 @@ def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
 
 
 def windows_port(name: str, numbered: bool = False) -> frozenset[str]:
-    r"""One name for a Windows port that can be written as `\\.\com3`, as `COM3` or, in a VISA resource, as `3`."""
+    r"""Returns one name for a Windows port that can be written as `\\.\com3`, as `COM3` or, in a VISA resource, as `3`."""
     plain = name.upper().removeprefix("\\\\.\\")
     return frozenset({f"COM{plain}" if numbered and plain.isdecimal() else plain})
 

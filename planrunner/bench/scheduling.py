@@ -35,7 +35,8 @@ Add = Callable[[str, Mark, str, str], None]
 
 
 def wait_of(stated: Quantity | StabilitySpec | None) -> tuple[float, Stability | None]:
-    """Planned time [s] of a `settle` or `soak`, and the condition of stability if the plan states one (otherwise None)."""
+    """Returns the planned time [s] of a `settle` or `soak`. Also returns the condition of stability if the plan states one,
+    otherwise None."""
     if not isinstance(stated, StabilitySpec):
         return (0.0 if stated is None else stated.value), None
     duration = stated.for_.value

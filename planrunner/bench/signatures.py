@@ -69,7 +69,7 @@ class SigningSpec(Record):
 
 
 class TimeStampsSpec(Record):
-    """The authority that issues the time stamps of the bench."""
+    """Describes the authority that issues the time stamps of the bench."""
 
     url: str = key(
         Text(r"https?://[^\x00-\x20]{1,300}", "an address that begins with http:// or https://"),

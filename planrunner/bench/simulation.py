@@ -1,4 +1,4 @@
-"""A bench that a separate process simulates at the addresses in the bench file, and the requests to that process.
+"""Communicates with a separate process that simulates a bench at the addresses in the bench file.
 
 A run on such a bench uses the clock of the process, which may run faster than real time. Real instruments never answer at these addresses,
 so nothing real is ever controlled by such a clock.
@@ -18,7 +18,7 @@ _PATIENCE = 30.0  # s for an answer, which a busy computer may delay
 
 
 class SimulationSpec(Record):
-    """The bench that `planrunner simulate-bench` serves at the addresses."""
+    """Describes the bench that `planrunner simulate-bench` serves at the addresses."""
 
     bench: str = key(
         Text(),

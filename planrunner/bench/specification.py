@@ -1,4 +1,4 @@
-"""The specification of a sensor: limits of its constant errors, as declared or as usual for its grade.
+"""Describes the specification of a sensor: limits of its constant errors, as declared or as usual for its grade.
 
 A diagnosis compares its results with these limits. This comparison is necessary because the simulation fits biases and scale
 factors: even a very large value leaves no gap between simulation and measurement. If the bench file declares no limits, the usual
@@ -25,7 +25,7 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 
 
 class Sense(Enum):
-    """The quantity that a sensor measures, which decides which limits apply."""
+    """States the quantity that a sensor measures, which decides which limits apply."""
 
     RATE = "angular rate"
     FORCE = "specific force"
@@ -46,9 +46,9 @@ SENSES: Mapping[str, Sense] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Grade:
-    """The usual limits of one grade of sensors. `quietest`: smallest usual white noise. For a gyro, it is the angle random walk in
-    deg/√h; for an accelerometer, it is the one-sided density in µg/√Hz. `usual`: the usual limits of the terms in `SENSES`, in the
-    same order."""
+    """States the usual limits of one grade of sensors. `quietest`: smallest usual white noise. For a gyro, it is the angle random
+    walk in deg/√h; for an accelerometer, it is the one-sided density in µg/√Hz. `usual`: the usual limits of the terms in `SENSES`,
+    in the same order."""
 
     name: str
     quietest: Mapping[Sense, float]
@@ -75,12 +75,13 @@ GRADE_NAMES = tuple(grade.name for grade in GRADES)
 
 
 def grade_of(sense: Sense, noise: float) -> Grade:
-    """The lowest grade in which sensors with such low noise are usual. `noise`: the white noise in the unit of `Grade.quietest`."""
+    """Returns the lowest grade in which sensors with such low noise are usual. `noise`: the white noise in the unit of
+    `Grade.quietest`."""
     return next(grade for grade in reversed(GRADES) if grade.quietest[sense] <= noise)
 
 
 class Specification(Record):
-    """Limits of the constant errors of every axis, as the data sheet states them."""
+    """Contains the limits of the constant errors of every axis, as the data sheet states them."""
 
     grade: str | None = optional(
         Choice(GRADE_NAMES),

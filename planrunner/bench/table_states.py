@@ -31,7 +31,7 @@ _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this
 
 @dataclass(frozen=True, slots=True)
 class TableState:
-    """State of the table: joint angles [rad], the outermost joint first, and the time [s] to come to rest.
+    """Contains the state of the table: joint angles [rad], the outermost joint first, and the time [s] to come to rest.
 
     `roughly`: index of a joint that a motion has left at an angle known only approximately; None if every joint is at its commanded
     angle. `below`, `above`: largest negative and largest positive deviation [rad] of each joint from `joints`; empty if the angles
@@ -46,11 +46,11 @@ class TableState:
     others: tuple[Array, ...] = ()
 
     def still(self) -> TableState:
-        """The same state of the table, except that the table is at rest."""
+        """Returns the same state of the table, except that the table is at rest."""
         return replace(self, stopping=0.0) if self.stopping else self
 
     def starts(self) -> list[Array]:
-        """Joint angles at which the table may be when the next motion begins, the planned ones first."""
+        """Returns the joint angles at which the table may be when the next motion begins, the planned ones first."""
         centres = [self.joints, *self.others]
         grids = {grid.tobytes(): grid for grid in map(self._around, centres)}
         return centres + [start for grid in grids.values() for start in grid]
@@ -74,8 +74,8 @@ class TableState:
     def ended(
         self, axes: Sequence[TableAxis], joint: int, angle: float, misses: tuple[float, float], stopping: float
     ) -> TableState:
-        """The state after a motion that turns a joint by `angle` [rad]. `misses`: largest negative and positive deviation [rad] of
-        the angle at the end of the motion."""
+        """Returns the state after a motion that turns a joint by `angle` [rad]. `misses`: largest negative and positive deviation
+        [rad] of the angle at the end of the motion."""
         turn = np.zeros(len(self.joints))
         turn[joint] = angle
         low, high = list(self.below or (0.0,) * len(axes)), list(self.above or (0.0,) * len(axes))
@@ -90,7 +90,8 @@ class TableState:
         return TableState(joints, stopping, roughly, tuple(low), tuple(high), others)
 
     def oriented(self, axes: Sequence[TableAxis], attitude: Array, azimuth: float) -> tuple[TableState, float]:
-        """The state after the move to an attitude (3, 3), and the time [s] of the move from the planned angles.
+        """Returns the state after the move to an attitude, and the time [s] of the move from the planned angles. The attitude has
+        the shape (3, 3).
 
         Raises `Unreachable` with the reason, also if the attitude cannot be reached from one of the angles at which the table may
         be.
@@ -128,7 +129,8 @@ class TableState:
 
 
 def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]:
-    """The largest negative and positive deviation [rad] from the planned end of a spin at `rate` [rad/s] through `angle` [rad].
+    """Returns the largest negative and the largest positive deviation [rad] from the planned end of a spin at `rate` [rad/s]
+    through `angle` [rad].
 
     `sooner`: time [s] by which the spin may end early, because its settling depends on measurements.
     """

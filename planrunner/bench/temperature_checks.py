@@ -1,5 +1,5 @@
-"""Checks of temperatures: the range of the chamber, ramps that end before the target, and soaks that are too short for a sensor
-whose temperature lags behind the air."""
+"""Checks temperatures: the range of the chamber, ramps that end before the target, and soaks that are too short for a sensor whose
+temperature lags behind the air."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The watchdog from planrunner's side: a separate process that makes the bench safe if planrunner no longer can.
+"""Starts and feeds the watchdog, a separate process that makes the bench safe if planrunner no longer can.
 
 It is started before the first instrument is connected. It receives the names of the instruments that the run controls, and a
 heartbeat about every second. It ends when the run reports that the bench is safe. If the connection ends in any other way, it acts

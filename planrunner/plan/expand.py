@@ -24,7 +24,7 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 
 @dataclass(frozen=True, slots=True)
 class StatedSegment:
-    """One segment of a plan: its state, which includes the inherited keys, and the position of each value in the file.
+    """Contains one segment of a plan: its state, which includes the inherited keys, and the position of each value in the file.
 
     `prompts`: prompts to the operator that precede the segment, in order, each with its position in the file. `conditioning`: True
     if the plan declares that the segment only brings the sensor to a state. `sound`: False if the state is not known completely:

@@ -212,7 +212,7 @@ Sign = Literal["any", "positive", "not negative"]
 
 
 def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: str = "") -> bool:
-    """Whether a quantity has the required sign; adds a finding if it does not. `name`: the key that the finding names."""
+    """Returns True if a quantity has the required sign; adds a finding if it does not. `name`: the key that the finding names."""
     if sign == "any" or quantity.value > 0 or (sign == "not negative" and quantity.value == 0):
         return True
     hint = "write zero or more" if sign == "not negative" else "write a value above zero"
@@ -223,7 +223,7 @@ def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: st
 
 @dataclass(frozen=True, slots=True)
 class QuantityOf:
-    """A number with a unit of the named dimension, or with any unit if the dimension is None.
+    """Reads a number with a unit of the named dimension, or with any unit if the dimension is None.
 
     `uncertain`: True if an uncertainty may be stated, which is the case if results include it. `elsewhere`: a text that says where
     to state the uncertainty; it is used if no uncertainty may be stated here.
@@ -297,7 +297,7 @@ class ListOf:
 
 @dataclass(frozen=True, slots=True)
 class MapOf:
-    """A mapping from names to values of one kind. `names`: the permitted names; if there are none, every name that matches
+    """Reads a mapping from names to values of one kind. `names`: the permitted names; if there are none, every name that matches
     `pattern` is permitted. `of_channels`: True if the names are channels of the sensor."""
 
     item: Kind
@@ -329,7 +329,7 @@ class MapOf:
 
 @dataclass(frozen=True, slots=True)
 class ByShape:
-    """A value whose kind depends on the form of the node: a scalar, a mapping and a list each have their own kind. A node is
+    """Reads a value whose kind depends on the form of the node: a scalar, a mapping and a list each have their own kind. A node is
     refused if there is no kind for its form.
 
     If scalars are read as quantities, a mapping with the key `value` is read as a quantity too.
@@ -356,7 +356,7 @@ class ByShape:
 
 @dataclass(frozen=True, slots=True)
 class WordOr:
-    """One of a few words, or a value of another kind."""
+    """Reads one of a few words, or a value of another kind."""
 
     words: tuple[str, ...]
     other: Kind
@@ -371,7 +371,8 @@ class WordOr:
 
 
 class Origin:
-    """The positions in the file at which the keys of a record stand. The mapping is empty for a record that was made in code.
+    """Contains the positions in the file at which the keys of a record stand. The mapping is empty for a record that was made in
+    code.
 
     `broken`: the keys whose values could not be read completely. `meant`: maps an absent key to the positions of the unknown keys
     that may be misspellings of the key.
@@ -417,13 +418,13 @@ class Origin:
         return marks
 
     def parts(self, key: str) -> tuple[Mark, ...]:
-        """The positions that determine the value of a key. This is the position of the value or, if the key is absent, the
+        """Returns the positions that determine the value of a key. This is the position of the value or, if the key is absent, the
         positions of the unknown keys that may be misspellings of the key."""
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
-        """The mark of a key, or of an entry in the list or mapping that is the key's value. If an entry has no mark, the mark of
-        its key is returned; if the key has no mark either, the mark of the record is returned."""
+        """Returns the mark of a key, or of an entry in the list or mapping that is the key's value. If an entry has no mark, the
+        mark of its key is returned; if the key has no mark either, the mark of the record is returned."""
         if key in self.keys:
             return self.keys[key]
         return self.keys.get(key.partition("[")[0].partition(".")[0], self.mark)
@@ -443,7 +444,7 @@ def key(
     fallback: Any = None,
     traits: object = None,
 ) -> Any:
-    """A dataclass field that is also a key of the language. Every key has a description and an example.
+    """Makes a dataclass field that is also a key of the language. Every key has a description and an example.
 
     `name`: spelling of the key in YAML, if this spelling is not a valid Python name. `fallback`: value that replaces a required
     value that is missing or wrong, so that the rest of the record can still be checked. `traits`: properties that the module of the
@@ -469,7 +470,7 @@ def optional(kind: Kind, description: str, example: object, *, name: str | None 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(key, field))
 class Record:
-    """Base of every record of the language: subclasses become frozen, keyword-only dataclasses."""
+    """Base class of every record of the language: subclasses become frozen, keyword-only dataclasses."""
 
     origin: Origin = field(default_factory=Origin, compare=False, repr=False)
 
@@ -489,7 +490,7 @@ _KEYS: dict[type[Record], Fields] = {}
 
 
 def keys_of(record: type[Record]) -> Fields:
-    """The keys of a record in the order of their declaration."""
+    """Returns the keys of a record in the order of their declaration."""
     if record not in _KEYS:
         made: Any = record
         fields = [item for item in dataclasses.fields(made) if "kind" in item.metadata]
@@ -576,7 +577,7 @@ def _meant(
 
 
 def inline(example: Any) -> str:
-    """An example value on one line, as a plan would state it."""
+    """Writes an example value on one line, as a plan would state it."""
     if isinstance(example, Mapping):
         return "{" + ", ".join(f"{name}: {inline(value)}" for name, value in example.items()) + "}"
     if isinstance(example, list | tuple):
@@ -622,7 +623,7 @@ class RecordOf:
 
 
 def object_schema(fields: Mapping[str, dataclasses.Field[Any]], closed: bool = True) -> Schema:
-    """The JSON Schema of a mapping: every key with its description and an example."""
+    """Returns the JSON Schema of a mapping: every key with its description and an example."""
     properties = {}
     for name, item in fields.items():
         meta = item.metadata
@@ -637,14 +638,14 @@ def object_schema(fields: Mapping[str, dataclasses.Field[Any]], closed: bool = T
 
 
 class Plugin(Protocol):
-    """Interface of a plug-in class for `Plugged`: it has a record of its parameters."""
+    """Defines what a plug-in class for `Plugged` must have: a record of its parameters."""
 
     Parameters: type[Record]
 
 
 @dataclass(frozen=True, slots=True)
 class Plugged:
-    """A record whose additional keys belong to the plug-in that `selector` names.
+    """Reads a record whose additional keys belong to the plug-in that `selector` names.
 
     The keys of the plug-in stand in the same mapping as the common keys, and are read into the field `parameters` of the record.
     """

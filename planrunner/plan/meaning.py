@@ -1,4 +1,4 @@
-"""Checks that concern the whole plan: labels, references between parts, limits, reports.
+"""Checks what concerns the whole plan: labels, references between parts, limits, reports.
 
 Channels named in estimates are checked against the channels of the bench's sensor. Parameters of the kind `CHANNEL` are found by their
 declaration, so the check covers estimators of plug-ins too.

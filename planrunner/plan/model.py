@@ -1,4 +1,4 @@
-"""The plan as data: the records of the language, each key with its description and an example.
+"""Describes a plan as data: the records of the language. Each key has a description and an example.
 
 The code that reads plans, the JSON Schema in `schemas/` and the key reference in `docs/` are all derived from these records.
 """
@@ -138,7 +138,7 @@ FILE_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}"
 
 
 class Sensor(Record):
-    """The sensor under test, as the plan expects it."""
+    """Describes the sensor under test, as the plan expects it."""
 
     kind: str = key(
         Text(NAME, "a sensor kind"),
@@ -154,7 +154,7 @@ class Sensor(Record):
 
 
 class MountedAxis(Record):
-    """Direction of one input axis in a tilted fixture."""
+    """States the direction of one input axis in a tilted fixture."""
 
     angle: Quantity = key(
         QuantityOf("angle", uncertain=True),
@@ -171,8 +171,8 @@ class MountedAxis(Record):
 
     @property
     def direction(self) -> tuple[float, float, float]:
-        """The direction as a unit vector in the sensor's frame, whose z axis lies along the rotation axis. An azimuth that is not
-        stated counts as zero."""
+        """Returns the direction as a unit vector in the sensor's frame, whose z axis lies along the rotation axis. An azimuth that
+        is not stated counts as zero."""
         angle, azimuth = self.angle.value, self.azimuth.value if self.azimuth else 0.0
         across = math.sin(angle)
         return across * math.cos(azimuth), across * math.sin(azimuth), math.cos(angle)
@@ -287,7 +287,7 @@ class Limit(Record):
 
 @dataclass(frozen=True, slots=True)
 class RunItem:
-    """One piece of run information that the plan asks for."""
+    """Describes one piece of run information that the plan asks for."""
 
     required: bool
     mark: Mark

@@ -32,7 +32,7 @@ _FORMS = "rate, rock, cycle and recorded"
 
 
 def motion_of(state: State, marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
-    """The motion of one segment; None after a finding was added."""
+    """Returns the motion of one segment; None after a finding was added."""
     if state.rate is not None:
         return Spin(state.rate.value) if state.rate.value else Rest()
     motion = state.motion

@@ -1,1 +1,2 @@
-"""Simulated instruments in a separate process, reached over loopback TCP and pseudo-terminals. They share no code with the drivers."""
+"""Simulates instruments in a separate process, which is reached over loopback TCP and pseudo-terminals. They share no code with the
+drivers."""

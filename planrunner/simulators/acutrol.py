@@ -1,5 +1,5 @@
-"""A simulated ACUTROL 3000 / ACT2000 controller: messages in the language ACL, a mode and demands for each axis, a status byte, an
-interlock.
+"""Simulates an ACUTROL 3000 / ACT2000 controller: messages in the language ACL, a mode and demands for each axis, a status byte,
+and an interlock.
 
 A message has the form `:Main:Sub axis,argument`, with further commands after `;`. Every word can be abbreviated. Only the commands
 that a bench uses are implemented. Any other command sets the remote-interface bit in the status byte and has no reply.
@@ -40,7 +40,7 @@ class _Held:
 
 
 class Acutrol:
-    """The controller of the axes of a simulated table; axes are numbered from 1."""
+    """Simulates the controller of a table's axes; the axes are numbered from 1."""
 
     def __init__(self, plant: TablePlant, identity: str = "ACUTRONIC,ACUTROL3000,simulated,1.0"):
         self.plant = plant

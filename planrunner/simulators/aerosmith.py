@@ -1,4 +1,5 @@
-"""A simulated Ideal Aerosmith table on a serial line: mnemonics of three letters; each command is answered by a line and a prompt.
+"""Simulates an Ideal Aerosmith table on a serial line. Commands are mnemonics of three letters; the table answers each command with
+a line and a prompt.
 
 The answer to a long motion (`JOG`, a sine) comes when the motion ends; `STO` has no answer.
 """
@@ -43,7 +44,7 @@ class Aerosmith:
             return "?"
 
     def later(self) -> list[str]:
-        """The answer to a long motion that has ended since the last call."""
+        """Returns the answer to a long motion that has ended since the last call."""
         if self.lasting and self.plant.paths.still(self.plant.live.now()):
             self.lasting = False
             return [""]

@@ -16,7 +16,7 @@ FULL_RAMP = 0.0  # asked for where the controller is to go as fast as it can
 
 
 class ChamberPlant:
-    """The air of the virtual chamber in a live world.
+    """Simulates the air of the virtual chamber in a live world.
 
     `alarms`: numbers of the active alarms. `lowest`, `highest`: limits of the measured temperature. If the temperature rises above
     `highest`, the chamber switches itself off with the alarm `OVER`; if it falls below `lowest`, with the alarm `UNDER`."""

@@ -1,4 +1,4 @@
-"""Parts of a simulated instrument that is based on messages: a reply to each message, delayed replies, and faults."""
+"""Contains what simulated instruments based on messages share: a reply to each message, delayed replies, and faults."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ class Controller(Protocol):
     """Reply to an identity query."""
 
     def answer(self, message: str) -> str | None:
-        """The reply to a message, both without terminators; None if there is no reply."""
+        """Returns the reply to a message, both without terminators; None if there is no reply."""
 
     def later(self) -> list[str]:
-        """Delayed replies that have become due since the last call; empty for instruments that reply at once."""
+        """Returns delayed replies that have become due since the last call; empty for instruments that reply at once."""
 
     def watch(self) -> None:
         """Checks the limits of the instrument. It is called many times per second."""
 
 
 def first_with(word: str, options: tuple[str, ...]) -> str:
-    """The first option that begins with `word`, whatever the case of its letters. Raises `NotUnderstoodError` if there is none."""
+    """Returns the first option that begins with `word`; upper and lower case count as equal. Raises `NotUnderstoodError` if there
+    is none."""
     found = next((option for option in options if word and option.startswith(word.lower())), None)
     if found is None:
         raise NotUnderstoodError(word)
@@ -40,6 +41,6 @@ def number(word: str) -> float:
 
 
 def shown(value: float, digits: int = 6) -> str:
-    """A number as instruments write it, without trailing zeros or the sign of zero."""
+    """Writes a number as instruments do, without trailing zeros or the sign of zero."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text

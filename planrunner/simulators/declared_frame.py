@@ -22,8 +22,8 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @dataclass(frozen=True, slots=True)
 class FieldPlace:
-    """The position and the encoding of a number in a frame. `kind`: number format, such as `i24`, `u16` or `f32`. A value v in
-    `unit` is sent as the number (v − zero)/scale."""
+    """States the position and the encoding of a number in a frame. `kind`: number format, such as `i24`, `u16` or `f32`. A value v
+    in `unit` is sent as the number (v − zero)/scale."""
 
     at: int
     kind: str
@@ -42,7 +42,7 @@ class FieldPlace:
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """The counter of a frame: its position, the counts per frame, and the value at which it restarts."""
+    """Describes the counter of a frame: its position, the counts per frame, and the value at which it restarts."""
 
     place: FieldPlace
     step: int
@@ -51,7 +51,7 @@ class Running:
 
 @dataclass(frozen=True, slots=True)
 class FrameCheck:
-    """The checksum of a frame: its algorithm, its number of bytes, and the first byte that it covers."""
+    """Describes the checksum of a frame: its algorithm, its number of bytes, and the first byte that it covers."""
 
     of: Callable[[Bytes], NDArray[np.generic]]
     width: int
@@ -119,7 +119,8 @@ def _put(frames: Bytes, at: int, column: Bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Alarms:
-    """The status word of a frame: its position, width and byte order, the meaning of its bits, and whether a set bit is good."""
+    """Describes the status word of a frame: its position, width and byte order, the meaning of its bits, and whether a set bit is
+    good."""
 
     at: int
     width: int
@@ -128,8 +129,8 @@ class Alarms:
     set_is_good: bool
 
     def told(self, ails: Collection[str]) -> tuple[int, bytes]:
-        """The position of the status word, and the bytes of the status word. `ails`: faults of the sensor. A fault affects the bits
-        whose meaning contains its name, or all bits if there are no such bits."""
+        """Returns the position of the status word and its bytes. `ails`: faults of the sensor. A fault affects the bits whose
+        meaning contains its name, or all bits if there are no such bits."""
         wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
         high = set(self.bits) - wrong if self.set_is_good else wrong
         return self.at, sum(1 << self.bits[text] for text in high).to_bytes(self.width, self.order)
@@ -137,7 +138,7 @@ class Alarms:
 
 @dataclass(slots=True)
 class DeclaredUnit:
-    """The electronics of a sensor that the bench file describes.
+    """Simulates the electronics of a sensor that the bench file describes.
 
     `units`: units of the channels of the virtual sensor. `words`: for each command line that the sensor knows, the mode to which it
     switches. `switch`: function that is called with the new mode.

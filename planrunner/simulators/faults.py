@@ -156,7 +156,7 @@ def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
 
 @dataclass(slots=True)
 class DeclaredFault:
-    """A fault with the times at which it begins and ends.
+    """Describes a fault, with the times at which it begins and ends.
 
     `begins`, `ends`: s on the bench's clock. `begun`: True if the fault has taken effect. `left`: number of replies that the fault
     still affects, None if there is no limit.
@@ -172,7 +172,7 @@ class DeclaredFault:
 
 @dataclass(slots=True)
 class FaultBoard:
-    """The faults of a simulated bench, in the order in which they were declared."""
+    """Manages the faults of a simulated bench, in the order in which they were declared."""
 
     standing: dict[int, DeclaredFault] = field(default_factory=dict)
     declared: int = 0
@@ -192,7 +192,7 @@ class FaultBoard:
                 item.ends = float("-inf")
 
     def changes(self, now: float) -> tuple[list[Fault], list[Fault]]:
-        """The faults that have begun since the last call, and the faults that have ended since then."""
+        """Returns the faults that have begun since the last call, and the faults that have ended since then."""
         begun = [item for item in self.standing.values() if not item.begun and item.begins <= now < item.ends]
         over = [item for item in self.standing.values() if now >= item.ends or item.left == 0]
         for item in begun:
@@ -202,12 +202,12 @@ class FaultBoard:
         return [item.fault for item in begun if item not in over], [item.fault for item in over if item.begun]
 
     def active(self, instrument: str, now: float) -> list[Fault]:
-        """The faults that an instrument has at the time `now`."""
+        """Returns the faults that an instrument has at the time `now`."""
         return [item.fault for item in self._active(instrument, now)]
 
     def of_reply(self, instrument: str, message: str, now: float) -> Fault | None:
-        """The fault that affects the reply to a message, or None. The reply is counted if the fault affects a limited number of
-        replies."""
+        """Returns the fault that affects the reply to a message; None if there is no such fault. The reply is counted if the fault
+        affects a limited number of replies."""
         for item in self._active(instrument, now):
             if item.fault.fault in WORDS and (item.fault.message or "") in message:
                 if item.left is not None:
@@ -220,7 +220,7 @@ class FaultBoard:
         return [item for item in mine if item.begins <= now < item.ends and item.left != 0]
 
     def told(self) -> list[JsonObject]:
-        """All declared faults that have not ended, as JSON data."""
+        """Returns all declared faults that have not ended, as JSON data."""
         return [
             {"number": item.number, "instrument": item.fault.instrument, "fault": item.fault.fault, "begun": item.begun}
             for item in self.standing.values()

@@ -38,13 +38,13 @@ def integers(
 
 
 def floats(values: NDArray[np.generic] | Sequence[float], width: int = 4, order: Order = "big") -> Bytes:
-    """IEEE 754 numbers (n,) of 4 or 8 bytes, as bytes (n, width)."""
+    """Encodes n numbers as IEEE 754 numbers of 4 or 8 bytes. Returns the bytes, shape (n, width)."""
     kind = ("<" if order == "little" else ">") + f"f{width}"
     return np.ascontiguousarray(values, dtype=kind).reshape(-1, 1).view(np.uint8)
 
 
 def constant(data: bytes, count: int) -> Bytes:
-    """A column in which every row has the same bytes."""
+    """Returns a column in which every row has the same bytes."""
     return np.broadcast_to(np.frombuffer(data, dtype=np.uint8), (count, len(data)))
 
 
@@ -106,12 +106,13 @@ CRC_8 = Crc(8, 0x07, 0xFF)
 
 
 def sum_to_zero(frames: Bytes) -> Bytes:
-    """The bytes (n,) with which the sum of each frame (n, length) becomes a multiple of 256."""
+    """Returns the byte for each frame with which the sum of the frame becomes a multiple of 256, shape (n,). The frames have the
+    shape (n, length)."""
     total: Bytes = (-frames.sum(axis=1, dtype=np.int64) & 0xFF).astype(np.uint8)
     return total
 
 
 def exclusive_or(frames: Bytes) -> Bytes:
-    """The exclusive-or (n,) of all bytes of each frame (n, length)."""
+    """Returns the exclusive-or of all bytes of each frame, shape (n,). The frames have the shape (n, length)."""
     folded: Bytes = np.bitwise_xor.reduce(frames, axis=1)
     return folded

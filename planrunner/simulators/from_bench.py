@@ -29,14 +29,14 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @runtime_checkable
 class DeclaresAxes(Protocol):
-    """The keys of a table's driver that a simulation of the table needs."""
+    """Lists those keys of a table's driver that a simulation of the table needs."""
 
     axes: Sequence[object]
 
 
 @runtime_checkable
 class DeclaresLine(Protocol):
-    """The keys of the driver of a sensor on a serial line that a simulation of the sensor needs."""
+    """Lists those keys of a sensor's driver that a simulation of the sensor needs. The sensor is on a serial line."""
 
     sample_rate: Quantity
     baud: int
@@ -55,7 +55,7 @@ class Spoken:
 
 @dataclass(frozen=True, slots=True)
 class Streamed:
-    """A simulated sensor: its electronics, its feed of samples, its address, and the bit rate of its line."""
+    """Describes a simulated sensor: its electronics, its feed of samples, its address, and the bit rate of its line."""
 
     name: str
     unit: SensorUnit
@@ -66,7 +66,7 @@ class Streamed:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """All simulated instruments at the addresses of a bench."""
+    """Contains all simulated instruments at the addresses of a bench."""
 
     live: LiveWorld
     spoken: tuple[Spoken, ...]
@@ -75,7 +75,7 @@ class Simulated:
 
 
 def simulation_of(bench: Bench) -> SimulationSpec:
-    """The value of the key `simulation` of a bench. Raises `InputError` if the bench does not have this key."""
+    """Returns the value of the key `simulation` of a bench. Raises `InputError` if the bench does not have this key."""
     if bench.simulation is None:
         message = "the bench does not name the virtual bench that is served at its addresses"
         hint = "add for example `simulation: {bench: virtual, control: 127.0.0.1:9870}`"

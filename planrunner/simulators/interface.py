@@ -1,5 +1,5 @@
-"""Interface of the simulator of an instrument. A simulator is found in the entry-point group `planrunner.simulators`, under the
-name of the instrument's driver.
+"""Defines the interface of the simulator of an instrument. A simulator is found in the entry-point group `planrunner.simulators`,
+under the name of the instrument's driver.
 
 For a table or a chamber, it is a function that returns a `Conversation`. For a sensor, it is a function that returns the
 `SensorUnit` at the end of the line. Both functions receive the driver's keys in the bench file and the virtual bench; the function

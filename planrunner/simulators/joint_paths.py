@@ -1,4 +1,5 @@
-"""The motion of each joint of a simulated table, as its controller commands it: pieces of constant acceleration, and sines.
+"""Describes the motion of each joint of a simulated table by pieces of constant acceleration and by sines. The table's controller
+commands this motion.
 
 The virtual table moves all its joints with one command. Behind a controller, a table is commanded axis by axis, and a command may
 arrive while the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is read a little later still
@@ -26,8 +27,8 @@ _KEPT = 10.0  # s for which pieces that are over are kept
 
 @dataclass(frozen=True, slots=True)
 class Glide:
-    """A piece of constant acceleration that begins at the time `begin` [s]. `angle` [rad] and `rate` [rad/s] are the values at that
-    time."""
+    """Describes a piece of constant acceleration that begins at the time `begin` [s]. `angle` [rad] and `rate` [rad/s] are the
+    values at that time."""
 
     begin: float
     angle: float
@@ -71,7 +72,7 @@ class Swing:
         return TURN * self.frequency * (2 + 2 * max(self.before, self.amplitude))
 
     def faded(self) -> float:
-        """The time from which the amplitude is constant, s."""
+        """Returns the time [s] from which the amplitude is constant."""
         return self.begin + 1 / self.frequency
 
 
@@ -80,8 +81,8 @@ PathPiece = Glide | Swing
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The pieces of one joint's motion in order of time. The last piece has no end. `arrival`: time at which the commanded state is
-    reached, s."""
+    """Contains the pieces of one joint's motion in order of time. The last piece has no end. `arrival`: time at which the commanded
+    state is reached, s."""
 
     pieces: tuple[PathPiece, ...]
     arrival: float = 0.0
@@ -91,7 +92,7 @@ class Path:
         return cls((Glide(0.0, angle),))
 
     def then(self, now: float, pieces: Sequence[PathPiece], arrival: float) -> Path:
-        """The path in which new pieces begin at the time `now`."""
+        """Returns the path in which new pieces begin at the time `now`."""
         past = [piece for piece in self.pieces if piece.begin < now]
         ends = [*(piece.begin for piece in past[1:]), now]
         kept = [piece for piece, end in zip(past, ends, strict=False) if end > now - _KEPT]
@@ -108,7 +109,7 @@ class Path:
         return next((piece for piece in reversed(self.pieces) if piece.begin <= time), self.pieces[0])
 
     def follow(self, times: Array) -> tuple[Value, Value]:
-        """Angle [rad] and rate [rad/s] at `times`; floats if the joint is at rest at all these times."""
+        """Returns the angle [rad] and the rate [rad/s] at `times`; floats if the joint is at rest at all these times."""
         first, last = self.current(float(times[0])), self.current(float(times[-1]))
         if first is last:
             if isinstance(first, Glide) and first.rate == first.acceleration == 0.0:
@@ -126,7 +127,7 @@ class Path:
     # -- commands ----------------------------------------------------------------------------------------------------
 
     def turn(self, now: float, rate: float, acceleration: float) -> Path:
-        """The path that changes to a new rate with the given acceleration."""
+        """Returns the path that changes to a new rate with the given acceleration."""
         angle, first, _ = self.state(now)
         change = (rate - first) / acceleration
         ramp = Glide(now, angle, first, math.copysign(acceleration, change))
@@ -134,7 +135,7 @@ class Path:
         return self.then(now, (ramp, Glide(there, ramp.at(there)[0], rate)), there)
 
     def go(self, now: float, target: float, rate: float, acceleration: float) -> Path:
-        """The path that comes to rest and then moves to an angle: it accelerates, turns at `rate` at most, and decelerates."""
+        """Returns the path that comes to rest and then moves to an angle: it accelerates, turns at `rate` at most, and decelerates."""
         _, first, _ = self.state(now)
         path = self.turn(now, 0.0, acceleration) if first != 0.0 else self
         start = max(now, path.arrival) if first != 0.0 else now
@@ -163,7 +164,7 @@ class Path:
 
 @dataclass(slots=True)
 class JointPaths:
-    """The motion of a simulated table in which every joint follows its own path."""
+    """Describes the motion of a simulated table in which every joint follows its own path."""
 
     kind: ClassVar[str] = "joint paths"
     paths: list[Path] = field(default_factory=list)

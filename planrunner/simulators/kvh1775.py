@@ -1,4 +1,4 @@
-"""The frames of a KVH 1775 IMU and a DSP-1760 gyro: formats A, B and C with CRC-32; and the answer to a request for the built-in
+"""Makes the frames of a KVH 1775 IMU and a DSP-1760 gyro: formats A, B and C with CRC-32. Also answers a request for the built-in
 test."""
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Kvh1775:
     format: str = "A"
 
     def length(self) -> int:
-        """The number of bytes of a frame on the line."""
+        """Returns the number of bytes of a frame on the line."""
         return _LENGTHS[self.format]
 
     def frames(self, columns: Mapping[str, Values], sequence: Values) -> Bytes:
@@ -48,6 +48,6 @@ class Kvh1775:
 
 
 def built_in_test(results: bytes) -> bytes:
-    """The answer to `?bit`: 6 bytes with results, followed by the sum of all preceding bytes."""
+    """Returns the answer to `?bit`: 6 bytes with results, followed by the sum of all preceding bytes."""
     answer = b"\xfe\x81\x00\xaa" + results
     return answer + bytes([sum(answer) & 0xFF])

@@ -1,4 +1,4 @@
-"""The virtual bench in running time: table, chamber and sensor, at a given multiple of real time.
+"""Runs the virtual bench, with table, chamber and sensor, at a given multiple of real time.
 
 The whole simulation runs in one thread. Before the virtual world is changed, all recorders are brought up to date, so that a
 command does not affect earlier samples.
@@ -42,7 +42,7 @@ class RunningClock:
 
 
 class SampledAtRate(Protocol):
-    """The keys of a sensor that has a sample rate."""
+    """States the sample rate among the keys of a sensor."""
 
     @property
     def sample_rate(self) -> Quantity: ...
@@ -89,7 +89,7 @@ _FREE_RUNNING = 2  # second part of the key of its noise: apart from those of se
 
 
 class SensorFeed:
-    """The samples of the sensor in a live world. `rate`: sample rate, Hz; each sample is a mean over its sampling interval."""
+    """Makes the samples of the sensor in a live world. `rate`: sample rate, Hz; each sample is a mean over its sampling interval."""
 
     def __init__(self, live: LiveWorld, sensor: RunsFreely, rate: float):
         self.live = live

@@ -95,7 +95,7 @@ class MessagePort:
 
 
 class TcpMessages:
-    """A message port on loopback TCP, to which several clients may be connected."""
+    """Opens a message port on loopback TCP, to which several clients may be connected."""
 
     def __init__(self, messages: MessagePort, host: str, port: int):
         self.messages, self.host, self.port = messages, host, port

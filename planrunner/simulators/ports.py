@@ -42,8 +42,8 @@ class Port(Protocol):
 
 
 class PseudoTerminal:
-    """A pseudo-terminal; a program opens its other end at the path `link`. `heard`: function that `attend` calls with the data that
-    it has received.
+    """Opens a pseudo-terminal; a program opens its other end at the path `link`. `heard`: function that `attend` calls with the
+    data that it has received.
 
     While the other end is not open, data that are written are lost, as on a line to which nobody listens."""
 
@@ -206,13 +206,13 @@ class Address:
         return cls(before, after, link=Path(name))
 
     def elsewhere(self, folder: Path, name: str) -> Address:
-        """The same address with a free port or, for a pseudo-terminal, with a link in the given folder that is named after the
-        instrument."""
+        """Returns the same address with a free port. For a pseudo-terminal, returns an address whose link is in the given folder
+        and is named after the instrument."""
         link = None if self.link is None else folder / f"{name}.port"
         return Address(self.before, self.after, self.host, 0, link)
 
     def written(self, port: int | None = None) -> str:
-        """The address as it is written in a bench file. `port`: number of the port if the system chose it."""
+        """Returns the address as it is written in a bench file. `port`: number of the port if the system chose it."""
         return f"{self.before}{self.link or port or self.port}{self.after}"
 
 

@@ -1,4 +1,4 @@
-"""Simulated sensors on a line: their frames, which contain the outputs of the virtual sensor, and their replies to commands.
+"""Simulates sensors on a line: their frames, which contain the outputs of the virtual sensor, and their replies to commands.
 
 STIM300 and KVH are in this module, Xsens and VectorNav in `navigation_units.py`, sensors with declared frames in
 `declared_frame.py`.
@@ -26,13 +26,13 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class SensorUnit(Protocol):
-    """The electronics of a sensor, between its samples and its line. `ails`: faults of the sensor (`overload`, `self-test`), which
-    its status reports as far as its frames can show them."""
+    """Simulates the electronics of a sensor, between its samples and its line. `ails`: faults of the sensor (`overload`,
+    `self-test`), which its status reports as far as its frames can show them."""
 
     ails: frozenset[str]
 
     def frames(self, block: Block) -> Bytes:
-        """The frames (n, length) of consecutive samples."""
+        """Returns the frames of consecutive samples, shape (n, length)."""
 
     def hear(self, data: bytes) -> bytes:
         """Receives bytes from the line; returns the reply, which is empty if the command is unknown."""
@@ -46,8 +46,8 @@ class Outputs:
     units: Mapping[str, str]
 
     def triad(self, block: Block, name: str, in_unit: float) -> dict[str, Array]:
-        """The outputs of the `gyro` or the `accel` triad by axis, in a unit whose SI value is `in_unit`; zero for an axis that the
-        sensor does not have."""
+        """Returns the outputs of the `gyro` or the `accel` triad by axis, in a unit whose SI value is `in_unit`; zero for an axis
+        that the sensor does not have."""
         found = {}
         for axis in "xyz":
             channel = f"{name}_{axis}"

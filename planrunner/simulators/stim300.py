@@ -1,4 +1,4 @@
-"""The frames of a STIM300 (Safran TS1524): datagrams of normal mode with CRC-32, for every datagram identifier.
+"""Makes the frames of a STIM300 (Safran TS1524): datagrams of normal mode with CRC-32, for every datagram identifier.
 
 A datagram consists of its identifier, the clusters that the identifier names (always the gyros; also accelerometers or
 inclinometers), the temperatures of the clusters, PPS or AUX, a counter, a latency and a CRC. For the CRC, zero bytes, which are not
@@ -49,7 +49,7 @@ class Stim300:
     crlf: bool = False
 
     def length(self) -> int:
-        """The number of bytes of a datagram on the line."""
+        """Returns the number of bytes of a datagram on the line."""
         clusters, warm, extra = DATAGRAMS[self.datagram]
         return 8 + len(clusters) * (17 if warm else 10) + (4 if extra else 0) + (2 if self.crlf else 0)
 

@@ -1,4 +1,4 @@
-"""The mechanics of a simulated table: axes that turn, move and rock within limits, an interlock, and faults that end a motion.
+"""Simulates the mechanics of a table: axes that turn, move and rock within limits, an interlock, and faults that end a motion.
 
 The mechanics are independent of any protocol. Angles are in rad, rates in rad/s, accelerations in rad/s^2.
 """
@@ -39,7 +39,7 @@ class Axis:
 
 
 class TablePlant:
-    """The axes of the virtual table in a live world."""
+    """Simulates the axes of the virtual table in a live world."""
 
     def __init__(self, live: LiveWorld):
         assert live.table is not None  # a simulated table is only made where the virtual bench has one

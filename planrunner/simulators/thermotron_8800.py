@@ -1,4 +1,4 @@
-"""A simulated Thermotron 8800 chamber controller: queries on channel 1, operations to which the reply is a code, and a stop code."""
+"""Simulates a Thermotron 8800 chamber controller: queries on channel 1, operations to which the reply is a code, and a stop code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OPERATION = re.compile(r"([A-Z]+)1,(\S+)")
 
 
 class Thermotron8800:
-    """A controller whose channel 1 is the temperature of the air in degC; ramps are in K/min."""
+    """Simulates a controller whose channel 1 is the temperature of the air in degC; ramps are in K/min."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "8800"):
         self.plant = plant

@@ -1,5 +1,5 @@
-"""The messages of a VectorNav VN-100: binary outputs with CRC-16, and lines of text whose checksum is the exclusive-or of their
-bytes."""
+"""Makes the messages of a VectorNav VN-100: binary outputs with CRC-16, and lines of text whose checksum is the exclusive-or of
+their bytes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class VectorNav:
     fields: Sequence[str] = ("time_startup", "imu", "mag_pres")
 
     def length(self) -> int:
-        """The number of bytes of a message on the line."""
+        """Returns the number of bytes of a message on the line."""
         return 6 + sum(4 * _COMMON[name][1] or 8 for name in self.fields)
 
     def frames(self, columns: Mapping[str, Values]) -> Bytes:
@@ -51,7 +51,7 @@ class VectorNav:
 
 
 def line(body: str) -> bytes:
-    """The line of text that sends, for example, `VNRRG,8`: `$VNRRG,8*4B` CR LF."""
+    """Returns the line of text that sends a command: for `VNRRG,8`, it is `$VNRRG,8*4B` CR LF."""
     check = exclusive_or(np.frombuffer(body.encode("ascii"), dtype=np.uint8)[None, :])[0]
     return f"${body}*{check:02X}\r\n".encode("ascii")
 
@@ -63,8 +63,9 @@ def measurement(
     ypr: Sequence[float] | Values,
     kind: str = "VNYMR",
 ) -> bytes:
-    """A line of text with measurements, (3,) each: `VNYMR` contains attitude [deg], magnetic field [gauss], acceleration [m/s^2]
-    and rate [rad/s]; `VNYPR`, `VNACC` and `VNGYR` contain only the attitude, the acceleration or the rate."""
+    """Writes a line of text with measurements, which are arrays of shape (3,). `VNYMR` contains attitude [deg], magnetic field
+    [gauss], acceleration [m/s^2] and rate [rad/s]; `VNYPR`, `VNACC` and `VNGYR` contain only the attitude, the acceleration or the
+    rate."""
     parts = {
         "VNYPR": [f"{value:+08.3f}" for value in ypr],
         "magnetic": [f"{value:+08.4f}" for value in magnetic],

@@ -1,4 +1,4 @@
-"""A simulated Watlow F4T chamber controller: SCPI commands for one control loop; there is no reply to a write."""
+"""Simulates a Watlow F4T chamber controller: it knows SCPI commands for one control loop, and does not reply to a write."""
 
 from __future__ import annotations
 

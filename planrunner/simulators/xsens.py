@@ -1,5 +1,5 @@
-"""The messages of an Xsens MTi on the Xbus: MTData2 packets, changes of state, and errors. Each message ends with the byte that
-makes its sum zero."""
+"""Makes the messages of an Xsens MTi on the Xbus: MTData2 packets, changes of state, and errors. Each message ends with the byte
+that makes its sum zero."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Xsens:
     items: Sequence[int] = (PACKET_COUNTER, SAMPLE_TIME_FINE, 0x4020, 0x8020, TEMPERATURE, STATUS_WORD)
 
     def length(self) -> int:
-        """The number of bytes of a packet on the line."""
+        """Returns the number of bytes of a packet on the line."""
         payload = sum(3 + self._size(item) for item in self.items)
         return payload + (5 if payload < 255 else 7)
 
@@ -58,7 +58,7 @@ class Xsens:
 
 
 def known(item: int) -> bool:
-    """True if data with this identifier, which includes a format, can be sent."""
+    """Returns True if data with this identifier, which includes a format, can be sent."""
     return item in _INTEGERS or ((item & 0xFFF0) in _COMPONENTS and item & 0xF < 4)
 
 
@@ -88,5 +88,5 @@ def short_message(identifier: int, payload: bytes = b"") -> bytes:
 
 
 def fine_time(seconds: Array) -> Array:
-    """The value of SampleTimeFine at these times [s]."""
+    """Returns the value of SampleTimeFine at these times [s]."""
     return np.floor(np.asarray(seconds) * _FINE_TICKS)
