@@ -1,5 +1,5 @@
-"""Effects that do not appear in the coefficients to which a recording is reduced (`evidence.spectrum`); all other effects change
-these coefficients. An example is a line of one frequency.
+"""Finds effects that do not appear in the coefficients to which a recording is reduced (`evidence.spectrum`); all other effects
+change these coefficients. An example is a line of one frequency.
 
 Such effects are found first and removed from the samples, so that the other effects are evaluated without them. Each of them is
 present or absent independently of the other effects, so its log evidence is added to the log evidence of the others.
@@ -37,7 +37,7 @@ _MOST = 0.3  # r above which a channel is not used: r then differs between the m
 
 @dataclass(frozen=True, slots=True)
 class RepeatedStretch:
-    """Consecutive samples of a channel, each equal to the sample before it.
+    """Describes consecutive samples of a channel, each equal to the sample before it.
 
     `channel`: index of the channel. `first`: index of the first of these samples. `count`: number of these samples.
     """
@@ -92,7 +92,7 @@ _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with 
 
 @dataclass(frozen=True)
 class Apart:
-    """Effects that were found outside the coefficients of the recording.
+    """Contains the effects that were found outside the coefficients of the recording.
 
     `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: the tones among
     these effects. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if nothing was
@@ -117,9 +117,9 @@ def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | 
 
 
 def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> list[ParameterEstimate]:
-    """Time and duration of the longest stretch of repeated samples. There is one duration if all outputs repeat their values,
-    otherwise one for each affected output. The start and the end of the stretch are each uniformly distributed over one interval
-    between samples, so the duration has the triangular distribution of their difference."""
+    """Determines when the longest stretch of repeated samples begins, and how long it lasts. There is one duration if all outputs
+    repeat their values, otherwise one for each affected output. The start and the end of the stretch are each uniformly distributed
+    over one interval between samples, so the duration has the triangular distribution of their difference."""
     step = 1 / observed.sample_rate
     longest = found.stretches[0]
     alike = {one.channel: one for one in reversed(found.stretches) if abs(one.first - longest.first) <= 1}

@@ -1,4 +1,4 @@
-"""Closure: how much smaller the gap becomes, measured on segments that were not used to choose or fit the effect.
+"""Measures how much smaller the gap becomes (closure). It uses segments with which the effect was neither chosen nor fitted.
 
 Segments are held out in groups. Each group contains segments of every kind of motion, and for each group the effect is chosen again
 from the other segments. The difference d between the predictions with and without the effect is then known exactly. The unknown is
@@ -90,8 +90,8 @@ class NotMeasured(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Repetition:
-    """By how much the effects, fitted to all segments, would reduce the gap in a repetition of the same segments. `shrinks_by`,
-    `interval_90`: as in `Closure`."""
+    """States by how much the effects, fitted to all segments, would reduce the gap in a repetition of the same segments.
+    `shrinks_by`, `interval_90`: as in `Closure`."""
 
     shrinks_by: float
     interval_90: tuple[float, float]
@@ -99,7 +99,7 @@ class Repetition:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Result of the check on held-out data, which shows how much of the gap the effects explain.
+    """Contains the result of the check on held-out data, which shows how much of the gap the effects explain.
 
     `before`, `after`: size of the held-out gap without and with the effects, in standard deviations of the noise, root mean square
     over coefficients. `shrinks_by`: relative reduction, 1 for a closed gap. `interval_90`: 90 % interval of `shrinks_by`. `reason`:
@@ -129,7 +129,7 @@ def not_measured(reason: NotMeasured) -> Closure:
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """A form of an effect, or of a set of effects, that can be chosen in a fold, which is a group of held-out segments.
+    """Describes a form of an effect, or of a set of effects, that can be chosen in a fold. A fold is a group of held-out segments.
 
     `effect`: name of the effect or set. `raw`: for each channel, the columns (M, p) of the form in magnitudes, not whitened.
     `widths`: number of columns of each effect. `probability`: probability that this form is the whole cause. `prior`: log prior
@@ -146,7 +146,7 @@ class FoldChoice:
     point: OperatingPoint | None = field(default=None, repr=False)
 
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) of the amplitudes, computed from the information (p, p) and the score (p,)."""
+        """Computes mean (p,) and covariance (p, p) of the amplitudes from the score (p,) and the information (p, p)."""
         if self.whole:
             return np.ones(1), np.zeros((1, 1))
         return best_amplitudes(gram, score, self.widths)
@@ -253,8 +253,8 @@ def choices_of(
 def whole_choices(
     weighing: Weighing, name: str, effect: Effect, forms: Sequence[tuple[Weighed, float]], probability: float
 ) -> list[FoldChoice]:
-    """The choices for an effect that its shape determines. `forms`: the forms of the effect, all with the amplitude 1, and their
-    probabilities."""
+    """Returns the choices for an effect that its shape determines. `forms`: the forms of the effect, all with the amplitude 1, and
+    their probabilities."""
     shown = [(form, share) for form, share in forms if form.trace > 0]
     acting, point = on_output(effect), None
     if acting is not None and shown:
@@ -586,9 +586,9 @@ def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure,
 def predictions(
     weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """The gap g (m,) that a known change causes in the held-out segments, its prediction d (m,), and the channel of every row.
-    `change`: array of shape (M, K), coefficients of the known change in the outputs. The function serves tests in which the true
-    gap is known. `worth`: the log Bayes factor that a choice must reach to be selected in a fold."""
+    """Computes the gap g that a known change causes in the held-out segments, and its prediction d, each of shape (m,). Also
+    returns the channel of every row. `change`: array of shape (M, K), coefficients of the known change in the outputs. The function
+    serves tests in which the true gap is known. `worth`: the log Bayes factor that a choice must reach to be selected in a fold."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
@@ -601,15 +601,16 @@ def predictions(
 
 
 def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
-    """For each fold (group of held-out segments), a mask (M,) of the coefficients that are held out."""
+    """Returns, for each fold (group of held-out segments), a mask of shape (M,) that is True for the coefficients that are held
+    out."""
     dealt = dealt_by_motion([type(motion).__name__ for motion in weighing.observed.motions])
     return [(dealt == fold)[weighing.spectrum.segment] for fold in range(FOLDS)]
 
 
 def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
-    """The number (S,) of the fold to which each segment belongs. The segments of one kind of motion are distributed over the folds
-    in turn; each new round starts one fold later. Many plans are periodic: without this shift, one fold could contain all segments
-    of one orientation."""
+    """Returns the number of the fold to which each segment belongs, shape (S,). The segments of one kind of motion are distributed
+    over the folds in turn; each new round starts one fold later. Many plans are periodic: without this shift, one fold could
+    contain all segments of one orientation."""
     order = np.argsort(np.unique(kinds, return_inverse=True)[1], kind="stable")
     place = np.arange(len(kinds))
     dealt = np.empty(len(kinds), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Comparison of a recording with two simulations of its plan: one without the effects that a diagnosis found, and one with them.
+"""Compares a recording with two simulations of its plan: one without the effects that a diagnosis found, and one with them.
 
 The recording and both simulations are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow
 changes, and the harmonics of turns and of rocking. The outputs that follow from the nominal motion are subtracted first, so that
@@ -27,7 +27,7 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """The comparison of one channel, in its `unit`.
+    """Contains the comparison of one channel, in the unit `unit`.
 
     `before`, `after`: size of the difference between the recording and a simulation without the effects (before) or with them
     (after), root mean square over the segments. Each segment contributes its mean, slow changes and harmonics. `noise`: size of the
@@ -57,7 +57,7 @@ class GapComparison:
 
     @property
     def before_sigma(self) -> float:
-        """Root mean square of `before_sigma` over the channels."""
+        """Returns the root mean square of `before_sigma` over the channels."""
         return float(np.sqrt(np.mean([one.before_sigma**2 for one in self.channels.values()])))
 
     @property
@@ -65,7 +65,7 @@ class GapComparison:
         return float(np.sqrt(np.mean([one.after_sigma**2 for one in self.channels.values()])))
 
     def to_json(self) -> JsonObject:
-        """JSON data according to `comparison` of `schemas/diagnosis.schema.json`."""
+        """Returns JSON data according to `comparison` of `schemas/diagnosis.schema.json`."""
         channels: JsonObject = {}
         for name, one in self.channels.items():
             recorded, before, after = one.means

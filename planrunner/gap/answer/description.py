@@ -18,7 +18,7 @@ from planrunner.gap.hypotheses.open_set import Line
 
 @dataclass(frozen=True, slots=True)
 class NoiseFound:
-    """Noise of a channel, in the channel's unit.
+    """Describes the noise of a channel, in the channel's unit.
 
     `white`, `declared`: standard deviation of a single sample, as found in the recording and as declared. `declared` includes the
     rounding to `declared_count`; it is 0 if no noise is declared. `count`, `declared_count`: size of one count, as found in the

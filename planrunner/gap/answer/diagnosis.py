@@ -1,5 +1,5 @@
-"""The diagnosis of a recording: where it differs from its simulation, which effect explains the difference, and by how much the gap
-shrinks.
+"""Diagnoses a recording: where it differs from its simulation, which effect explains the difference, and by how much this effect
+reduces the gap.
 
 The diagnosis has five steps. It computes spectra and noise, and projects the nominal parameters out (`weighing`). It evaluates the
 evidence for every installed effect (`candidates`), for pairs, and for patterns outside the catalogue (`posterior`, `open_set`). It
@@ -75,7 +75,7 @@ class DiagnosisOptions:
 
 @dataclass(frozen=True)
 class Grounds:
-    """Data on which a diagnosis is based, for further analysis.
+    """Contains the data on which a diagnosis is based, for further analysis.
 
     `nominal`: names of the terms that the nominal simulation fits. `choices`: the effects and sets among which the closure chooses.
     `noise`: the noise measured for the closure, None if the diagnosis names no effect that other segments can predict.
@@ -115,7 +115,7 @@ class Diagnosis:
     given: tuple[ParameterEstimate, ...] = ()
 
     def to_json(self) -> JsonObject:
-        """Plain data according to `schemas/diagnosis.schema.json`; NaN becomes null."""
+        """Returns plain data according to `schemas/diagnosis.schema.json`; NaN becomes null."""
         shut = self.closure
         plain = {
             "gap": {name: dict(entry) for name, entry in self.gap.items()},

@@ -1,5 +1,5 @@
-"""What to measure next: segments that the bench can execute and that distinguish the remaining explanations in the shortest time, or an
-instrument that the bench lacks.
+"""Proposes what to measure next: segments that the bench can execute and that distinguish the remaining explanations in the
+shortest time, or an instrument that the bench lacks.
 
 The information that a segment would give is computed before the segment is measured. Only a few seconds of each segment, with whole
 turns or periods, are sampled in the same way as the recording. The rest of the segment counts as a repetition of these seconds.
@@ -52,7 +52,7 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Information that a segment gives about P columns from K channels, in units of the noise.
+    """Contains the information that a segment gives about P columns from K channels, in units of the noise.
 
     `within`: array of shape (P, P), information per second from changes within the segment. `means`: array of shape (K, P), mean of
     each column over the segment. `noise`: array of shape (K,), white noise density of each channel. `flicker`: array of shape (K,),
@@ -67,11 +67,11 @@ class Foreseen:
 
     @cached_property
     def whole(self) -> Array:
-        """The information (P, P) for the planned dwell of the segment."""
+        """Returns the information for the planned dwell of the segment, shape (P, P)."""
         return self.information(self.segment.dwell or 0.0)
 
     def information(self, seconds: float) -> Array:
-        """The information (P, P) for a dwell of the given length [s]. Slow noise limits the information of the mean."""
+        """Returns the information for a dwell of the given length [s], shape (P, P). Slow noise limits the information of the mean."""
         slow = slow_noise.flicker(np.zeros(1), np.full(1, seconds))[0, 0]
         variance = self.noise**2 / seconds + self.flicker**2 * slow
         products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
@@ -218,7 +218,7 @@ _HELPS = 0.005  # smallest reduction of the expected loss that justifies a segme
 
 @dataclass(frozen=True)
 class SegmentProposal:
-    """Segments that a diagnosis proposes to measure next.
+    """Contains the segments that a diagnosis proposes to measure next.
 
     `segments`: the proposed segments in order; empty if nothing on the bench helps. `rivals`: names and present probabilities of
     the explanations that remain possible. `now`: expected probability of the true rival at present. `probability`: expected

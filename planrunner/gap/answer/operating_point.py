@@ -1,4 +1,4 @@
-"""How an effect on the output of the sensor changes with the nominal parameters.
+"""Computes how an effect on the output of the sensor changes with the nominal parameters.
 
 A dead zone or a limit acts on the output, so its size depends on the bias and the scale factors of the sensor. To first order in the
 nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The expansion point θ₀ are the nominal parameters at which the form of
@@ -21,9 +21,9 @@ from planrunner.gap.hypotheses.candidates import Weighing
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """The nominal parameters about which an effect on the output is linear. For each channel: `values` (q,), the nominal parameters θ₀
-    in magnitudes; `nominal` (M, q), their columns; `change` (M, q), the columns of E, multiplied by the amplitude of the effect; all
-    zero if the effect does not act on the channel."""
+    """Contains the nominal parameters about which an effect on the output is linear. For each channel: `values` (q,), the nominal
+    parameters θ₀ in magnitudes; `nominal` (M, q), their columns; `change` (M, q), the columns of E, multiplied by the amplitude of
+    the effect; all zero if the effect does not act on the channel."""
 
     values: tuple[Array, ...]
     nominal: tuple[Array, ...] = field(repr=False)
@@ -31,7 +31,7 @@ class OperatingPoint:
 
 
 def on_output(effect: Effect) -> Shaped | None:
-    """The effect if it acts on the output and its shape determines it; otherwise None."""
+    """Returns the effect if it acts on the output and its shape determines it; otherwise None."""
     acts = isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output"
     return effect if acts and isinstance(effect, Shaped) else None
 

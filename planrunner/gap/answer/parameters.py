@@ -36,7 +36,7 @@ def amplitudes(
     walking: bool = False,
     ratios: Array | None = None,
 ) -> list[ParameterEstimate]:
-    """Means and standard deviations of the amplitudes of an effect, at the most probable prior size of the amplitudes.
+    """Returns means and standard deviations of the amplitudes of an effect, at the most probable prior size of the amplitudes.
 
     `columns`: the columns that belong to this effect, if it is one of a set of effects. `walking`: True if a random walk of the
     gyros acts in addition. `ratios`: array of shape (K,), for each channel the variance of the residuals divided by the variance of
@@ -77,7 +77,8 @@ def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array |
 
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
-    """The shape of an effect and its uncertainty, computed from the evidence for each value of the shape that was evaluated."""
+    """Returns the shape of an effect and its uncertainty. Both are computed from the evidence for each value of the shape that was
+    evaluated."""
     effect = candidate.effect
     if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
         # One of a few numbers, of which the amplitudes belong to the best.
@@ -105,7 +106,7 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
 
 
 def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[ParameterEstimate]:
-    """The shape of an effect that has no amplitude, computed from its forms and their probabilities."""
+    """Returns the shape of an effect that has no amplitude. It is computed from the effect's forms and their probabilities."""
     values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
     mean = float(share @ values)
     spread = float(np.sqrt(share @ (values - mean) ** 2))
@@ -113,7 +114,7 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """The shape of an effect that has no amplitude, with a negative sign, for data that require the effect with the opposite sign.
+    """Returns the shape with a negative sign, for data that require the effect with the opposite sign. The effect has no amplitude.
     The size of the shape is the fitted amplitude times the shape of the best form. A negative delay means that the table's angle is
     delayed instead of the outputs."""
     (share,), ((variance,),) = best.amplitudes
@@ -126,8 +127,8 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
 
 
 def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterEstimate]:
-    """Parameters of an effect on the noise: white noise density or resolution of each channel of the triad, or the density of the
-    random walk."""
+    """Returns the parameters of an effect on the noise: white noise density or resolution of each channel of the triad, or the
+    density of the random walk."""
     observed, name, noise = weighing.observed, effect.id, effect.outside
     gyros = observed.of_kind("gyro")
     triad = observed.of_kind(triad_of(effect))

@@ -1,4 +1,5 @@
-"""The posterior over {none, each effect, sets of effects, unknown, sets with something else}, with fixed and published priors.
+"""Computes the posterior over {none, each effect, sets of effects, unknown, sets with something else}, with fixed and published
+priors.
 
 The evidence directly determines three probabilities: effects of the catalogue are the whole cause, they act together with something
 else, or none of them acts. The probability of effects is then divided among the sets of effects. For this division, the evidence is
@@ -65,8 +66,8 @@ class Posterior:
     sets: Mapping[str, EffectSet] = field(default_factory=dict, repr=False)
 
     def of_effects(self) -> dict[str, float]:
-        """Probability of "none", of "unknown" and of every set of effects, the most probable first. The probability of a set
-        includes the case that something else acts in addition."""
+        """Returns the probabilities of "none", of "unknown" and of every set of effects, the most probable first. The probability
+        of a set includes the case that something else acts in addition."""
         found: dict[str, float] = {}
         for name, value in self.probability.items():
             key = without_unknown(name)
@@ -75,7 +76,7 @@ class Posterior:
 
 
 def without_unknown(name: str) -> str:
-    """The name of a hypothesis without the part "something else" that acts in addition to the effects."""
+    """Returns the name of a hypothesis without the part "something else" that acts in addition to the effects."""
     return "+".join(part for part in name.split("+") if part != UNKNOWN) or UNKNOWN
 
 

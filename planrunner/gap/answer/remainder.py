@@ -1,5 +1,5 @@
-"""What a fit leaves unexplained: a goodness-of-fit test in every channel, the size of the unexplained part, and the dispersion that
-corrects evidence.
+"""Examines what a fit leaves unexplained: a goodness-of-fit test in every channel, the size of the unexplained part, and the
+dispersion that corrects evidence.
 
 The whitened residuals of a channel are compared with noise alone: the sum of their squares is tested against the χ² distribution,
 with Bonferroni's correction for the number of tests. The remainder is the part of a gap that the named effects, fitted to all
@@ -52,7 +52,8 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
 
 
 def dispersions(weighing: Weighing, known: Weighed, setting: int = 0) -> Array:
-    """Dispersion (K,) of the residuals that remain after known effects have been fitted at one setting of the noise."""
+    """Returns the dispersion of each channel's residuals, shape (K,), after known effects have been fitted at one setting of the
+    noise."""
     amplitudes = known.amplitudes_at(setting)[0]
     found, count = [], len(weighing.weights)
     for weight, columns in weighing.whitened_at(known, setting):
@@ -67,7 +68,7 @@ VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of th
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
-    """The part of a gap that the named effects do not explain.
+    """Describes the part of a gap that the named effects do not explain.
 
     `share`: size of the unexplained part divided by the size of the gap; both sizes are root mean squares without noise. It is 0 if
     noise alone explains the residuals. `times_noise`: for each channel, root mean square of the coefficients' residuals in standard
@@ -85,8 +86,8 @@ class Remainder:
 
 
 def remainder(weighing: Weighing, named: Weighed, something_else: bool = False) -> Remainder:
-    """The part of a gap that remains unexplained after the named effects have been fitted together. `something_else`: True if this
-    part follows a pattern outside the catalogue."""
+    """Determines the part of a gap that remains unexplained after the named effects have been fitted together. `something_else`:
+    True if this part follows a pattern outside the catalogue."""
     from scipy.special import chdtrc
 
     amplitudes = named.amplitudes[0]

@@ -1,4 +1,5 @@
-"""Rival explanations after a diagnosis, and the log evidence between them that further measurements are expected to give.
+"""Describes rival explanations after a diagnosis, and computes the log evidence between them that further measurements are expected
+to give.
 
 Every explanation is a linear model that predicts further recordings. It consists of the nominal parameters and of effects with normally
 distributed amplitudes. The posterior from the recording is the prior for the next measurements. If A is true, the expected log evidence
@@ -41,7 +42,7 @@ class Rival:
     def learnt(
         cls, name: str, probability: float, columns: NDArray[np.int64], prior: Array, information: Array, score: Array
     ) -> Rival:
-        """The rival with the posterior of its amplitudes after a recording. `prior`: array of shape (p,), precision of the
+        """Returns the rival with the posterior of its amplitudes after a recording. `prior`: array of shape (p,), precision of the
         amplitudes about zero before the recording, 0 for a nominal parameter. `information` (P, P) and `score` (P,): information
         matrix and score vector of the recording for all columns of all rivals, in units of the noise."""
         own = information[np.ix_(columns, columns)]
@@ -51,8 +52,8 @@ class Rival:
 
 
 def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
-    """The expected log evidence (…, R, R) for rival i against rival j from measurements with the given information (…, P, P), if i
-    is true."""
+    """Returns the log evidence for rival i against rival j that measurements are expected to give if i is true, shape (…, R, R).
+    The information of the measurements has the shape (…, P, P)."""
     size = information.shape[-1]
     covariance = [np.linalg.inv(rival.precision) for rival in rivals]
     found = np.zeros((*information.shape[:-2], len(rivals), len(rivals)))
@@ -79,8 +80,8 @@ def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
-    """The expected loss (…) after measurements with the given information (…, P, P): the expectation of −log of the probability of the
-    true rival. The best measurements have the smallest loss."""
+    """Returns the expected loss after measurements, shape (…): the expectation of −log of the probability of the true rival. The
+    information of the measurements has the shape (…, P, P). The best measurements have the smallest loss."""
     many = information.reshape(-1, *information.shape[-2:])
     at_once = max(1, _AT_ONCE // (len(rivals) * many[0].size)) if len(many) else 1
     parts = [
@@ -91,7 +92,7 @@ def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
-    """Expected posterior probability of the true rival after measurements with the given information (P, P).
+    """Returns the expected posterior probability of the true rival after measurements. Their information has the shape (P, P).
 
     The log evidence is assumed to be normal with the expectation D of `expected_evidence` and the variance 2D, as for two known signals.
     """
@@ -122,8 +123,8 @@ LEAST = 0.01  # smallest probability of an explanation
 
 @dataclass(frozen=True)
 class ExplanationPart:
-    """One effect of an explanation, in the form that fits the recording best. `prior`: prior variance of the amplitudes of the
-    effect, in magnitudes²."""
+    """Describes one effect of an explanation, in the form that fits the recording best. `prior`: prior variance of the amplitudes
+    of the effect, in magnitudes²."""
 
     effect: Effect
     weighed: Weighed
@@ -134,7 +135,7 @@ class ExplanationPart:
         return self.effect.id, self.weighed.variant.shape
 
     def on(self, observed: Observed) -> Sequence[Column]:
-        """The columns of the effect for another recording; empty if the effect cannot act in that recording."""
+        """Returns the columns of the effect for another recording; empty if the effect cannot act in that recording."""
         shape = self.weighed.variant.shape
         if isinstance(self.effect, Shaped):
             return self.effect.at(observed, float(shape or 0.0)).columns
@@ -149,7 +150,7 @@ class Explanation:
 
 
 def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Explanation]:
-    """The most probable explanations that predict different recordings, at most `MOST`.
+    """Returns the most probable explanations that predict different recordings, at most `MOST`.
 
     Effects that act only on the noise predict nothing: explanations that differ only in such effects count as one. "Unknown"
     predicts nothing, like "none": the two count as one, under the name of the more probable one.
@@ -197,8 +198,8 @@ def _size(weighed: Weighed, columns: slice) -> float:
 
 @dataclass(frozen=True)
 class Layout:
-    """All columns of several explanations: first those of the nominal parameters, then those of the effects. Each effect is
-    identified by its name and shape."""
+    """Contains all columns of several explanations: first those of the nominal parameters, then those of the effects. Each effect
+    is identified by its name and shape."""
 
     nominal: tuple[str, ...]
     parts: tuple[ExplanationPart, ...]
@@ -218,7 +219,7 @@ class Layout:
         return [len(self.coefficients), *(len(names) for names in self.names)]
 
     def columns(self, observed: Observed) -> list[Sequence[Column]]:
-        """The groups of columns for a recording: nominal parameters first, then one group for each effect."""
+        """Returns the groups of columns for a recording: nominal parameters first, then one group for each effect."""
         nominal = nominal_columns(observed, self.nominal)
         output = simulated(observed, self.nominal)
         for column, value in zip(nominal, self.coefficients, strict=True):
@@ -230,7 +231,7 @@ class Layout:
         return [nominal, *(part.on(observed) for part in self.parts)]
 
     def learnt(self, listed: Sequence[Explanation], weighing: Weighing) -> tuple[list[Rival], Array]:
-        """The posterior of the explanations, and the information (P, P) from the recording."""
+        """Returns the posterior of the explanations, and the information from the recording, shape (P, P)."""
         information, score = self._recorded(weighing)
         starts = np.concatenate(([0], np.cumsum(self.widths)))
         rivals = []

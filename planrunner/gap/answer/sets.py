@@ -40,7 +40,7 @@ PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 @dataclass(frozen=True)
 class Member:
-    """An effect of a set, in one of its forms.
+    """Describes an effect of a set, in one of its forms.
 
     `candidate`: the effect with all its forms, evaluated alone or in addition to the other effects of the set. `form`: the chosen
     form. `cost`: the log evidence that is lost by averaging over the shape of the effect, as a number that is never positive.
@@ -61,7 +61,7 @@ class Member:
 
 @dataclass(frozen=True)
 class EffectSet:
-    """A set of effects that act together.
+    """Describes a set of effects that act together.
 
     `members`: the effects, in the order of their columns. `weighed`: the evaluation of all columns together. `log_bayes`: array of
     shape (G,), log Bayes factor at each setting of the noise. `evidence`: log evidence without a random walk of the gyros.
@@ -79,7 +79,7 @@ class EffectSet:
         return key_of(member.id for member in self.members)
 
     def columns(self, name: str) -> slice:
-        """The columns of one effect of the set."""
+        """Returns the columns of one effect of the set."""
         at = [member.id for member in self.members].index(name)
         ends = np.cumsum([len(member.form.variant.columns) for member in self.members])
         return slice(int(ends[at]) - len(self.members[at].form.variant.columns), int(ends[at]))

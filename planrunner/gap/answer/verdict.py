@@ -33,7 +33,7 @@ _RIDGE = 1e-9
 
 
 def fitted(weighed: Weighed) -> list[Array]:
-    """The whitened, projected signature of an effect at its fitted amplitudes, (M,) for each channel."""
+    """Returns the whitened, projected signature of an effect at its fitted amplitudes, an array of shape (M,) for each channel."""
     return [block @ weighed.amplitudes[0] for block in weighed.by_channel]
 
 
@@ -42,7 +42,7 @@ def energy(signature: Sequence[Array]) -> float:
 
 
 def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
-    """The fraction of a signature's energy that the best of the `rivals` reproduces."""
+    """Returns the fraction of a signature's energy that the best of the `rivals` reproduces."""
     total = energy(signature)
     if total <= 0:
         return 0.0
@@ -55,7 +55,7 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def energy_beside(together: EffectSet, name: str) -> float:
-    """The fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. An
+    """Returns the fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. An
     imperfect form of the other effects cannot leave residuals with this energy."""
     weighed, own = together.weighed, together.columns(name)
     amplitudes, _ = weighed.amplitudes
@@ -67,8 +67,8 @@ def energy_beside(together: EffectSet, name: str) -> float:
 
 
 def shared(best: Sequence[Weighed]) -> Array:
-    """The confusability ρ(A|B) before data are recorded, one row for each A. It is averaged over amplitudes from A's prior: ρ =
-    tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
+    """Computes the confusability ρ(A|B) before data are recorded, one row for each A. It is averaged over amplitudes from A's
+    prior: ρ = tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
     parts = [slice(low, high) for low, high in pairwise(bounds)]
     blocks = [np.hstack(channel) for channel in zip(*(item.by_channel for item in best), strict=True)]
@@ -82,8 +82,8 @@ def shared(best: Sequence[Weighed]) -> Array:
 
 
 def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
-    """Names of all candidates that have a signature, and their ρ(A|B), each at its most probable shape; the matrix has one row for
-    each A."""
+    """Returns the names of all candidates that have a signature, and the matrix of their ρ(A|B), each at its most probable shape.
+    The matrix has one row for each A."""
     present = [candidate for candidate in candidates if np.isfinite(candidate.log_bayes).any()]
     return [c.id for c in present], shared([candidate.best for candidate in present])
 
@@ -118,8 +118,8 @@ def _most(log_evidence: Mapping[str, float], among: Collection[str], least: floa
 
 
 def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
-    """Hypotheses, each with its probability relative to that of `best`, at most 1. Hypotheses that explain clearly more of the gap
-    than `best` are left out."""
+    """Returns hypotheses, each with its probability relative to that of `best`, at most 1. Hypotheses that explain clearly more of
+    the gap than `best` are left out."""
     away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
@@ -152,12 +152,12 @@ class Verdict:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The effects of the cause, followed by the effects on the noise that act in addition."""
+        """Returns the effects of the cause, followed by the effects on the noise that act in addition."""
         return self.effects + self.noise
 
     @property
     def key(self) -> str:
-        """The name of the hypothesis that the verdict states."""
+        """Returns the name of the hypothesis that the verdict states."""
         return key_of([*self.effects, *([UNKNOWN] if self.something_else else [])]) if self.effects else self.kind
 
 
@@ -214,9 +214,9 @@ def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | Non
 
 
 def ambiguity_set(probability: Mapping[str, float], said: Verdict) -> list[str]:
-    """The most probable hypotheses, in descending order, up to a total probability of 95 %; and, if it is not among them, the
-    hypothesis of the verdict. The verdict may be less probable than these hypotheses if the residuals count as form residue, or if
-    "none" is so probable that nothing is named."""
+    """Returns the most probable hypotheses, in descending order, up to a total probability of 95 %. The hypothesis of the verdict
+    is added if it is not among them. The verdict may be less probable than these hypotheses if the residuals count as form residue,
+    or if "none" is so probable that nothing is named."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)

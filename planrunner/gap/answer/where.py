@@ -43,7 +43,7 @@ _NEAR = math.sqrt(2 - 2 * 0.999)
 
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
-    """A part of the recording in which the gap appears.
+    """Describes a part of the recording in which the gap appears.
 
     `share`: fraction of the energy above the noise. Every factor divides the same energy: the shares of one factor, over all
     channels, add up to at most 1; shares of different factors overlap. `of`: the quantity of which `share` is a fraction. It is
@@ -228,7 +228,7 @@ class UnknownForm:
     points: tuple[FormPoint, ...]
 
     def to_json(self) -> JsonObject:
-        """JSON data according to `unknown_form` of `schemas/diagnosis.schema.json`."""
+        """Returns JSON data according to `unknown_form` of `schemas/diagnosis.schema.json`."""
         return {
             "pattern": self.pattern,
             "factor": self.factor.value,
@@ -243,7 +243,7 @@ class UnknownForm:
 
 
 def unknown_form(weighing: Weighing, found: Posterior) -> UnknownForm | None:
-    """The form of the most probable pattern outside the catalogue; None if no channel shows a pattern."""
+    """Returns the form of the most probable pattern outside the catalogue; None if no channel shows a pattern."""
     usual = [pattern for pattern, value in found.kinds.items() if np.isfinite(value) and pattern in found.by_channel]
     if not usual:
         return None

@@ -1,2 +1,2 @@
-"""Evidence: whitens a recording with its noise, and evaluates how much better certain amplitudes explain the recording than no
-amplitudes do."""
+"""Whitens a recording with its noise, and evaluates how much better certain amplitudes explain the recording than no amplitudes do
+(evidence)."""

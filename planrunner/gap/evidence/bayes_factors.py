@@ -30,8 +30,8 @@ misalignment of the sensor, which are seldom larger."""
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """The log Bayes factor averaged over λ, for stacked arrays gram (…, p, p) and score (…, p), in units of the prior magnitudes (D
-    = I).
+    """Computes the log Bayes factor, averaged over λ, for stacked arrays gram (…, p, p) and score (…, p). The arrays are in units
+    of the prior magnitudes (D = I).
 
     `trace`: energy of an effect with the amplitude 1, which scales the grid of s²; by default it is tr(gram) of the first element.
     """
@@ -46,15 +46,15 @@ def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
 
 
 def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """The log Bayes factor (…, E) at each point of the grid of s²."""
+    """Computes the log Bayes factor at each of the E points of the grid of s², shape (…, E)."""
     values, vectors = np.linalg.eigh(gram)
     along = np.einsum("...ji,...j->...i", vectors, score) ** 2
     return from_eigen(np.maximum(values, 0.0), along, trace)
 
 
 def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array:
-    """The log Bayes factor (…, E) at each point of the grid of s², from eigenvalues (…, p) of the Gram matrix and squared scores
-    (…, p) along its eigenvectors."""
+    """Computes the log Bayes factor at each of the E points of the grid of s², shape (…, E). The arguments are the eigenvalues (…,
+    p) of the Gram matrix, and the squared scores (…, p) along its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
     s2 = ENERGIES[:, None] / max(trace, 1e-300)
@@ -68,7 +68,7 @@ def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array
 
 
 def gaussian(grown: Array, gain: Array) -> Array:
-    """The log Bayes factor (…) of amplitudes θ with the prior N(0, s²·D); amplitudes of any energy count.
+    """Computes the log Bayes factor of amplitudes θ with the prior N(0, s²·D), shape (…); amplitudes of any energy count.
 
     `grown`: array of shape (…, p): 1 + s²·λ for each eigenvalue λ of the Gram matrix. `gain`: array of shape (…, p): s² multiplied
     by the squared score and divided by `grown`."""
@@ -76,7 +76,7 @@ def gaussian(grown: Array, gain: Array) -> Array:
 
 
 def strong_enough(mean: Array, variance: Array) -> Array:
-    """The log probability that an energy with the given mean and variance is at least `WEAKEST`."""
+    """Returns the log probability that an energy with the given mean and variance is at least `WEAKEST`."""
     from scipy.special import gammaincc
 
     variance = np.maximum(variance, 1e-300)
@@ -86,22 +86,23 @@ def strong_enough(mean: Array, variance: Array) -> Array:
 
 
 def held_log_bayes_factor(gram: Array, score: Array) -> Array:
-    """The log Bayes factor (…) of an amplitude with the prior N(1, `GAIN`²), from its information `gram` (…) and its score (…)."""
+    """Computes the log Bayes factor of an amplitude with the prior N(1, `GAIN`²) from its information `gram` and its score. All
+    arrays have the shape (…)."""
     precision = 1 / GAIN**2
     grown = gram + precision
     return np.asarray(0.5 * ((score + precision) ** 2 / grown - precision - np.log(grown / precision)))
 
 
 def held_amplitude(gram: float, score: float) -> tuple[float, float]:
-    """Posterior mean and variance of an amplitude with the prior N(1, `GAIN`²)."""
+    """Returns the posterior mean and variance of an amplitude with the prior N(1, `GAIN`²)."""
     precision = 1 / GAIN**2
     return (score + precision) / (gram + precision), 1 / (gram + precision)
 
 
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
-    """The change of the log Bayes factor if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of N(0,
-    s²). `scales`: array of shape (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density at
-    amplitude 1 (Dickey, Ann. Math. Stat. 42, 1971)."""
+    """Computes how the log Bayes factor changes if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of
+    N(0, s²). `scales`: array of shape (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density
+    at amplitude 1 (Dickey, Ann. Math. Stat. 42, 1971)."""
     at = np.asarray(held)
     covariance = np.linalg.inv(gram + np.diag(1 / scales))
     away = 1 - (covariance @ score)[at]
@@ -112,7 +113,8 @@ def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) ->
 
 
 def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:
-    """Posterior mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes.
+    """Returns the posterior mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their
+    magnitudes.
 
     `widths`: number of columns of each effect if the columns belong to several effects, each with a separate s².
     """
@@ -121,8 +123,8 @@ def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tu
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
-    """The most probable s² (p,) of the effect to which each column belongs. The s² are found effect by effect, while the s² of the
-    other effects are fixed."""
+    """Returns, for each of p columns, the most probable s² of the effect to which the column belongs. The s² are found effect by
+    effect, while the s² of the other effects are fixed."""
     ends = np.cumsum(widths or (len(score),))
     parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
     traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]
@@ -151,9 +153,9 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
 def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
-    """The log Bayes factor that any number of effects act together. Each effect has a separate s², averaged over the grid
-    `energies`, and at least the strength `WEAKEST`. `near`: array of shape (p,), s² with which the search for the most probable s²
-    starts.
+    """Computes the log Bayes factor for the hypothesis that several effects act together. Each effect has a separate s², averaged
+    over the grid `energies`, and at least the strength `WEAKEST`. `near`: array of shape (p,), s² with which the search for the
+    most probable s² starts.
 
     A grid over all s² together would have one dimension for each effect. Instead, the most probable s² are found for one effect at
     a time, and the average over the s² of each effect is computed with the other s² fixed at their most probable values. This is
@@ -177,7 +179,8 @@ def set_log_bayes_factor(
 
 
 def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
-    """The log Bayes factor (G,) of Gaussian amplitudes with fixed s² (p,), for stacked arrays gram (G, p, p) and score (G, p)."""
+    """Computes the log Bayes factor of Gaussian amplitudes with fixed s² (p,), for stacked arrays gram (G, p, p) and score (G, p).
+    Returns an array of shape (G,)."""
     root = np.sqrt(scales)
     inner = np.eye(len(root)) + root[:, None] * gram * root
     along = root * score
@@ -212,7 +215,7 @@ def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) 
 
 
 def log_mean_exp(values: Array, axis: int, weights: Array | None = None) -> Array:
-    """The logarithm of the mean of exp(values) along an axis; `weights`, if given, must have the sum 1."""
+    """Returns the logarithm of the mean of exp(values) along an axis; `weights`, if given, must have the sum 1."""
     top = np.max(values, axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     grown = np.exp(values - top)

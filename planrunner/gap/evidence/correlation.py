@@ -20,26 +20,26 @@ _LEAST = 1e-3  # least variance of a coefficient, relative to its own, that the 
 
 @dataclass(frozen=True)
 class Blocks:
-    """One matrix for each of S segments. `size`: number of coefficients of each segment. `matrix`: array of shape (S, m, m), padded
-    with the identity."""
+    """Contains one matrix for each of S segments. `size`: number of coefficients of each segment. `matrix`: array of shape (S, m,
+    m), padded with the identity."""
 
     size: Sequence[int]
     matrix: Array
 
     @classmethod
     def diagonal(cls, size: Sequence[int], value: Array) -> Blocks:
-        """Diagonal blocks with one value (S,) for each segment."""
+        """Makes diagonal blocks with one value for each of the S segments."""
         whole = np.tile(np.eye(max(size)), (len(size), 1, 1))
         inside = np.arange(max(size)) < np.asarray(size)[:, None]
         return cls(size, whole * np.where(inside, value[:, None], 1.0)[:, None, :])
 
     def of_segment(self, index: int) -> Array:
-        """The block (n, n) of one segment, as a view."""
+        """Returns the block of one segment as a view, shape (n, n)."""
         return self.matrix[index, : self.size[index], : self.size[index]]
 
     @property
     def variances(self) -> Array:
-        """The diagonal (M,), in the order of the coefficients."""
+        """Returns the diagonal in the order of the coefficients, shape (M,)."""
         return np.concatenate([np.diag(self.of_segment(index)) for index in range(len(self.size))])
 
     @property
@@ -52,7 +52,7 @@ class Blocks:
         return Blocks(self.size, self.matrix * value)
 
     def plus(self, variances: Array) -> Blocks:
-        """The blocks after variances (M,) have been added to the diagonal."""
+        """Returns the blocks after variances (M,) have been added to the diagonal."""
         made, first = Blocks(self.size, self.matrix.copy()), 0
         for index, count in enumerate(self.size):
             at = np.arange(count)
@@ -93,7 +93,7 @@ class Correlation:
         return out
 
     def among(self, rows: NDArray[np.bool_]) -> Correlation:
-        """The correlations of the rows that a mask (M,) selects, for coefficients (M, …) that are zero in all other rows."""
+        """Returns the correlations of the rows that a mask (M,) selects. The coefficients (M, …) are zero in all other rows."""
         made = Correlation.__new__(Correlation)
         made._rows, made._inside, made.count = self._rows, self._inside, self.count
         chosen = rows[self._rows] & self._inside

@@ -1,4 +1,4 @@
-"""Evidence for the effects that act only on the noise. It compares white noise and resolution with their declarations.
+"""Computes the evidence for the effects that act only on the noise. It compares white noise and resolution with their declarations.
 
 A declaration can be wrong: with probability 0.8 it is correct within a few per cent. Otherwise it is wrong by up to a factor of
 two, either by the same factor in all channels or by a different factor in each triad. Only larger deviations, or deviations of the
@@ -28,8 +28,9 @@ CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not 
 
 
 def counts(observed: Observed) -> Array:
-    """The size (K,) of one count of each channel. The declared count is returned unless the recording shows a coarser count. If the
-    values are not multiples of the declared count, the count found in the recording is returned, or 0 if there is none."""
+    """Returns the size of one count of each channel, shape (K,). The declared count is returned unless the recording shows a
+    coarser count. If the values are not multiples of the declared count, the count found in the recording is returned, or 0 if
+    there is none."""
     found = []
     for index, channel in enumerate(observed.channels):
         step = channel.resolution
@@ -48,7 +49,7 @@ Level = Literal["declared", "white", "resolution"]
 
 
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
-    """Log densities of the white levels for all combinations of the noise states of the gyros and of the accelerometers.
+    """Computes log densities of the white levels for all combinations of the noise states of the gyros and of the accelerometers.
 
     If the noise of a triad, declared or measured, is too small to dither its counts, there is no white level to compare. The white
     level of this triad is then assumed to deviate from its declaration as much as the level of the other triad. If neither triad
@@ -118,8 +119,8 @@ def _excess(
 
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
-    """The log Bayes factor (K,) that the white noise of a channel is larger than declared. The alternative is that the declaration
-    is right or has a usual error."""
+    """Returns the log Bayes factor for a white noise that is larger than declared, for each channel, shape (K,). The alternative is
+    that the declaration is right or has a usual error."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:

@@ -1,4 +1,4 @@
-"""The noise that a recording shows within segments: its spectrum, and its level in every segment.
+"""Measures the noise that a recording shows within segments: its spectrum, and its level in every segment.
 
 The spectrum and the level are measured outside the coefficients, where no effect of the catalogue acts. Therefore noise cannot
 absorb an effect, and an effect cannot appear as noise. At the lowest frequencies, the coefficients leave little to measure. If the
@@ -44,7 +44,7 @@ _SMALLEST = (
 
 @dataclass(frozen=True)
 class NoiseWithin:
-    """Variance of the noise of each channel, relative to its white level.
+    """Contains the variance of the noise of each channel, relative to its white level.
 
     `frequency`: array of shape (B,) in Hz, centres of the bands. `weight`: array of shape (B,), number of coefficients in each
     band. `spectrum`: array of shape (2, B, K), spectra of the segments at rest and of those in motion, as the cosine transform of a
@@ -67,12 +67,13 @@ class NoiseWithin:
 
     @property
     def lowest(self) -> float:
-        """The lowest frequency at which the spectrum was measured, Hz."""
+        """Returns the lowest frequency [Hz] at which the spectrum was measured."""
         return float(self.frequency[0])
 
     @property
     def inefficiency(self) -> Array:
-        """Factor (K,) by which coloured noise makes the degrees of freedom of a sum of squares smaller than the number of samples."""
+        """Returns, for each of K channels, the number of samples divided by the degrees of freedom of a sum of their squares.
+        Coloured noise makes this factor larger than 1."""
         return np.asarray(
             (self.weight @ self.spectrum**2 * self.weight.sum() / (self.weight @ self.spectrum) ** 2).max(0)
         )
@@ -127,7 +128,7 @@ class NoiseWithin:
         return found
 
     def of_segment(self, segment: int, frequency: Array) -> Array:
-        """Variance (n, K) of the noise of a segment at frequencies (n,), Hz, relative to the white level."""
+        """Returns the variance of the noise of a segment at n frequencies [Hz], relative to the white level, shape (n, K)."""
         return np.asarray(self.level[segment] * self._relative(segment, frequency))
 
     def _relative(self, segment: int, frequency: Array) -> Array:

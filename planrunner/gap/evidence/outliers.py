@@ -52,9 +52,9 @@ class Pulses:
 def outliers(
     observed: Observed, spectrum: Spectrum, noise: NoiseWithin, white: Array, coarse: NDArray[np.bool_]
 ) -> Array | None:
-    """The errors (N, K) of the outliers, SI; None if there are none. `white`: array of shape (K,) in SI units, standard deviation
-    of the white noise of a sample. `coarse`: array of shape (K,), True for channels that are not examined, because their samples
-    show the rounding. The errors of samples that `spectrum` replaced are estimated, too."""
+    """Returns the errors of the outliers, SI, shape (N, K); None if there are no outliers. `white`: array of shape (K,) in SI
+    units, standard deviation of the white noise of a sample. `coarse`: array of shape (K,), True for channels that are not
+    examined, because their samples show the rounding. The errors of samples that `spectrum` replaced are estimated, too."""
     from scipy.fft import dct
 
     found = np.zeros_like(spectrum.remainder)

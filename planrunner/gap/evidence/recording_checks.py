@@ -1,4 +1,4 @@
-"""Checks of a recording before its diagnosis, as findings.
+"""Checks a recording before its diagnosis, and reports what it finds as findings.
 
 A finding is an error if a diagnosis would be empty or wrong. It is a warning if the diagnosis can continue, but the user should
 know about the problem.
@@ -285,7 +285,7 @@ def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def segment_means(observed: Observed, values: Array) -> Array:
-    """Means (S, K) over the segments of values (N, K)."""
+    """Computes the means of values (N, K) over the segments. Returns an array of shape (S, K)."""
     return np.array([values[part].mean(axis=0) for part in observed.segments()])
 
 

@@ -1,4 +1,4 @@
-"""Rounding errors in the means of many samples that are rounded to counts.
+"""Computes rounding errors in the means of many samples that are rounded to counts.
 
 Noise of half a count or more dithers the rounding, so that its errors average out. With smaller noise, an error remains that
 depends on the position of the mean within a count. Repetition does not average out this error. The scatter of rounded samples does
@@ -25,14 +25,14 @@ _MOST = 60  # counts that a segment at rest may reach
 
 
 def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
-    """True if the counts of a channel are so coarse that the noise does not dither the rounding. `white`: standard deviation of a
-    rounded sample; its square includes count²/12."""
+    """Returns True if the counts of a channel are so coarse that the noise does not dither the rounding. `white`: standard
+    deviation of a rounded sample; its square includes count²/12."""
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
 def dithering(sigma: Array | float) -> Array:
-    """Variance of the rounding error of the mean of many samples, divided by its value without noise. `sigma`: standard deviation
-    of the noise, in counts.
+    """Returns the variance of the rounding error in the mean of many samples, divided by its value without noise. `sigma`: standard
+    deviation of the noise, in counts.
 
     The error is a saw-tooth function of the mean's position within a count. Gaussian noise multiplies its harmonic k by
     exp(−2π²k²σ²) (Widrow and Kollár, Quantization Noise, 2008, section 19.3). Without noise, the variance is 1/12 of a squared
@@ -43,10 +43,10 @@ def dithering(sigma: Array | float) -> Array:
 
 
 def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
-    """Variance (K,) of the rounding error of the mean of many samples, SI². `white`: array of shape (K,) in SI units, standard
-    deviation of a rounded sample. `coarse`: array of shape (K,), True if the noise of a channel is too small to dither the
-    rounding. For coarse channels, the variance is averaged over the noise levels that agree with the declared noise and with the
-    counts in segments at rest. If samples were averaged over bins, their counts are unknown and are not used."""
+    """Returns the variance of the rounding error in the mean of many samples, SI², shape (K,). `white`: array of shape (K,) in SI
+    units, standard deviation of a rounded sample. `coarse`: array of shape (K,), True if the noise of a channel is too small to
+    dither the rounding. For coarse channels, the variance is averaged over the noise levels that agree with the declared noise and
+    with the counts in segments at rest. If samples were averaged over bins, their counts are unknown and are not used."""
     found = np.zeros(len(observed.channels))
     for index, channel in enumerate(observed.channels):
         count = channel.resolution

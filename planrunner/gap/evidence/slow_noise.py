@@ -1,4 +1,4 @@
-"""Slow noise: exact covariances of its means over segments, and its spectra for the remainder within a segment.
+"""Describes slow noise by the exact covariances of its means over segments, and by its spectra for the remainder within a segment.
 
 Flicker is a sum of Ornstein–Uhlenbeck processes whose correlation times are two octaves apart (Keshner, "1/f noise", Proc. IEEE 70,
 1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form.
@@ -17,8 +17,8 @@ OCTAVES = 2.0 ** np.arange(0, 15, 2)  # s, correlation times: from a second to h
 
 
 def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
-    """Covariance (S, S) of the means over the intervals [start, end] of a process with unit variance and the covariance function
-    exp(−|t − t'|/τ).
+    """Computes the covariance of the means over the intervals [start, end] of a process with unit variance and the covariance
+    function exp(−|t − t'|/τ). Returns an array of shape (S, S).
 
     A segment of length T has the variance 2(x − 1 + e^−x)/x² with x = T/τ. Two disjoint segments have the covariance e^(−gap/τ)·Π(1 −
     e^−x_i)/x_i, where gap is the time between them.
@@ -35,7 +35,7 @@ def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
 
 
 def flicker(starts: Array, ends: Array) -> Array:
-    """Covariance (S, S) of the segment means of flicker noise whose coefficient of bias instability B is 1.
+    """Computes the covariance of the segment means of flicker noise whose coefficient of bias instability B is 1, shape (S, S).
 
     Flicker noise has the one-sided density B²/(π·f), and the Allan deviation √(2·ln 2/π)·B = 0.664·B (IEEE Std 952, annex C). It is
     represented by a sum of processes of variance v whose correlation times differ by a factor r. The total density of the processes
@@ -49,8 +49,8 @@ def flicker(starts: Array, ends: Array) -> Array:
 
 
 def random_walk(starts: Array, ends: Array) -> Array:
-    """Covariance (S, S) of the segment means of a random walk with unit density (1/√s) that starts from zero at the first start
-    time.
+    """Computes the covariance of the segment means of a random walk with unit density (1/√s), shape (S, S). The walk starts from
+    zero at the first start time.
 
     The covariance of two disjoint segments is the middle time of the earlier segment. The variance for a segment of length T is its
     start time + T/3.
@@ -75,10 +75,10 @@ class SlowMeans:
 
 
 def flicker_spectrum(frequency: Array) -> Array:
-    """One-sided spectral density of the noise of `flicker` at frequencies [Hz] above zero, 1/Hz."""
+    """Returns the one-sided spectral density [1/Hz] of the noise of `flicker` at frequencies [Hz] above zero."""
     return np.asarray(1 / (math.pi * frequency))
 
 
 def random_walk_spectrum(frequency: Array) -> Array:
-    """One-sided spectral density of the noise of `random_walk` at frequencies [Hz] above zero."""
+    """Returns the one-sided spectral density of the noise of `random_walk` at frequencies [Hz] above zero."""
     return np.asarray(2 / (2 * np.pi * frequency) ** 2)

@@ -1,5 +1,5 @@
-"""The recording in the form that a diagnosis uses: a few exact coefficients for each segment and channel, and the energy of the
-remainder in each frequency band.
+"""Reduces a recording to the form that a diagnosis uses: a few exact coefficients for each segment and channel, and the energy of
+the remainder in each frequency band.
 
 The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
 and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If an encoder
@@ -52,13 +52,13 @@ class SpectralBasis:
 
     @cached_property
     def removed(self) -> Array:
-        """All columns (n, m + q) that are removed from the samples: `vectors`, followed by `latency`."""
+        """Returns all columns that are removed from the samples, shape (n, m + q): `vectors`, followed by `latency`."""
         return np.hstack([self.vectors, self.latency]) if self.latency.size else self.vectors
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The M coefficients of all segments, and the remainder of the samples.
+    """Contains the M coefficients of all segments, and the remainder of the samples.
 
     `segment`: array of shape (M,), index of the segment to which a coefficient belongs. `frequency`, `harmonic`: arrays of shape
     (M,), as in `SpectralBasis`. `means`: array of shape (S,), indices of the coefficients of order 0. `values`: array of shape (M,
@@ -86,8 +86,8 @@ class Spectrum:
     readings: Array
 
     def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
-        """The coefficients (M, P) of columns of samples (N, P). `acting`: array of shape (S,), True for the segments to compute; by
-        default all."""
+        """Computes the coefficients of columns of samples. Columns of shape (N, P) give coefficients of shape (M, P). `acting`:
+        array of shape (S,), True for the segments to compute; by default all."""
         made, roots = [], _roots(observed)
         if acting is None or acting.all():
             made = [
@@ -188,8 +188,8 @@ def _by_axis(motion: Array) -> list[Array]:
 
 
 def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | None = None) -> Spectrum:
-    """The spectrum of the samples after the nominal simulation `reference` (N, K) has been subtracted. `held`: array of shape (N,
-    K), True for samples that are replaced by the fit."""
+    """Computes the spectrum of the samples after the nominal simulation `reference` (N, K) has been subtracted. `held`: array of
+    shape (N, K), True for samples that are replaced by the fit."""
     known: dict[tuple[int, int, object], SpectralBasis] = {}
     bases = tuple(_shared(known, observed, index) for index in range(len(observed)))
     sizes = [len(basis.frequency) for basis in bases]
@@ -283,8 +283,8 @@ def _robust(
 
 
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
-    """Standard deviation (K,) of the white noise of a sample, and the degrees of freedom (K,) of this estimate. Both are determined
-    from the upper bands of segments at rest.
+    """Returns the standard deviation of the white noise of a sample, and the degrees of freedom of this estimate, each of shape
+    (K,). Both are determined from the upper bands of segments at rest.
 
     If no segment is at rest, all segments are used. The upper bands begin at one eighth of the sampling rate, above all slow
     processes.

@@ -44,7 +44,7 @@ DEPENDENT = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One setting of the noise of a triad.
+    """Describes one setting of the noise of a triad.
 
     `flicker`: factor by which the declared flicker level is multiplied. `walk`: level of the random walk in SI/√s. If `alike` is
     True, it is the density of the random walk in every axis; otherwise it is the scale of the prior from which the density of each
@@ -131,8 +131,8 @@ def _mates(one: Setting, other: Setting) -> bool:
 
 
 class ChannelWeights:
-    """The weights of one channel for one level of flicker (relative to the declared level) and one level of the random walk.
-    `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
+    """Contains the weights of one channel for one level of flicker (relative to the declared level) and one level of the random
+    walk. `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
 
     `relative`: array of shape (M,), variance of the noise of each coefficient, divided by the variance of the white noise.
     `undithered`: variance of the rounding error of a segment mean. `log_likelihood`: REML of the data without any effect.
@@ -205,8 +205,8 @@ class ChannelWeights:
         self.log_likelihood = -0.5 * (self.log_det + float(self.residual @ self.residual))
 
     def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
-        """The weights for the covariance C + share·(C′ − C), where C is the covariance of these weights, and C′ is the covariance
-        of `other`, which must contain slow noise. `share` may be negative or above 1, as long as the result is a covariance. As the
+        """Returns the weights for the covariance C + share·(C′ − C). C is the covariance of these weights; C′ is the covariance of
+        `other`, which must contain slow noise. `share` may be negative or above 1, as long as the result is a covariance. As the
         covariance is linear in the square of the flicker level, this gives the weights for any level of flicker. `nominal`: array
         of shape (M, q), nominal columns. `values`: array of shape (M,) in SI units, coefficients of the channel."""
         made = copy(self)
@@ -221,8 +221,8 @@ class ChannelWeights:
         return made
 
     def beside(self, columns: Array) -> ChannelWeights:
-        """A copy in which further columns (M, p), SI, have been added to the nominal columns. `log_likelihood` changes only because
-        the residual becomes smaller; the determinant of the additional columns is not included."""
+        """Returns a copy in which further columns (M, p), SI, have been added to the nominal columns. `log_likelihood` changes only
+        because the residual becomes smaller; the determinant of the additional columns is not included."""
         made = copy(self)
         whitened = self.whiten(columns[:, columns.any(axis=0)])
         whitened /= np.linalg.norm(whitened, axis=0)
@@ -235,7 +235,7 @@ class ChannelWeights:
         return made
 
     def inflated(self, ratio: float) -> ChannelWeights:
-        """A copy in which the variance of the noise has been multiplied by `ratio`."""
+        """Returns a copy in which the variance of the noise has been multiplied by `ratio`."""
         made, root = copy(self), float(np.sqrt(ratio))
         made._covariance = self._covariance * ratio
         made.scale = self.scale / root
@@ -246,7 +246,7 @@ class ChannelWeights:
         return made
 
     def covariance(self, rows: NDArray[np.bool_]) -> Array:
-        """Covariance of the coefficients in the rows that a mask (M,) selects, SI²·samples."""
+        """Returns the covariance of the coefficients in the rows that a mask (M,) selects, SI²·samples."""
         chosen = np.flatnonzero(rows)
         out = np.diag(1 / self.scale[chosen] ** 2)
         if self._correlation is not None:
@@ -288,7 +288,7 @@ class ChannelWeights:
         return out
 
     def unwhiten(self, whitened: Array) -> Array:
-        """The inverse of `whiten`, for an array (M, n)."""
+        """Inverts `whiten` for an array of shape (M, n)."""
         joined = whitened if self._correlation is None else self._correlation.joined(whitened)
         out = joined / self.scale[:, None]
         if self._inverse is not None:
@@ -296,7 +296,7 @@ class ChannelWeights:
         return out
 
     def gap_and_noise(self) -> tuple[float, float]:
-        """Sum of squares of the residual before whitening, and its expectation for noise alone, SI²·samples."""
+        """Returns the sum of squares of the residual before whitening, and its expectation for noise alone, SI²·samples."""
         basis = self.unwhiten(self.basis)
         every = np.ones(len(self.scale), dtype=bool)
         whole = float((1 / self.scale**2).sum()) if self._inverse is None else float(np.trace(self.covariance(every)))
@@ -337,8 +337,8 @@ def _beyond_measured(density: Callable[[Array], Array], spectrum: Spectrum, nois
 
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
-    """For each channel, the coefficients (M, P) of all columns, in units of the columns' magnitudes; zero where a column does not
-    act."""
+    """Returns, for each channel, the coefficients of all columns in units of the columns' magnitudes, shape (M, P); zero where a
+    column does not act."""
     found: dict[tuple[int, tuple[int, ...]], _Shared] = {}
     for index, column in enumerate(columns):
         for channel, part in column.parts.items():
@@ -395,7 +395,7 @@ _NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
 
 
 class Left:
-    """A channel at one setting of the noise, after some rows of coefficients may have been removed.
+    """Contains a channel at one setting of the noise, after some rows of coefficients may have been removed.
 
     `rows`: array of shape (M,), True for the remaining rows. `basis`: array of shape (M, q), orthonormal basis of the whitened
     nominal columns on these rows. `residual`: array of shape (M,), whitened residual. `basis` and `residual` are zero in the

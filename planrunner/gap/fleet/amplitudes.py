@@ -38,8 +38,8 @@ class AmplitudeKey:
 
 @dataclass(frozen=True, slots=True)
 class AmplitudeEstimate:
-    """The estimated amplitude of an effect in one run. `value`, `standard_uncertainty`: estimate and standard uncertainty, in the
-    unit of the key."""
+    """Contains the estimated amplitude of an effect in one run. `value`, `standard_uncertainty`: estimate and standard uncertainty,
+    in the unit of the key."""
 
     key: AmplitudeKey
     value: float

@@ -1,5 +1,5 @@
-"""Attribution of one amplitude, estimated in several runs, to its sources. The sources are the device, the bench, the occasion (the
-switch-on), and what all runs have in common (the type of device, the plan, the site, the declarations).
+"""Attributes one amplitude, which was estimated in several runs, to its sources. The sources are the device, the bench, the
+occasion (the switch-on), and what all runs have in common (the type of device, the plan, the site, the declarations).
 
 The estimate in run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, where e_r ~ N(0, s_r²) is known from the
 fit of the run. The parts that come from one source are independent draws from N(0, σ²); each source has its own σ. This is a
@@ -34,8 +34,8 @@ from planrunner.base.arrays import Array
 
 
 class Source(Enum):
-    """A source of parts of an amplitude. OCCASION: a part that is drawn anew at each switch-on. COMMON: a part that is the same in
-    all runs."""
+    """Names a source from which a part of an amplitude comes. OCCASION: a part that is drawn anew at each switch-on. COMMON: a part
+    that is the same in all runs."""
 
     DEVICE = "device"
     BENCH = "bench"
@@ -86,9 +86,9 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One or more sources that group the runs in the same way. `labels`: for each of the m groups, its label and the moment of the
-    step with which the group begins; the moment is empty if there is no step. `members`: array of shape (n,), index of the group of
-    each run."""
+    """Describes one or more sources that group the runs in the same way. `labels`: for each of the m groups, its label and the
+    moment of the step with which the group begins; the moment is empty if there is no step. `members`: array of shape (n,), index
+    of the group of each run."""
 
     sources: tuple[Source, ...]
     labels: tuple[tuple[str, str], ...]
@@ -96,7 +96,7 @@ class Component:
 
     @property
     def name(self) -> str:
-        """Name of the component, such as `bench`, or `device or occasion`."""
+        """Returns the name of the component, such as `bench`, or `device or occasion`."""
         return " or ".join(source.value for source in self.sources)
 
 
@@ -110,8 +110,8 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """The part of an amplitude that belongs to one device, one bench or one occasion, under the condition that parts of this kind
-    contribute at all.
+    """Describes the part of an amplitude that belongs to one device, one bench or one occasion, under the condition that parts of
+    this kind contribute at all.
 
     `level`: the sum of this part and of the part that all runs have in common; the data often determine the sum better than either
     part. `difference`: this part minus the average of the parts of the other devices (or benches, or occasions). `level` and
@@ -130,7 +130,7 @@ class SourcePart:
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """The contribution of one component to an amplitude.
+    """Describes what one component contributes to an amplitude.
 
     `probability`: probability that the component contributes. `share`: fraction of the mean square of the amplitude over the runs,
     without noise, that the component explains; the shares of all components add up to 1, or all are 0. `spread`: posterior median
@@ -148,15 +148,16 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Attribution:
-    """The attribution of an amplitude to sources. `none`: probability that no component contributes. `probability`: probability of
-    every subset of the components; the key of a subset consists of the names of its components, joined by '+'."""
+    """Contains the attribution of an amplitude to sources. `none`: probability that no component contributes. `probability`:
+    probability of every subset of the components; the key of a subset consists of the names of its components, joined by '+'."""
 
     none: float
     probability: Mapping[str, float]
     contributions: tuple[Contribution, ...]
 
     def of(self, source: Source) -> Contribution:
-        """The contribution of the component that contains this source; sources that cannot be distinguished share a component."""
+        """Returns the contribution of the component that contains this source; sources that cannot be distinguished share a
+        component."""
         return next(one for one in self.contributions if source in one.component.sources)
 
     @property
@@ -190,7 +191,8 @@ def components(
 
 
 def log_evidence(given: Estimates, chosen: Sequence[Component], spreads: Array) -> Array:
-    """The log evidence log p(y | σ), (P,), for standard deviations σ (P, C) of the chosen components, in the unit of the estimates."""
+    """Computes the log evidence log p(y | σ), shape (P,). The P sets of standard deviations σ (P, C) belong to the chosen
+    components and are in the unit of the estimates."""
     return _Model(given, chosen).log_evidence(spreads)
 
 

@@ -67,7 +67,7 @@ class FleetChange:
 
     @property
     def expanded(self) -> float:
-        """Half-width of the interval about the size that has the probability `COVERAGE`, from Student's t distribution."""
+        """Returns the half-width of the interval about the size that has the probability `COVERAGE`, from Student's t distribution."""
         from scipy.stats import t as student
 
         return self.standard_uncertainty * float(student.ppf((1 + COVERAGE) / 2, self.degrees_of_freedom))
@@ -127,9 +127,9 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
 
 
 def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
-    """For each run, the moment of the last step of its device or bench up to this run, in the form of `Estimates.since`. `moments`:
-    moment of every run, in order of time. A step that several sources may have made is attributed to the first of them. A step of
-    all runs does not start new groups."""
+    """Returns, for each run, the moment of the last step of its device or bench up to this run, in the form of `Estimates.since`.
+    `moments`: moment of every run, in order of time. A step that several sources may have made is attributed to the first of them.
+    A step of all runs does not start new groups."""
     since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}
     for change in sorted(found, key=lambda one: one.before):
         source, _ = change.sources[0]

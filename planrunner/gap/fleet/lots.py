@@ -15,7 +15,7 @@ MOST_CHANCE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SharedByLot:
-    """An amplitude that distinguishes the devices of a lot from all other devices.
+    """Describes an amplitude that distinguishes the devices of a lot from all other devices.
 
     `difference`: mean of the lot minus mean of the others, in the unit of the key. `expanded`: half-width of its 95 % interval.
     Each device contributes one value, the mean of its amplitudes. `others`: number of the other devices. `chance`: probability that

@@ -1,1 +1,1 @@
-"""Hypotheses: the effects of the catalogue, patterns that no effect explains, and the evidence for each."""
+"""Lists and evaluates the hypotheses: the effects of the catalogue, and patterns that no effect explains."""

@@ -1,4 +1,4 @@
-"""Bursts: windows of a few seconds with a shifted bias or with larger noise, at random times in a run.
+"""Finds bursts: windows of a few seconds with a shifted bias or with larger noise, at random times in a run.
 
 Every window contains a burst with the same small probability. Windows are cut from the remainder of the samples, outside the span
 of the coefficients, so a part of each burst is missing. A deviation that appears in most windows of segments of equal length is
@@ -44,7 +44,8 @@ class _Windows:
 
 
 def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
-    """The log Bayes factor (scopes,) of bursts in the channels of each scope; −∞ if the recording is too short for windows."""
+    """Computes the log Bayes factor of bursts in the channels of each scope, shape (scopes,); −∞ if the recording is too short for
+    windows."""
     observed, found = weighing.observed, []
     remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder) / (
         weighing.white * np.sqrt(weighing.noise.level[observed.owner])

@@ -49,8 +49,8 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A variant after whitening and evaluation; its columns no longer contain samples. `gram` (G, p, p) and `score` (G, p) are
-    computed at each of the G settings of the noise.
+    """Contains a variant after whitening and evaluation; its columns no longer contain samples. `gram` (G, p, p) and `score` (G, p)
+    are computed at each of the G settings of the noise.
 
     `trace`: energy of the columns after projection, at the first setting. `kept`: ratio of this energy to the energy before
     projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before whitening and
@@ -68,28 +68,28 @@ class Weighed:
 
     @cached_property
     def log_bayes(self) -> Array:
-        """The log Bayes factor (G,) at each setting of the noise, averaged over the energy λ of the effect; for a held amplitude,
-        near the amplitude 1."""
+        """Returns the log Bayes factor at each setting of the noise, shape (G,). It is averaged over the energy λ of the effect;
+        for a held amplitude, it is computed near the amplitude 1."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
         return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
 
     def if_possible(self, log_bayes: Array) -> Array:
-        """The log Bayes factor (G,) under the condition that the amplitudes are physically possible. `log_bayes`: array of shape
-        (G,), log Bayes factor without this condition. An effect whose best fit is physically impossible counts as no better than no
-        effect, however well it reproduces the data."""
+        """Returns the log Bayes factor under the condition that the amplitudes are physically possible, shape (G,). `log_bayes`:
+        array of shape (G,), log Bayes factor without this condition. An effect whose best fit is physically impossible counts as no
+        better than no effect, however well it reproduces the data."""
         found = log_bayes + self.log_possible
         return np.minimum(found, self.log_possible) if self.excluded else found
 
     @property
     def excluded(self) -> bool:
-        """True if the amplitudes that fit best are physically impossible."""
+        """Returns True if the amplitudes that fit best are physically impossible."""
         return self.log_possible <= EXCLUDED
 
     @cached_property
     def log_possible(self) -> float:
-        """The logarithm of the probability that every amplitude is physically possible. It is negative or zero. Its sum with the
-        log Bayes factor of a prior without limits is the log Bayes factor of a prior with the physical limits."""
+        """Returns the logarithm of the probability that every amplitude is physically possible. It is negative or zero. Its sum
+        with the log Bayes factor of a prior without limits is the log Bayes factor of a prior with the physical limits."""
         columns = self.variant.columns
         limited = [k for k, column in enumerate(columns) if np.isfinite([column.smallest, column.largest]).any()]
         if not limited:
@@ -104,8 +104,8 @@ class Weighed:
 
     @property
     def can_be_seen(self) -> bool:
-        """False if the projected columns are zero, except for rounding, or if the energy λ stays below `WEAKEST` for all physically
-        possible amplitudes."""
+        """Returns False if the projected columns are zero, except for rounding, or if the energy λ stays below `WEAKEST` for all
+        physically possible amplitudes."""
         if self.kept <= ABSORBED or self.trace <= 0:
             return False
         columns, gram = self.variant.columns, self.gram[0]
@@ -117,11 +117,11 @@ class Weighed:
 
     @cached_property
     def amplitudes(self) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at the first setting."""
+        """Returns mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at the first setting."""
         return self.amplitudes_at(0)
 
     def amplitudes_at(self, setting: int) -> tuple[Array, Array]:
-        """Mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at one setting of the noise."""
+        """Returns mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at one setting of the noise."""
         if self.held:
             mean, variance = held_amplitude(float(self.gram[setting, 0, 0]), float(self.score[setting, 0]))
             return np.array([mean]), np.array([[variance]])
@@ -151,19 +151,19 @@ class Candidate:
 
     @cached_property
     def stacked(self) -> tuple[Array, ...]:
-        """Whitened, projected columns of all V variants side by side: for each channel, an array (M, V·p)."""
+        """Returns the whitened, projected columns of all V variants side by side: for each channel, an array (M, V·p)."""
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
 
     def across(self, other: Weighed) -> Array:
-        """Inner products (V, q, p) of the q columns of another variant with the p columns of each of the V variants, at the first
-        setting of the noise."""
+        """Returns the inner products of the q columns of another variant with the p columns of each of the V variants, at the first
+        setting of the noise, shape (V, q, p)."""
         products = np.sum([x.T @ y for x, y in zip(other.by_channel, self.stacked, strict=True)], axis=0)
         return np.asarray(np.swapaxes(products.reshape(len(products), len(self.variants), -1), 0, 1))
 
     @property
     def shape_cost(self) -> float:
-        """Logarithm of the factor by which averaging over the shape reduces the evidence relative to the best shape, at the first
-        setting of the noise; never positive."""
+        """Returns the logarithm of the factor by which averaging over the shape reduces the evidence relative to the best shape, at
+        the first setting of the noise; never positive."""
         return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
 
     @property
@@ -172,9 +172,9 @@ class Candidate:
 
 
 class Weighing:
-    """A recording with its noise and its nominal model, prepared for the evaluation of effects. A setting of the noise combines a
-    setting of the gyros with a setting of the accelerometers. Its index is (gyro setting) × (number of accelerometer settings) +
-    (accelerometer setting).
+    """Contains a recording with its noise and its nominal model, prepared for the evaluation of effects. A setting of the noise
+    combines a setting of the gyros with a setting of the accelerometers. Its index is (gyro setting) × (number of accelerometer
+    settings) + (accelerometer setting).
 
     `removed`: array of shape (N, K) in SI units, a signal that is subtracted from the samples before they are evaluated, such as a
     line. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier one.
@@ -266,9 +266,9 @@ class Weighing:
         return np.column_stack(each)
 
     def nominal_values(self, taken: Sequence[Array] | None = None) -> list[Array]:
-        """For each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in `whole`, fitted by
-        least squares to all coefficients. `taken`: for each channel, the coefficients (M,) that an effect explains; they are
-        subtracted before the fit."""
+        """Returns, for each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in
+        `whole`. They are fitted by least squares to all coefficients. `taken`: for each channel, the coefficients (M,) that an
+        effect explains; they are subtracted before the fit."""
         found = []
         for index, nominal in enumerate(self.whole):
             design = np.hstack([nominal, self.angles[index]])
@@ -279,7 +279,7 @@ class Weighing:
         return found
 
     def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """The output (N, K) of the nominal model with the `nominal_values`."""
+        """Returns the output of the nominal model with the `nominal_values`, shape (N, K)."""
         return self.output_at(self.nominal_values(taken))
 
     def output_at(self, values: Sequence[Array]) -> Array:
@@ -292,8 +292,8 @@ class Weighing:
         return out
 
     def seen(self, taken: Sequence[Array] | None = None) -> Observed:
-        """The recording, to which the fitted output of the nominal model and the fitted response of each channel to the rate are
-        added. `taken`: the same as in `fitted`."""
+        """Returns the recording, to which the fitted output of the nominal model and the fitted response of each channel to the
+        rate are added. `taken`: the same as in `fitted`."""
         observed, fitted = self.observed, self.fitted(taken)
         if observed.along is not None:
             return replace(observed, fitted=fitted)
@@ -303,7 +303,7 @@ class Weighing:
         return replace(observed, fitted=fitted, response=axes + more[:3].T)
 
     def beside(self, known: Weighed) -> Weighing:
-        """A copy in which effects count as nominal parameters, so that their amplitudes are free in every channel."""
+        """Returns a copy in which effects count as nominal parameters, so that their amplitudes are free in every channel."""
         made = self._with(lambda weight, channel: weight.beside(known.raw[channel]))
         acting = [raw[:, raw.any(axis=0)] for raw in known.raw]
         made.nominal = [independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)]
@@ -311,7 +311,7 @@ class Weighing:
         return made
 
     def inflated(self, ratios: Sequence[float]) -> Weighing:
-        """A copy in which the variance of each channel's noise has been multiplied by the ratio for this channel."""
+        """Returns a copy in which the variance of each channel's noise has been multiplied by the ratio for this channel."""
         return self._with(lambda weight, channel: weight.inflated(ratios[channel]))
 
     def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights]) -> Weighing:
@@ -334,7 +334,7 @@ class Weighing:
 
     @cached_property
     def base(self) -> Array:
-        """Log likelihood (G,) of the recording without any effect, at each setting of the noise."""
+        """Returns the log likelihood of the recording without any effect, at each setting of the noise, shape (G,)."""
         parts = {"gyro": np.zeros(self.shape[0]), "accel": np.zeros(self.shape[1])}
         for channel, likelihood in zip(self.observed.channels, self.log_likelihood, strict=True):
             parts[channel.kind] += likelihood
@@ -342,7 +342,8 @@ class Weighing:
 
     @cached_property
     def log_prior(self) -> tuple[Array, Array]:
-        """Two log priors (G,) of the settings of the noise: one without and one with an undeclared random walk of the gyros."""
+        """Returns two log priors of the settings of the noise, each of shape (G,): one without and one with an undeclared random
+        walk of the gyros."""
         gyro, accel = self.settings["gyro"], self.settings["accel"]
         prior = np.outer([s.prior for s in gyro], [s.prior for s in accel]).ravel()
         walking = np.repeat([s.walk > 0 for s in gyro], len(accel))
@@ -351,19 +352,20 @@ class Weighing:
 
     @cached_property
     def likeliest(self) -> tuple[int, ...]:
-        """Index of the most probable setting of the noise without a random walk of the gyros, and, if a random walk is a
-        hypothesis, index of the most probable setting with it."""
+        """Returns the index of the most probable setting of the noise without a random walk of the gyros. If a random walk is a
+        hypothesis, also returns the index of the most probable setting with it."""
         return tuple(int(np.argmax(self.base + prior)) for prior in self.log_prior if np.isfinite(prior).any())
 
     def likeliest_with(self, log_bayes: Array, walking: bool) -> int:
-        """Index of the most probable setting of the noise if a hypothesis is true. Settings with a random walk of the gyros are
-        compared if `walking` is True, and settings without one if it is False. `log_bayes`: array of shape (G,), log Bayes factor
-        of the hypothesis."""
+        """Returns the index of the most probable setting of the noise if a hypothesis is true. Settings with a random walk of the
+        gyros are compared if `walking` is True, and settings without one if it is False. `log_bayes`: array of shape (G,), log
+        Bayes factor of the hypothesis."""
         terms = self.base + self.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
         return int(np.argmax(terms))
 
     def whitened_at(self, weighed: Weighed, setting: int) -> list[tuple[ChannelWeights, Array]]:
-        """For each channel, its weights and the whitened, projected columns (M, p) of a variant, at one setting of the noise."""
+        """Returns, for each channel, its weights and the whitened, projected columns (M, p) of a variant, at one setting of the
+        noise."""
         if setting == 0:
             return [(own[0], columns) for own, columns in zip(self.weights, weighed.by_channel, strict=True)]
         at = dict(zip(("gyro", "accel"), divmod(setting, self.shape[1]), strict=True))
@@ -371,8 +373,8 @@ class Weighing:
         return [(weight, weight.project(raw)) for weight, raw in zip(weights, weighed.raw, strict=True)]
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
-        """Log evidence of a hypothesis, averaged over the settings of the noise. `log_bayes`: array of shape (G,), log Bayes factor
-        of the hypothesis at each setting."""
+        """Returns the log evidence of a hypothesis, averaged over the settings of the noise. `log_bayes`: array of shape (G,), log
+        Bayes factor of the hypothesis at each setting."""
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
@@ -383,8 +385,8 @@ class Weighing:
         return [_without_samples(variant) for variant in variants], raw
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
-        """Posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes, averaged over the settings of the noise with a
-        random walk of the gyros or over the settings without one."""
+        """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. They are averaged over the settings of
+        the noise with a random walk of the gyros, or over the settings without one."""
         terms = self.base + weighed.log_bayes + self.log_prior[int(walking)]
         share = np.exp(terms - terms.max())
         share /= share.sum()
@@ -468,7 +470,7 @@ def _without_samples(variant: Variant) -> Variant:
 
 
 def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
-    """The columns of the terms that the nominal simulation fits."""
+    """Returns the columns of the terms that the nominal simulation fits."""
     columns: list[Column] = []
     for kind in ("gyro", "accel"):
         for part, make in PARTS.items():
@@ -478,7 +480,7 @@ def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
 
 
 def angle_columns(observed: Observed) -> list[Column]:
-    """Columns for the angle of the table at the start of a segment: the change of the specific force per radian, for each
+    """Returns columns for the angle of the table at the start of a segment: the change of the specific force per radian, for each
     accelerometer. There is one column for each segment whose angle was found from gravity. An angle found from gravity contains the
     errors of the accelerometers. With a correction that is free in each channel, an error of this angle does not count as evidence."""
     shown = [index for index, source in enumerate(observed.angle_from) if source is AngleFrom.GRAVITY]
@@ -500,9 +502,9 @@ def angle_columns(observed: Observed) -> list[Column]:
 
 
 def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
-    """Variance (M, K) of the coefficients, SI²·samples, that the nominal input of unknown phase (`Observed.unknown_phase`) causes.
-    The cosine and the sine component of this input are treated as normal variables whose standard deviation is the amplitude of the
-    input."""
+    """Returns the variance of the coefficients that the nominal input of unknown phase (`Observed.unknown_phase`) causes,
+    SI²·samples, shape (M, K). The cosine and the sine component of this input are treated as normal variables whose standard
+    deviation is the amplitude of the input."""
     amplitude = np.abs(observed.unknown_phase)
     if not amplitude.any():
         return np.zeros((len(spectrum_.segment), len(observed.channels)))
@@ -512,7 +514,7 @@ def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
 
 
 def simulated(observed: Observed, nominal: Sequence[str]) -> Array:
-    """Output (N, K) of the nominal simulation before any parameter is fitted, SI."""
+    """Returns the output of the nominal simulation before any parameter is fitted, SI, shape (N, K)."""
     omega = observed.omega if "earth_rate" in nominal else observed.omega - observed.earth_rate
     return np.column_stack(
         [

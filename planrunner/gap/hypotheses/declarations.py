@@ -1,4 +1,4 @@
-"""Wrong declarations of signs, axes, units, sense of rotation or mounting. They are found before effects of the sensor are
+"""Finds wrong declarations of signs, axes, units, sense of rotation or mounting. They are found before effects of the sensor are
 evaluated.
 
 For each triad, the means of the segments are fitted by a bias and a 3×3 matrix M whose elements are all free. With correct
@@ -53,7 +53,7 @@ FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class WrongDeclaration:
-    """A wrong declaration in the bench file that explains the gap.
+    """Describes a wrong declaration in the bench file that explains the gap.
 
     `effect`: name of the effect in the catalogue. `parameters`: parameters of the effect with which a simulation reproduces the
     mistake. `message`: what is wrong, for a finding. `where`: the channels or axes, for the hint that tells the user what to

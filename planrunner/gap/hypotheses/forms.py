@@ -172,7 +172,7 @@ _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
 
 
 def shape_alone(candidate: Candidate) -> Shaped | None:
-    """The effect of a candidate if its shape determines it completely; otherwise None."""
+    """Returns the effect of a candidate if its shape determines it completely; otherwise None."""
     effect = candidate.effect
     if isinstance(effect, Shaped) and any(is_whole(item.variant.columns) for item in candidate.variants):
         return effect

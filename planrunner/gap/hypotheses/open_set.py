@@ -39,7 +39,7 @@ _BLOCKS = 1024  # of time, over which shifted samples are summed
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A tone that keeps its phase over the whole run.
+    """Describes a tone that keeps its phase over the whole run.
 
     `frequency`: frequency of the tone, Hz. `amplitude`: in the unit of the channel. `evidence`: log Bayes factor of the tone.
     """
@@ -96,9 +96,9 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
 
 
 def something_else(weighing: Weighing) -> float:
-    """The log Bayes factor of the patterns of the coefficients, single and in combination, against none, at the most probable
-    setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the evidence for something else in addition
-    to these effects."""
+    """Returns the log Bayes factor of the patterns of the coefficients, single and in combination, against no pattern. It is
+    computed at the most probable setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the evidence
+    for something else in addition to these effects."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
@@ -107,7 +107,8 @@ def something_else(weighing: Weighing) -> float:
 
 
 def unknown(kinds: Kinds) -> Array:
-    """The log Bayes factor (G,) of "something else": the mean over single patterns and over combinations of patterns."""
+    """Returns the log Bayes factor of "something else", shape (G,): the mean over single patterns and over combinations of
+    patterns."""
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
 
 
@@ -202,7 +203,7 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
 
 @dataclass(frozen=True)
 class Outside:
-    """Evidence for the patterns outside the basis of the coefficients.
+    """Contains the evidence for the patterns outside the basis of the coefficients.
 
     `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
     `causes`: those of these tones that count as separate causes.

@@ -23,8 +23,8 @@ Rows = NDArray[np.bool_]
 
 
 class Sort(Enum):
-    """The kind of coefficients that a pattern consists of; or, for a pattern outside the basis, a name for its kind. `SEVERAL`: the
-    pattern consists of coefficients of more than one kind."""
+    """Names the kind of coefficients that a pattern consists of. For a pattern outside the basis, it names the kind of the pattern.
+    `SEVERAL`: the pattern consists of coefficients of more than one kind."""
 
     MEANS = "means"
     TRANSIENT = "transient"
@@ -137,7 +137,7 @@ _BY_ORIENTATION = _offset("offset by orientation", Factor.ORIENTATION)
 
 
 def sorts(weighing: Weighing) -> dict[Sort, Rows]:
-    """For each kind of coefficients, a mask (M,) of the coefficients of this kind."""
+    """Returns, for each kind of coefficients, a mask (M,) of the coefficients of this kind."""
     spectrum, motions = weighing.spectrum, weighing.observed.motions
     spin = np.array([isinstance(motion, Spin) for motion in motions])[spectrum.segment]
     rock = np.array([isinstance(motion, Rock) for motion in motions])[spectrum.segment]

@@ -1,4 +1,4 @@
-"""A bias that repeats with an unknown period: as a sine, a smooth waveform, or a waveform with edges such as a saw-tooth.
+"""Describes a bias that repeats with an unknown period: as a sine, a smooth waveform, or a waveform with edges such as a saw-tooth.
 
 The periods range from twice the duration of the run to half a segment; at most `MOST` periods are tried. A waveform is a sum of
 harmonics whose amplitudes decrease as 1/order. A waveform with edges has many harmonics, which remain coherent over the run only if
@@ -31,7 +31,7 @@ NODES = 24  # of a segment, at which waves are taken
 
 
 class Repeating:
-    """Designs of the coefficients for biases that repeat with an unknown period."""
+    """Contains designs of the coefficients for biases that repeat with an unknown period."""
 
     def __init__(self, weighing: Weighing):
         observed, spectrum = weighing.observed, weighing.spectrum
@@ -45,7 +45,7 @@ class Repeating:
         self._coarse = self.waves(self.frequencies, WAVEFORM)
 
     def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> list[float]:
-        """The log Bayes factor of a bias with an unknown period in the channels of each scope."""
+        """Returns the log Bayes factor of a bias with an unknown period in the channels of each scope."""
         parts = [self._eigen(left, self._coarse, (2, 2 * WAVEFORM)) for left in channels]
         found = []
         for scope in scopes:
