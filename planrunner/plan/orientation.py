@@ -1,4 +1,4 @@
-"""Orientations: directions of the sensor's axes at the site, in words or as rotations.
+"""Describes orientations: directions of the sensor's axes at the site, in words or as rotations.
 
 {x: up, y: north, z: west}                       words, at least two axes
 {from: {x: up, y: north}, rotate: [x 30 deg, z -45 deg]}   then turned about its own axes, in order
@@ -37,7 +37,7 @@ class Orientation:
 
     @property
     def attitude(self) -> Matrix | None:
-        """The matrix as an array, which is read-only because segments share it."""
+        """Returns the matrix as an array, which is read-only because segments share it."""
         return None if self.matrix is None else _array(self.matrix)
 
 
@@ -52,13 +52,13 @@ UNKNOWN = Orientation("unknown", None)
 
 
 def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
-    """The orientation in words, such as `x up, y north, z west`. An axis in a direction without a word is given as numbers."""
+    """Writes the orientation in words, such as `x up, y north, z west`. An axis in a direction without a word is given as numbers."""
     return ", ".join(f"{axis} {_pointing(row, tolerance)}" for axis, row in zip(AXES, attitude, strict=True))
 
 
 def as_mapping(attitude: Matrix) -> str | None:
-    """The orientation as a plan states it, such as `{x: up, y: north, z: west}`; None if an axis points in a direction without a
-    word."""
+    """Returns the orientation as a plan states it, such as `{x: up, y: north, z: west}`; None if an axis points in a direction
+    without a word."""
     words = [word_of(row) for row in attitude]
     return (
         None
@@ -72,8 +72,8 @@ def _pointing(row: Matrix | Direction, tolerance: float = 1e-9) -> str:
 
 
 def rotation(axis: int, angle: float) -> Matrix:
-    """The matrix R of a rotation by `angle` [rad] about the sensor's axis 0, 1 or 2. It converts components in the axes before the
-    rotation to components in the axes after it: v_new = R @ v_old."""
+    """Returns the matrix R of a rotation by `angle` [rad] about the sensor's axis 0, 1 or 2. It converts components in the axes
+    before the rotation to components in the axes after it: v_new = R @ v_old."""
     c, s = math.cos(angle), math.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     result = np.eye(3)
@@ -83,7 +83,7 @@ def rotation(axis: int, angle: float) -> Matrix:
 
 
 class OrientationKind:
-    """The kind of value for orientations (see `planrunner.plan.kinds`)."""
+    """Reads the orientations in a plan (see `planrunner.plan.kinds`)."""
 
     def read(self, node: Node, log: Findings) -> Orientation | None:
         if isinstance(node, Scalar):

@@ -1,5 +1,5 @@
-"""Parameters of a plan: the values in its text with a YAML anchor, such as `dwell: &dwell 2 min`. A run or a suite may replace
-these values.
+"""Replaces the parameters of a plan: the values in its text with a YAML anchor, such as `dwell: &dwell 2 min`. A run or a suite may
+replace these values.
 
 A plan with other values for its parameters is a different plan. Its text differs only in these values, so every other line keeps
 its position. The run stores this text, and readers of the run need nothing else.
@@ -25,7 +25,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A value that the user gives for a parameter, and where the user gave it (a file or the command line)."""
+    """Contains a value that the user gives for a parameter, and where the user gave it (a file or the command line)."""
 
     value: str
     mark: Mark
@@ -53,8 +53,8 @@ def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """The text of a plan with other values for its parameters. `places`: maps each parameter to the position of its value in
-    `text`."""
+    """Contains the text of a plan with other values for its parameters. `places`: maps each parameter to the position of its value
+    in `text`."""
 
     text: str
     places: Mapping[str, Mark]
@@ -73,16 +73,16 @@ class _Anchored:
 
 
 def variant_name(plan: str, parameters: Mapping[str, str]) -> str:
-    """The name of the plan in the archive if it runs with these values. A plan with other values is a different plan, so its
-    results belong in another history. The name does not depend on the order in which the values were given."""
+    """Returns the name of the plan in the archive if it runs with these values. A plan with other values is a different plan, so
+    its results belong in another history. The name does not depend on the order in which the values were given."""
     if not parameters:
         return plan
     return f"{plan} ({', '.join(f'{name}={value}' for name, value in sorted(parameters.items()))})"
 
 
 def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
-    """The text of the plan with these values for its parameters. Raises `InputError` for a name that is not a parameter of the
-    plan. Text that is not valid YAML is returned unchanged."""
+    """Returns the text of the plan with these values for its parameters. Raises `InputError` for a name that is not a parameter of
+    the plan. Text that is not valid YAML is returned unchanged."""
     log = Findings()
     try:
         found = _anchored(text, file, log)

@@ -53,8 +53,8 @@ DISTRIBUTIONS = {"rectangular": math.sqrt(3), "triangular": math.sqrt(6), "u-sha
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """`value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written. `distribution`:
-    distribution of the value's uncertainty, one of `DISTRIBUTIONS`."""
+    """Contains `value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written.
+    `distribution`: distribution of the value's uncertainty, one of `DISTRIBUTIONS`."""
 
     value: float
     unit: Unit
@@ -71,16 +71,17 @@ class Quantity:
 
     @property
     def shape(self) -> str:
-        """The distribution as an uncertainty budget states it: Student's t instead of normal if the degrees of freedom are finite."""
+        """Names the distribution as an uncertainty budget states it: Student's t instead of normal if the degrees of freedom are
+        finite."""
         return "t" if math.isfinite(self.degrees_of_freedom) and self.distribution == "normal" else self.distribution
 
     def to(self, unit_text: str) -> float:
-        """The value expressed in another unit of the same dimension."""
+        """Returns the value expressed in another unit of the same dimension."""
         return unit(unit_text).from_si(self.value)
 
 
 class QuantityError(ValueError):
-    """The error for a text that is not a quantity. It has a `code`, a message and a hint."""
+    """Reports that a text is not a quantity. It has a `code`, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = ""):
         super().__init__(message)
@@ -180,8 +181,8 @@ def is_signed(text: str) -> bool:
 
 
 def parse_symmetric(text: str) -> Quantity | None:
-    """The positive bound of `±0.5 deg/h`, or None if the text has no leading ±. Raises `QuantityError` if the text after the ± is
-    not a quantity."""
+    """Returns the positive bound of `±0.5 deg/h`, or None if the text has no leading ±. Raises `QuantityError` if the text after
+    the ± is not a quantity."""
     signed = _SIGNED.fullmatch(text)
     return parse_quantity(signed[2]) if signed else None
 
@@ -273,14 +274,14 @@ def read_quantity(
 
 
 def states_uncertainty(text: str) -> bool:
-    """Whether the text of a quantity has a ± that is followed by anything, even by zero."""
+    """Returns True if the text of a quantity has a ± that is followed by anything, even by zero."""
     parts = _parts(text)
     return parts is not None and parts[3] is not None
 
 
 def uncertain_piece(text: str) -> str | None:
-    """The first value in the text of a sweep that states an uncertainty, returned without its leading ±; None if no value states
-    one."""
+    """Finds the first value in the text of a sweep that states an uncertainty. Returns it without its leading ±, or None if no
+    value states one."""
     pieces = [signed[2] if (signed := _SIGNED.fullmatch(piece)) else piece for piece in text.split(",")]
     return next((piece for piece in pieces if states_uncertainty(piece)), None)
 
@@ -307,7 +308,7 @@ def without_uncertainty(text: str, dimension: str | None = None) -> Quantity:
 
 
 def read_scalar(node: Node, dimension: str | None, log: Findings) -> Quantity | None:
-    """The same as `read_quantity`, but only for a quantity that is written as a text."""
+    """Does the same as `read_quantity`, but only for a quantity that is written as a text."""
     if not isinstance(node, Scalar) or node.value is None or isinstance(node.value, bool):
         found = f", not '{node.text[:40]}'" if isinstance(node, Scalar) and node.text else ", as a text"
         log.error("form-type", node.mark, f"one quantity is expected here{found}", _example(dimension))
@@ -422,13 +423,13 @@ def _degrees(node: Mapping, log: Findings) -> float:
 
 
 def anchored(pattern: str) -> str:
-    """The pattern in a form that must match the whole text, in JSON Schema as well as in Python ('$' alone would allow a final line
-    break)."""
+    """Converts the pattern to a form that must match the whole text, in JSON Schema as well as in Python ('$' alone would allow a
+    final line break)."""
     return rf"^(?:{pattern})$(?!\n)"
 
 
 def text_schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
-    """JSON Schema of a quantity that is written as a text. It does not check the unit; `planrunner check` does."""
+    """Returns the JSON Schema of a quantity that is written as a text. It does not check the unit; `planrunner check` does."""
     if takes_bare_number(dimension):
         pattern = BARE_OR_WITH_UNIT if uncertain else rf"(?:{_PLAIN_BARE}|{PLAIN})"
         return {"type": ["string", "number"], "maxLength": _MAX_TEXT, "pattern": anchored(pattern)}
@@ -436,7 +437,7 @@ def text_schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
 
 
 def schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
-    """JSON Schema of a quantity: as text, and also as a mapping if an uncertainty may be stated."""
+    """Returns the JSON Schema of a quantity: as text, and also as a mapping if an uncertainty may be stated."""
     if not uncertain:
         return text_schema(dimension, uncertain=False)
     text = text_schema(dimension, uncertain=True)
@@ -465,12 +466,12 @@ def _rich_example(name: str, example: object, dimension: str | None) -> object:
 
 
 def sweep_schema() -> dict[str, object]:
-    """JSON Schema of a sweep that is written as one text, such as '±300, ±150 deg/s'."""
+    """Returns the JSON Schema of a sweep that is written as one text, such as '±300, ±150 deg/s'."""
     pattern = rf"{_SPACE}(?:{_PIECE},{_SPACE_NEEDED})*{_SPACE}(?:{SIGNED}|{PLAIN})"
     description = "Values with a shared unit; ± gives both signs."
     return {"type": "string", "description": description, "maxLength": _MAX_SWEEP, "pattern": anchored(pattern)}
 
 
 def signed_schema() -> dict[str, object]:
-    """JSON Schema of a single value with a leading ±, which stands for both signs."""
+    """Returns the JSON Schema of a single value with a leading ±, which stands for both signs."""
     return {"type": "string", "maxLength": _MAX_TEXT, "pattern": anchored(SIGNED)}

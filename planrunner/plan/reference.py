@@ -66,7 +66,7 @@ _SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
 
 
 def keys_reference() -> str:
-    """The whole page of the reference, with the keys of every installed estimator."""
+    """Writes the whole page of the reference, with the keys of every installed estimator."""
     state = set(keys_of(model.State))
     parts = [_HEAD]
     for title, about, record in _SECTIONS:
@@ -84,7 +84,7 @@ def keys_reference() -> str:
 
 
 def section(title: str, about: str, fields: Mapping[str, dataclasses.Field[object]]) -> str:
-    """The section of the page about one record: its title, a text, and a table of its keys."""
+    """Writes the section of the page about one record: its title, a text, and a table of its keys."""
     if not fields:
         return f"## {title}\n\n{about}\n"
     lines = [f"## {title}", "", about, "", "| key | value | meaning | example |", "|---|---|---|---|"]
@@ -119,7 +119,7 @@ class Described(Protocol):
 
 
 def type_words(kind: Kind) -> str:
-    """The values that a kind accepts, in words."""
+    """Describes in words the values that a kind accepts."""
     match kind:
         case Text():
             return kind.what

@@ -24,13 +24,13 @@ DECIMALS = 2  # decimals of turns in degrees: 0.005 deg is 18 arcsec, a second-o
 
 
 class RewriteError(ValueError):
-    """The error for a plan that states the value in a form that cannot be rewritten. The message gives the position and the remedy."""
+    """Reports that a plan states the value in a form that cannot be rewritten. The message gives the position and the remedy."""
 
 
 @functools.cache
 def cardinal_orientations() -> tuple[Matrix, ...]:
-    """The 24 right-handed attitudes with axes parallel to the site's axes, as matrices whose rows are the sensor's axes in
-    East-North-Up."""
+    """Returns the 24 right-handed attitudes with axes parallel to the site's axes. Each is a matrix whose rows are the sensor's
+    axes in East-North-Up."""
     found = []
     for first, second in itertools.permutations(CARDINAL.values(), 2):
         if np.dot(first, second) == 0:
@@ -41,8 +41,8 @@ def cardinal_orientations() -> tuple[Matrix, ...]:
 
 
 def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
-    """The orientation as a plan states it: in words if the axes are cardinal, otherwise in the nearest words with turns about x, y
-    and z in this order."""
+    """Writes the orientation as a plan states it: in words if the axes are cardinal, otherwise in the nearest words with turns
+    about x, y and z in this order."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     turns = [
         f"{axis} {_degrees(angle, decimals)} deg"
@@ -55,7 +55,7 @@ def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
 
 
 def as_written(attitude: Matrix, decimals: int = DECIMALS) -> Matrix:
-    """The attitude that the text from `orientation_text` describes, with its rounded angles."""
+    """Returns the attitude that the text from `orientation_text` describes, with its rounded angles."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     result = start
     for axis, angle in enumerate(_turns(start, attitude)):
@@ -185,7 +185,8 @@ def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: S
 
 
 def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
-    """The position in the text at which an item must be inserted to append it to a mapping or list, and the text to insert there."""
+    """Returns the position in the text at which an item must be inserted to append it to a mapping or list, and the text to insert
+    there."""
     begin = node.start_mark.index
     end = begin + len(text[begin : last.end_mark.index].rstrip())
     if node.flow_style:

@@ -16,13 +16,13 @@ DEVICE = ("device_serial", "item_identification")
 
 
 def device_of(info: Mapping[str, object]) -> str:
-    """The name of the device in the run information; empty if it states none."""
+    """Returns the name of the device in the run information; empty if it states none."""
     return next((str(info[name]) for name in DEVICE if info.get(name)), "")
 
 
 def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, str]:
-    """All run information that the user gives; `--set name=value` takes precedence over the file. Raises `InputError` for missing,
-    unknown or unreadable items."""
+    """Returns all run information that the user gives; `--set name=value` takes precedence over the file. Raises `InputError` for
+    missing, unknown or unreadable items."""
     log = Findings()
     given = _read(settings, file, log)
     _check(plan.record, "add it under record: in the plan", given, log)
@@ -39,7 +39,7 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
 
 
 def gather_for_issue(names: Collection[str], settings: Sequence[str], file: Path | None) -> dict[str, str]:
-    """The run information that the user gives when a report is issued after the run. `names`: the permitted items. Raises
+    """Returns the run information that the user gives when a report is issued after the run. `names`: the permitted items. Raises
     `InputError` for an item that is unknown or unreadable."""
     log = Findings()
     given = _read(settings, file, log)

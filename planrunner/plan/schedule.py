@@ -1,4 +1,4 @@
-"""The schedule: a plan on a bench, as an ordered list of segments. Each segment is a state to reach and hold.
+"""Describes the schedule, which is a plan on a bench as an ordered list of segments. Each segment is a state to reach and hold.
 
 Segments are pure data in SI units with radians. `planrunner.bench.scheduling` makes the schedule, and the executor executes it.
 Estimators, reports and design read it.
@@ -50,24 +50,24 @@ class Rock:
 
     @property
     def lead_in(self) -> float:
-        """Time from the command to the beginning of the record, s."""
+        """Returns the time [s] from the command to the beginning of the record."""
         return 0.0 if self.delay else self.period
 
     @property
     def steady(self) -> float:
-        """Time from the beginning of the record until the rocking has its full amplitude, s."""
+        """Returns the time [s] from the beginning of the record until the rocking has its full amplitude."""
         return self.delay + self.period if self.delay else 0.0
 
     @property
     def over(self) -> float:
-        """Time from the beginning of the record until the table is at rest again, s."""
+        """Returns the time [s] from the beginning of the record until the table is at rest again."""
         return self.steady + self.duration + self.period
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One move of a cycle: a rotation by `turn` [rad] from one named position to another; `turn` is positive for a right-handed
-    rotation about the axis."""
+    """Describes one move of a cycle: a rotation by `turn` [rad] from one named position to another. `turn` is positive for a
+    right-handed rotation about the axis."""
 
     start: str
     turn: float
@@ -87,7 +87,7 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMotion:
-    """A motion that channels of the recording show, and that no table was commanded to make.
+    """Describes a motion that channels of the recording show, and that no table was commanded to make.
 
     At least one of `angle`, `attitude`, `rates` and `forces` is stated. `angle`: channel of the encoder of an axis along the site
     direction `about`; the angle is zero in the segment's orientation. `attitude`: four channels that form a unit quaternion from
@@ -114,7 +114,7 @@ Motion = Rest | Spin | Rock | Cycle | RecordedMotion
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """The condition under which readings count as settled.
+    """States the condition under which readings count as settled.
 
     `limits`: maps each reading to its largest permitted value in SI units, for example `temperature_drift` to a value in K/s.
     `duration`: time [s] for which the readings must stay within the limits without interruption. `patience`: time [s] after which
@@ -192,7 +192,7 @@ class Segment:
 
     @property
     def waiting(self) -> float:
-        """Planned time from reaching the state to the beginning of the dwell, s."""
+        """Returns the planned time [s] from reaching the state to the beginning of the dwell."""
         return self.soak + self.settle
 
     @property
@@ -202,13 +202,13 @@ class Segment:
 
     @property
     def begins_at(self) -> float | None:
-        """Temperature [K] at the beginning of the dwell: the stated temperature, otherwise the temperature at which the chamber
-        keeps the sensor; None if neither is known."""
+        """Returns the temperature [K] at the beginning of the dwell: the stated temperature, otherwise the temperature at which the
+        chamber keeps the sensor; None if neither is known."""
         return self.kept_temperature if self.temperature is None else self.temperature
 
     @property
     def rate(self) -> float:
-        """The commanded rate [rad/s]; zero unless the table spins."""
+        """Returns the commanded rate [rad/s]; zero unless the table spins."""
         return self.motion.rate if isinstance(self.motion, Spin) else 0.0
 
 

@@ -1,4 +1,4 @@
-"""Plan keys for segments: states to reach and hold, sweeps over them, and steps with a common state.
+"""Declares the plan keys for segments: states to reach and hold, sweeps over them, and steps with a common state.
 
 A state consists of the orientation, the motion, the temperature, the readings that must settle before the segment records, and the
 readings that must stay within limits while it records.
@@ -37,7 +37,7 @@ READINGS = ("position_error", "rate_error", "temperature_error", "temperature_dr
 
 
 class Tolerated(Record):
-    """Largest permitted magnitudes of the readings of the instruments."""
+    """Declares the largest permitted magnitudes of the instruments' readings."""
 
     position_error: Quantity | None = optional(
         QuantityOf("angle", "positive"), "Following error of the table, on every axis.", "5 arcsec"
@@ -60,7 +60,8 @@ class Tolerated(Record):
 
 
 class StabilitySpec(Tolerated):
-    """A wait until the readings have settled: each reading must stay within its limit for the time `for`, without interruption."""
+    """Declares a wait until the readings have settled: each reading must stay within its limit for the time `for`, without
+    interruption."""
 
     for_: Quantity = key(
         QuantityOf("time", "positive"),
@@ -245,7 +246,7 @@ class MotionSpec(Record):
 
 
 class Turns(Record):
-    """A dwell counted in whole turns of a spinning table, or in whole cycles of turns and stops."""
+    """Declares a dwell that is counted in whole turns of a spinning table, or in whole cycles of turns and stops."""
 
     turns: int | None = optional(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1)
     cycles: int | None = optional(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34)
@@ -371,7 +372,7 @@ class State(Record):
 
 
 class SegmentKind:
-    """The kind of value of a segment. The steps of a segment are segments too."""
+    """Reads a segment in a plan. The steps of a segment are segments too."""
 
     def read(self, node: source.Node, log: Findings) -> SegmentSpec | None:
         before = log.raised
@@ -388,7 +389,7 @@ class SegmentKind:
 
 
 class SegmentSpec(State):
-    """One entry of `segments`: a state, or a sweep over states, or steps that share one."""
+    """Declares one entry of `segments`: a state, or a sweep over states, or steps that share one state."""
 
     label: str | None = optional(
         Text(r"[^\x00-\x1f]{1,80}", "a label"),

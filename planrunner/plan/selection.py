@@ -40,7 +40,7 @@ class Detection(Record):
 
 
 class SelectionKind:
-    """The kind of value of a selection: `P*`, `[P*, V1]` or `{detect: still, …}`."""
+    """Reads a selection in a plan: `P*`, `[P*, V1]` or `{detect: still, …}`."""
 
     def read(self, node: source.Node, log: Findings) -> tuple[str, ...] | Detection | None:
         if isinstance(node, source.Mapping):
@@ -72,12 +72,12 @@ def _selected(labels: tuple[str, ...], patterns: tuple[str, ...]) -> tuple[int, 
 
 
 def spelt_alike(recorded: str, planned: str) -> bool:
-    """Whether a recorded label equals the planned label apart from plus signs, which older labels lack."""
+    """Returns True if a recorded label equals the planned label apart from plus signs, which older labels lack."""
     return recorded == planned or recorded.replace("+", "") == planned.replace("+", "")
 
 
 def closest_label(label: str, known: Iterable[str]) -> str:
-    """A hint that suggests the known label, or the pattern, that was probably meant.
+    """Returns a hint that suggests the known label, or the pattern, that was probably meant.
 
     A label that differs only in plus signs is suggested first. The table of a recording, or a plan written for an older rule, may
     lack the plus sign in the label of a sweep. Such a label is only suggested; it does not count as a match.
@@ -96,7 +96,7 @@ _MOST_COMPARED = 50
 
 
 class Labels:
-    """The labels of a plan, prepared for comparison with many patterns: each distinct part of a label is compared with a pattern
+    """Prepares the labels of a plan for comparison with many patterns: each distinct part of a label is compared with a pattern
     only once."""
 
     def __init__(self, labels: Sequence[str]):
@@ -109,7 +109,7 @@ class Labels:
         self._found: dict[str, set[int]] = {}
 
     def closest(self, pattern: str) -> str:
-        """A hint for a pattern that matches no label (see `closest_label`)."""
+        """Returns a hint for a pattern that matches no label (see `closest_label`)."""
         return closest_label(pattern, [*self._parts, *(self._whole if "/" in pattern else ())])
 
     def meant_by(self, pattern: str) -> set[int]:

@@ -46,14 +46,14 @@ _SPECIAL = {
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A text with the name of its file. `file`: the file name that findings state."""
+    """Contains a text and the name of its file. `file`: the file name that findings state."""
 
     file: str
     text: str | None = None
 
 
 class Position(Protocol):
-    """A position in a text, with the attributes of a mark of the YAML parser. Lines and columns count from 0."""
+    """States a position in a text, with the attributes of a mark of the YAML parser. Lines and columns count from 0."""
 
     @property
     def line(self) -> int: ...
@@ -144,7 +144,7 @@ Node = Scalar | Sequence | Mapping
 
 
 def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> bytes:
-    """The contents of a regular file of at most `limit` bytes. Raises `InputError`, never `OSError`."""
+    """Reads a regular file of at most `limit` bytes; returns its contents. Raises `InputError`, never `OSError`."""
     try:
         return read_regular(path, limit)
     except RefusedFileError as refused:
@@ -448,7 +448,7 @@ def _resolve(text: str) -> str | int | float | bool | None:
 
 
 def plain(node: Node) -> Json:
-    """A node as plain Python data, for a JSON Schema validator."""
+    """Converts a node to plain Python data, for a JSON Schema validator."""
     if isinstance(node, Scalar):
         return node.value
     if isinstance(node, Sequence):

@@ -20,7 +20,7 @@ decimals, and for time stamps scaled from other units than seconds."""
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """An interval start ≤ time < end, s; `end` may be infinite."""
+    """Describes an interval start ≤ time < end, s; `end` may be infinite."""
 
     start: float
     end: float
@@ -31,8 +31,8 @@ class Span:
         return self.end - self.start
 
     def of(self, time: Array, period: float) -> slice:
-        """The slice of `time` that lies in the interval. `time`: array of shape (n,), ascending times, s. `period`: time between
-        samples, s, or NaN if it is not known."""
+        """Returns the slice of `time` that lies in the interval. `time`: array of shape (n,), ascending times, s. `period`: time
+        between samples, s, or NaN if it is not known."""
         rounding = 0.0 if math.isnan(period) else ROUNDING * period
         first, last = np.searchsorted(time, [self.start - rounding, self.end - rounding], side="left").tolist()
         return slice(first, last)

@@ -71,7 +71,7 @@ class Sweep:
         return size
 
     def combinations(self, order: str, seed: int) -> Iterator[tuple[SweepValue, ...]]:
-        """Every combination of the values, with one value for each swept key, in the given order."""
+        """Returns every combination of the values, with one value for each swept key, in the given order."""
         rows = list(_product(self.axes, serpentine=order == "serpentine"))
         if order == "reversed":
             rows.reverse()
@@ -111,7 +111,7 @@ class StateTraits:
 
 
 def traits_of(state: type[Record]) -> dict[str, StateTraits]:
-    """The traits of each key of a state, in the order of declaration."""
+    """Returns the traits of each key of a state, in the order of declaration."""
     return {name: item.metadata["traits"] or StateTraits() for name, item in keys_of(state).items()}
 
 
@@ -132,7 +132,7 @@ _NAME = r"[^/\x00-\x1f]{1,60}"
 
 @dataclass(frozen=True, slots=True)
 class ForEachKind:
-    """The kind of value of `for_each`, a sweep over the keys of `state` that may be swept."""
+    """Reads the value of `for_each`, a sweep over those keys of `state` that may be swept."""
 
     state: type[Record]
 

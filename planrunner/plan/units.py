@@ -1,4 +1,4 @@
-"""Units: pint interprets the texts of units, with the project's own definitions.
+"""Defines the units: pint interprets the texts of units, with the project's own definitions.
 
 The project has its own definitions for three reasons: in this field `g` is standard gravity, not gram; an angle is a dimension, so
 that a frequency in Hz differs from a rate in deg/s; and outputs are in pulses. Common units are listed in `_DAILY`, so that
@@ -112,7 +112,7 @@ class Unit:
 
 
 class UnknownUnitError(ValueError):
-    """The error for a text that is not a unit. Its message explains the fault to the user."""
+    """Reports that a text is not a unit. Its message explains the fault to the user."""
 
 
 _DEG = math.pi / 180
@@ -208,7 +208,7 @@ _SQRT = re.compile(r"sqrt *\(([A-Za-zµμ%*/ ]*)\)")
 
 @lru_cache(maxsize=4096)
 def unit(text: str) -> Unit:
-    """The unit that `text` names, for example `deg/s`. Raises `UnknownUnitError` if the text is not a unit."""
+    """Returns the unit that `text` names, for example `deg/s`. Raises `UnknownUnitError` if the text is not a unit."""
     text = text.strip()
     if text in _DAILY:
         return _DAILY[text]
@@ -260,8 +260,8 @@ _OTHERWISE = {
 
 
 def suggestion(text: str, dimension: Dimension | None = None) -> str:
-    """The unit that an invalid text probably means: the same letters in another case, or the closest common unit; '' if there is
-    none.
+    """Returns the unit that an invalid text probably means: the same letters in another case, or the closest common unit; '' if
+    there is none.
 
     `dimension`: only units of this dimension are suggested.
     """
@@ -294,7 +294,7 @@ def convert(value: float, from_unit: str, to_unit: str) -> float:
 
 
 def dimension_name(dimension: Dimension) -> str:
-    """The usual name of a dimension; if it has none, its base units with their exponents."""
+    """Returns the usual name of a dimension; if it has none, returns its base units with their exponents."""
     for name, known in DIMENSIONS.items():
         if known == dimension:
             return name

@@ -1,5 +1,5 @@
-"""Another evaluation of a run, made by a named person for a stated reason. It is stored as a new analysis that names the analysis
-it amends."""
+"""Evaluates a run once more, on behalf of a named person and for a stated reason. It is stored as a new analysis that names the
+analysis it amends."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MAY_DIFFER = ("estimates", "limits", "report", "diagnosis")
 
 @dataclass(frozen=True, slots=True)
 class Amendment:
-    """An amendment of the evaluation of a run.
+    """Describes an amendment of the evaluation of a run.
 
     `by`: the person who makes the amendment. `why`: the reason. `plan`: a plan with other estimates or limits; None to use the plan
     of the run. `amends`: number of the analysis that is amended; by default, the newest.
@@ -61,7 +61,7 @@ def checked_amendment(amendment: Amendment) -> Amendment:
 
 
 def amended_analysis(reader: RunReader, amendment: Amendment) -> StoredAnalysis:
-    """The analysis that an amendment refers to. Raises `InputError` if the run does not have it."""
+    """Returns the analysis that an amendment refers to. Raises `InputError` if the run does not have it."""
     return chosen_analysis(reader.path, reader.analyses, amendment.amends)
 
 
@@ -80,7 +80,8 @@ def _measured(plan: Plan) -> JsonObject:
 
 
 def stored_amendment(analysis: StoredAnalysis) -> JsonObject | None:
-    """The amendment that an analysis contains; None for an ordinary analysis. Raises `IntegrityError` if the analysis was changed."""
+    """Returns the amendment that an analysis contains; None for an ordinary analysis. Raises `IntegrityError` if the analysis was
+    changed."""
     if AMENDMENT not in analysis.files:
         return None
     return analysis.read_json(AMENDMENT, "amendment", "planrunner_amendment", FORMAT)

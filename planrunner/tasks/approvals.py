@@ -53,7 +53,7 @@ from planrunner.signing.key_ring import KeyRing, parse_ring
 
 @dataclass(frozen=True, slots=True)
 class RingFile:
-    """A key ring, and the text from which it was read."""
+    """Contains a key ring, and the text from which it was read."""
 
     path: Path
     text: str
@@ -67,8 +67,8 @@ def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
 
 
 def ring_of_run(rule: ApprovalRule, kept: KeptApprovals, bench_file: Path | None) -> RingFile:
-    """The key ring with which a run is continued. The bench names this ring; the run folder does not contain it. `bench_file`: a
-    bench file that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
+    """Returns the key ring with which a run is continued. The bench names this ring; the run folder does not contain it.
+    `bench_file`: a bench file that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
     return _ring(rule, Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys)
 
 
@@ -233,8 +233,8 @@ def _tell(
 def still_approved(
     reader: RunReader, plan: Plan, bench: Bench, bench_file: Path | None, further: Path | None = None
 ) -> tuple[JsonObject, ...]:
-    """The approvals that were added since the run began or was last continued, as entries for its journal. Raises `InputError` if
-    too few approvals count today.
+    """Returns the approvals that were added since the run began or was last continued, as entries for its journal. Raises
+    `InputError` if too few approvals count today.
 
     `bench_file`: a bench file that replaces the one in the run folder. `further`: plan file; approvals that were given after the
     run began are read from the folder of this file. Without `further`, only the approvals with which the run began or was continued
@@ -285,8 +285,8 @@ def _renewals(
 
 @dataclass(frozen=True, slots=True)
 class RunApproval:
-    """An approval under which a plan ran. `verified`: True if the approval was verified with a key ring that the user gave.
-    Otherwise, it was checked with the ring in the run folder, which proves nothing about the owner of the key."""
+    """Describes an approval under which a plan ran. `verified`: True if the approval was verified with a key ring that the user
+    gave. Otherwise, it was checked with the ring in the run folder, which proves nothing about the owner of the key."""
 
     judged: JudgedApproval
     verified: bool
@@ -301,8 +301,8 @@ class RunApproval:
 
 
 def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, ...]:
-    """The approvals of a run, checked for the time at which the run began. Faults become findings. `ring`: key ring with the keys
-    that the user knows."""
+    """Returns the approvals of a run, checked for the time at which the run began. Faults become findings. `ring`: key ring with
+    the keys that the user knows."""
     path = found.folder.path
     if not {PLAN, BENCH} <= found.given.keys() or not found.run:
         return ()
@@ -422,8 +422,8 @@ def _name(one: JudgedApproval) -> str:
 
 
 def approved_by(reader: RunReader) -> Iterator[tuple[str, str]]:
-    """For each approval in the run folder, the name of the person and the text about the approval that reports print. The approvals
-    were verified when the run began or was continued with further approvals."""
+    """Returns, for each approval in the run folder, the name of the person and the text about the approval that reports print. The
+    approvals were verified when the run began or was continued with further approvals."""
     if reader.approvals is None:
         return
     kept, _ = kept_approvals(reader.approvals, reader.path)

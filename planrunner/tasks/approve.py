@@ -47,8 +47,8 @@ _ANYBODY = ApprovalRule(keys="", author_may_approve=True)
 
 @dataclass(frozen=True, slots=True)
 class PreparedApproval:
-    """The content of an approval before it is signed. `sound`: the checked plan on each bench. `last`: the newest approval of a
-    plan with another meaning, with the difference between that plan and the present one; None if there is no such approval or its
+    """Contains what an approval states before it is signed. `sound`: the checked plan on each bench. `last`: the newest approval of
+    a plan with another meaning, with the difference between that plan and the present one; None if there is no such approval or its
     text is not available."""
 
     plan: Path
@@ -59,8 +59,8 @@ class PreparedApproval:
 
 @dataclass(frozen=True, slots=True)
 class BenchApprovals:
-    """The approvals of a plan on one bench. `rule`: the bench's rule for approvals; None if the bench requires none. `met`: True if
-    the approvals fulfil the rule."""
+    """Contains the approvals of a plan on one bench. `rule`: the bench's rule for approvals; None if the bench requires none.
+    `met`: True if the approvals fulfil the rule."""
 
     bench: str
     rule: ApprovalRule | None
@@ -140,8 +140,8 @@ def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage |
 
 
 def approvals_on(plan: Path, sound: Sound, ring: KeyRing | None = None) -> BenchApprovals:
-    """The approvals of a plan on a bench that are valid now. `ring`: the key ring to use instead of the ring that the bench names.
-    Raises `InputError` if the approvals or the key ring cannot be read."""
+    """Returns those approvals of a plan on a bench that are valid now. `ring`: the key ring to use instead of the ring that the
+    bench names. Raises `InputError` if the approvals or the key ring cannot be read."""
     rule = sound.bench.approvals
     if ring is None:
         ring = KeyRing({}) if rule is None else ring_of(rule, Path(sound.bench.origin.mark.file)).ring

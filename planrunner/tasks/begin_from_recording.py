@@ -29,7 +29,8 @@ _NOISE = {"degC": ("K", 1.0), "degF": ("K", 5 / 9)}
 
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
-    """The message and the hint of the finding that gyros x, y, z turn about the given axes of the accelerometers."""
+    """Returns the message and the hint of a finding about wrong axes: the gyros x, y, z turn about the given axes of the
+    accelerometers."""
     turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in zip("xyz", axes, strict=True))
     return (
         f"Gyros and accelerometers have different axes. In the axes of the accelerometers: {turns}.",

@@ -39,14 +39,14 @@ _RESULTS: dict[VerdictKind, TestResult] = {"pass": "PASSED", "warned": "WARNED",
 
 
 def statement_result(results: Results) -> TestResult:
-    """The result of a run in the form in which a signed statement contains it."""
+    """Returns the result of a run in the form in which a signed statement contains it."""
     warnings = sum(len(estimate.warnings) for estimate in results.estimates.values())
     return _RESULTS[verdict_kind(results.limits, results.failures, warnings)]
 
 
 def key_of(bench: Bench) -> PublicKey | None:
-    """The public key that must sign the runs of a bench; None if the bench names none. The bench file must already have been
-    checked."""
+    """Returns the public key that must sign the runs of a bench; None if the bench names none. The bench file must already have
+    been checked."""
     return None if bench.signing is None else parse_public(bench.signing.key)
 
 

@@ -43,8 +43,8 @@ def facts(
     before: Mapping[str, Estimate] | None = None,
     before_run: str = "",
 ) -> CertificateFacts:
-    """The contents of a certificate for this run. `given`: run information that is given when the certificate is issued; it takes
-    precedence over the information in the run."""
+    """Returns the contents of a certificate for this run. `given`: run information that is given when the certificate is issued; it
+    takes precedence over the information in the run."""
     recorded = recorded_information(reader)
     segments = tuple(recording)
     bench = sound.bench
@@ -75,7 +75,7 @@ _SHOWN = ("name", "address", "location", "contact", "accreditation", "traceabili
 
 
 def recorded_information(reader: RunReader) -> dict[str, str]:
-    """The run information that is stored in the run folder."""
+    """Returns the run information that is stored in the run folder."""
     return {name: str(value) for name, value in reader.run["info"].items()}
 
 
@@ -131,7 +131,7 @@ def _events(reader: RunReader) -> Iterable[tuple[str, str, str]]:
 
 
 def obstacles(reader: RunReader, sound: Sound, results: Results, shown: CertificateFacts) -> list[Finding]:
-    """All reasons that prevent issuing a certificate for this run."""
+    """Returns all reasons that prevent issuing a certificate for this run."""
     log = Findings()
     mark = Mark(str(reader.path))
     told = {name for name, text in shown.told.items() if text}
@@ -218,7 +218,7 @@ def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log
 
 
 def issued_as(shown: CertificateFacts) -> JsonObject:
-    """The data that are stored with a certificate, so that later certificates can be checked against them."""
+    """Returns the data that are stored with a certificate, so that later certificates can be checked against them."""
     kept = {name: shown.told.get(name, "") for name in ("certificate_number", "amends", "amendment_reason")}
     return {"planrunner_issued": 1, **{name: text for name, text in kept.items() if text}, "issued": shown.issued}
 
@@ -233,8 +233,8 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
-    """The reason why a run cannot be the one before the adjustment: it is the certified run itself, or it was made with another
-    item. None if neither is the case."""
+    """Returns the reason why a run cannot be the one before the adjustment: it is the certified run itself, or it was made with
+    another item. None if neither is the case."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"
         hint = "give the run of the same item before its adjustment"
@@ -250,5 +250,5 @@ def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader)
 
 
 def names() -> list[str]:
-    """The names of all run information that certificates use."""
+    """Returns the names of all run information that certificates use."""
     return [item.name for item in ASKED]

@@ -48,7 +48,7 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """The result of checking a plan: the plan and the bench, as far as they could be read, and the findings. `plan_bytes`,
+    """Contains the result of checking a plan: the findings, and the plan and the bench as far as they could be read. `plan_bytes`,
     `bench_bytes`: the exact bytes that were read; the plan already contains the values that were given for its parameters.
     `approvals`: the approvals that the bench requires; None if it requires none or if the plan lacks them."""
 
@@ -67,12 +67,12 @@ class Checked:
 
     @property
     def name(self) -> str:
-        """The name of the plan in the archive."""
+        """Returns the name of the plan in the archive."""
         return variant_name(Path(self.file).stem, self.parameters)
 
     @property
     def setup(self) -> Setup:
-        """The test set-up, as far as the plan and the bench state it."""
+        """Returns the test set-up, as far as the plan and the bench state it."""
         if self.plan is None or self.models is None or self.bench is None:
             return Setup()
         return Setup(
@@ -97,7 +97,7 @@ class Checked:
         return bench.signing is None and bench.check_standard is None and bench.approvals is None
 
     def sound(self) -> Sound:
-        """The plan with everything that is needed to run it. Raises `InputError` with the findings if there are errors."""
+        """Returns the plan with everything that is needed to run it. Raises `InputError` with the findings if there are errors."""
         if (
             self.findings.errors
             or self.plan is None
@@ -126,7 +126,7 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A plan that has passed its checks; `findings` may contain warnings. `parameters`: the values that the user gave for
+    """Contains a plan that has passed its checks; `findings` may contain warnings. `parameters`: the values that the user gave for
     parameters. `approvals`: the approvals that the bench requires; None if it requires none. A bench that requires approvals does
     not run a plan without them."""
 
@@ -146,13 +146,13 @@ class Sound:
 
     @property
     def name(self) -> str:
-        """The name of the plan in the archive."""
+        """Returns the name of the plan in the archive."""
         return variant_name(Path(self.file).stem, self.parameters)
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The bytes of a plan or bench file, and its name in findings."""
+    """Contains the bytes of a plan or bench file, and its name in findings."""
 
     data: bytes
     shown: str
@@ -251,7 +251,7 @@ _OTHER_PAGES = ("show", "design", "diagnosis", "difference", "timetable")
 
 @cache
 def report_names() -> tuple[str, ...]:
-    """The names of the reports that can be written for a run: the shipped templates except those in `_OTHER_PAGES`."""
+    """Returns the names of the reports that can be written for a run: the shipped templates except those in `_OTHER_PAGES`."""
     return tuple(name for name in available() if name.partition(".")[0] not in _OTHER_PAGES)
 
 

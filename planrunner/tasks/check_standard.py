@@ -1,4 +1,5 @@
-"""The check standard of a bench before a run: determines its state from the archive, and whether the run may begin in this state."""
+"""Checks the check standard of a bench before a run: determines its state from the archive, and whether the run may begin in this
+state."""
 
 from __future__ import annotations
 
@@ -40,14 +41,14 @@ CODE = "bench-check-standard"
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """A person's decision, with the reason, that a run may begin although the check standard is not in control."""
+    """Records a person's decision that a run may begin although the check standard is not in control, and the reason for it."""
 
     by: str
     why: str
 
 
 def override_file(bench_file: Path) -> Path:
-    """The path of the signed override for a bench, next to the bench file."""
+    """Returns the path of the signed override for a bench, next to the bench file."""
     return bench_file.with_name(f"{bench_file.stem}.override.json")
 
 
@@ -118,8 +119,8 @@ def shown_name(override: JsonObject) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """The permission for a run to begin. `record`: data about the check standard that are stored in run.json. `findings`: warnings
-    for the user."""
+    """Describes the permission for a run to begin. `record`: data about the check standard that are stored in run.json. `findings`:
+    warnings for the user."""
 
     record: JsonObject | None = None
     findings: tuple[Finding, ...] = ()
@@ -133,8 +134,9 @@ def control_state(
     now: datetime | None = None,
     fresh: Freshness = Freshness(),  # noqa: B008 - frozen
 ) -> ControlState | None:
-    """The state of the check standard of a bench according to the runs in an archive; None if the bench has no check standard.
-    `now`: time for which the state is determined; by default, the current time. Raises `InputError` if the index cannot be used."""
+    """Determines the state of a bench's check standard from the runs in an archive; returns None if the bench has no check
+    standard. `now`: time for which the state is determined; by default, the current time. Raises `InputError` if the index cannot
+    be used."""
     rule = bench.check_standard
     if rule is None:
         return None
@@ -271,8 +273,8 @@ def _signature_kept(bench: Bench, run: RunReader, began: JsonObject, bench_file:
 
 
 def state_after(run: Path) -> ControlState | None:
-    """The state of the check standard after a run that measured it, according to the archive that contains the run; None for any
-    other run."""
+    """Determines the state of the check standard after a run that measured it, from the archive that contains the run. Returns None
+    for any other run."""
     reader = RunReader.open(run)
     bench = bench_of(reader.bench_bytes, str(reader.path / "bench.yaml"))
     rule = bench.check_standard

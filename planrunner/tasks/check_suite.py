@@ -28,7 +28,7 @@ from planrunner.tasks.check import Checked, Document, check_plan
 
 @dataclass(frozen=True, slots=True)
 class PlanOnBench:
-    """The result of checking a plan on a bench.
+    """Contains the result of checking a plan on a bench.
 
     `seconds`: planned duration, s; None if the length of a recording determines the duration. `size`: largest possible size of the
     run folder, bytes. `asks`: maps the name of each item of run information in the plan to True if the item is required.
@@ -44,8 +44,8 @@ class PlanOnBench:
 
 @dataclass(slots=True)
 class CheckedSuite:
-    """The result of checking a suite: the suite, as far as it could be read, and the findings. `virtual`: True if all benches have
-    simulated time."""
+    """Contains the result of checking a suite: the findings, and the suite as far as it could be read. `virtual`: True if all
+    benches have simulated time."""
 
     file: str
     findings: Findings
@@ -67,7 +67,7 @@ class CheckedSuite:
         return tuple(self.plans[test.measurement].seconds for test in self.tests)
 
     def sound(self) -> SoundSuite:
-        """The suite with everything that a night needs. Raises `InputError` with the findings if there are errors."""
+        """Returns the suite with everything that a night needs. Raises `InputError` with the findings if there are errors."""
         if self.findings.errors or self.suite is None or self.forecast is None:
             raise InputError(self.findings)
         asks = tuple(dict(self.plans[test.measurement].asks) for test in self.tests)
@@ -79,8 +79,8 @@ class CheckedSuite:
 
 @dataclass(frozen=True, slots=True)
 class SoundSuite:
-    """A suite that has passed its checks; `findings` may contain warnings. `asks`: for each test, the run information that its plan
-    requests. `size`: largest possible size of all run folders together, bytes."""
+    """Contains a suite that has passed its checks; `findings` may contain warnings. `asks`: for each test, the run information that
+    its plan requests. `size`: largest possible size of all run folders together, bytes."""
 
     file: str
     findings: Findings
@@ -95,7 +95,7 @@ class SoundSuite:
     size: int
 
     def bench_of(self, test: PlannedTest) -> str:
-        """The bench of a test, in the form that `planrunner run --bench` accepts."""
+        """Returns the bench of a test, in the form that `planrunner run --bench` accepts."""
         return bench_file(self.suite, self.file, test.bench)
 
 
@@ -112,8 +112,8 @@ def is_suite(file: Path) -> bool:
 
 
 def bench_file(suite: Suite, file: str, name: str) -> str:
-    """The name of a shipped bench, or the path of a bench file, to which a bench of a suite refers. A name without a folder or an
-    ending means a shipped bench, as in a plan."""
+    """Returns the name of a shipped bench, or the path of a bench file, to which a bench of a suite refers. A name without a folder
+    or an ending means a shipped bench, as in a plan."""
     written = suite.benches[name].bench
     return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
 

@@ -45,7 +45,7 @@ _OTHER_SEED = 0x5EED
 
 
 class Ending(Enum):
-    """Why `close` ended, in words for the user."""
+    """States in words for the user why `close` ended."""
 
     NOTHING_LEFT = "noise alone explains the remaining gap"
     NO_NAME = "the catalogue does not contain the cause of the remaining gap"
@@ -57,8 +57,8 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class ClosingRound:
-    """One round of `close`: the diagnosis of the remaining gap, and the comparison after the effects of this diagnosis were
-    entered."""
+    """Contains one round of `close`: the diagnosis of the remaining gap, and the comparison after the effects of this diagnosis
+    were entered."""
 
     made: Diagnosed
     comparison: GapComparison

@@ -1,5 +1,5 @@
-"""Designs the positions of a plan on its bench: compares the information that the planned positions give with the information of
-the best set found and with an upper bound."""
+"""Designs the positions of a plan on its bench. Compares the information from the planned positions with the information from the
+best set found, and with an upper bound."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Designs the rates of a plan: finds the pairs of rates that give the most information about a scale factor, and the recording time
-of each pair within a time budget.
+"""Designs the rates of a plan within a time budget. Finds the pairs of rates that give the most information about a scale factor,
+and the recording time of each pair.
 
 The estimator gives the information of each rate. The design changes only one sweep of the plan. If only the terms of a straight
 line were used, the design would choose only the largest rates. By default, the columns |rate| and rate³ are therefore added to the
@@ -36,8 +36,8 @@ _COPY = "designed rate "
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
-    """Whether rates are the only thing that can be designed in a plan: its first estimate over several rates fits a straight line.
-    The rates may form one sweep, which can be designed, or several sweeps, which `design_rates` refuses with a hint."""
+    """Returns True if rates are the only thing that can be designed in a plan: its first estimate over several rates fits a
+    straight line. The rates may form one sweep, which can be designed, or several sweeps, which `design_rates` refuses with a hint."""
     if checked.schedule is None or checked.plan is None:
         return False
     for name in [estimate] if estimate is not None else checked.plan.estimates:

@@ -52,7 +52,7 @@ DIAGNOSIS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording and the plan with which it was made.
+    """Contains a recording and the plan with which it was made.
 
     `where`: the run folder or the file, for messages. `bench`: name or file of the bench, in a form that another plan can use.
     `created`: time when the run began. `remarks`: notes about the run folder. `several`: True if recordings of several runs were
@@ -70,10 +70,10 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """A diagnosis with its recording, findings about the recording, and a proposal of what to measure next. The proposal is None if
-    no question is open. `declarations`: wrong declarations that were corrected before the diagnosis. `stated`: maps each effect
-    that is known to act to the stated values of its parameters. A value that is stated without a parameter name has the key ''; it
-    applies to the only parameter, or to all amplitudes."""
+    """Contains a diagnosis with its recording, findings about the recording, and a proposal of what to measure next. The proposal
+    is None if no question is open. `declarations`: wrong declarations that were corrected before the diagnosis. `stated`: maps each
+    effect that is known to act to the stated values of its parameters. A value that is stated without a parameter name has the key
+    ''; it applies to the only parameter, or to all amplitudes."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -83,7 +83,7 @@ class Diagnosed:
     stated: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def advice(self) -> list[Advice]:
-        """The advice for each effect that the verdict names."""
+        """Returns the advice for each effect that the verdict names."""
         from planrunner.error_model.effects.interface import effect_named
         from planrunner.reporting.advice import advice
 
@@ -307,8 +307,8 @@ def _lasting(item: RecordedSegment) -> RecordedSegment:
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
-    """The samples with their planned states, ready for a diagnosis, and warnings about them. Wrong declarations are corrected.
-    `nominal`: the terms that the simulation fits. Raises `InputError` with all obstacles to a diagnosis."""
+    """Returns the samples with their planned states, ready for a diagnosis, and warnings about them. Wrong declarations are
+    corrected. `nominal`: the terms that the simulation fits. Raises `InputError` with all obstacles to a diagnosis."""
     seen, _, findings = corrected_observation(recorded, nominal)
     return seen, findings
 
@@ -585,7 +585,7 @@ def _with_axis(outputs: Sequence[str]) -> tuple[str, ...] | None:
 
 
 def only_channel(units: Mapping[str, str], dimension: str) -> str | None:
-    """The only channel of a dimension; None if there is no such channel or more than one."""
+    """Returns the only channel of a dimension; None if there is no such channel or more than one."""
     found = [name for name, text in units.items() if unit(text).dimension == DIMENSIONS[dimension]]
     return found[0] if len(found) == 1 else None
 

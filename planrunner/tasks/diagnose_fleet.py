@@ -89,9 +89,9 @@ class RunVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Attributed:
-    """One amplitude, and the sources to which it is attributed. `runs`: indices of the n runs that determine the amplitude.
-    `values`, `standard_uncertainties`: arrays of shape (n,), the amplitude and its standard uncertainty in each of these runs, in
-    the unit of `key`."""
+    """Contains one amplitude, and the sources to which it is attributed. `runs`: indices of the n runs that determine the
+    amplitude. `values`, `standard_uncertainties`: arrays of shape (n,), the amplitude and its standard uncertainty in each of these
+    runs, in the unit of `key`."""
 
     key: AmplitudeKey
     runs: tuple[int, ...]
@@ -119,7 +119,7 @@ class FleetDiagnosis:
 
     @property
     def origin(self) -> DataOrigin:
-        """The origin of the samples of all runs. It is simulated if the samples of at least one run are simulated."""
+        """Returns the origin of the samples of all runs. It is simulated if the samples of at least one run are simulated."""
         found = {one.origin for one in self.verdicts}
         return next(one for one in ("simulated", "replayed", "measured") if one in found)
 

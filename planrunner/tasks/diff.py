@@ -35,7 +35,8 @@ from planrunner.tasks.run import stored_results
 def compare(
     before: Path, after: Path, bench: str | None = None, *, foresee: bool = True, today: date | None = None
 ) -> Compared:
-    """The difference between two files or folders of one kind: plans, benches (also by their shipped names) or run folders.
+    """Compares two files or folders of one kind: plans, benches (also by their shipped names) or run folders. Returns the
+    difference.
 
     `bench`: the bench on which both plans are checked, instead of the benches that they name. `foresee`: True if both plans are
     checked on their benches to find the consequences, which takes as long as two runs of `check`. Raises `InputError` if a file
@@ -59,7 +60,7 @@ def compare(
 def compare_plans(
     before: Document, after: Document, bench: str | None = None, *, foresee: bool = True, today: date | None = None
 ) -> Compared:
-    """The difference between two plans; see `compare`."""
+    """Compares two plans; see `compare`."""
     sides = [_Side.of(document, bench) for document in (before, after)]
     known = all(side.bench is not None for side in sides)
     benches = [meaning_of_bench(side.bench) if known and side.bench is not None else None for side in sides]

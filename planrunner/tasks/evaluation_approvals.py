@@ -40,8 +40,8 @@ class EvaluationApproval:
 
 
 def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path) -> bytes | None:
-    """The approval data that the analysis with an amended plan must contain. None if the bench requires no approvals, or if too few
-    of the approvals next to the plan file are valid.
+    """Returns the approval data that the analysis with an amended plan must contain. None if the bench requires no approvals, or if
+    too few of the approvals next to the plan file are valid.
 
     Raises `InputError` if the approvals or the key ring cannot be read, and `IntegrityError` if a file of the run was changed.
     """
@@ -65,8 +65,8 @@ def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path
 
 
 def evaluation_approvals(found: Examined, ring: KeyRing | None) -> Iterator[EvaluationApproval]:
-    """Whether approvals cover the evaluation of each analysis, for a run whose bench requires approvals. `ring`: key ring with the
-    keys that the user knows. Analyses that cannot be read are omitted, because other checks report them."""
+    """Determines whether approvals cover the evaluation of each analysis, for a run whose bench requires approvals. `ring`: key
+    ring with the keys that the user knows. Analyses that cannot be read are omitted, because other checks report them."""
     data, path = found.given.get(APPROVALS), found.folder.path
     if data is None or BENCH not in found.given:
         return

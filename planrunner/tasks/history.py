@@ -1,4 +1,4 @@
-"""The history of an archive, for the commands `runs`, `history` and `compare` and for other programs."""
+"""Reads the history of an archive, for the commands `runs`, `history` and `compare` and for other programs."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def list_runs(index: Index, wanted: RunFilter) -> RunList:
 
 
 def coefficients_of(index: Index, device: str) -> list[str]:
-    """The names of all coefficients in the runs of a device. Raises `InputError` for an unknown device."""
+    """Returns the names of all coefficients in the runs of a device. Raises `InputError` for an unknown device."""
     known = index.quantities(device)
     if not known:
         devices = [one.device for one in index.devices() if one.device]
@@ -83,8 +83,8 @@ def coefficients_of(index: Index, device: str) -> list[str]:
 
 
 def trend_of(index: Index, device: str, quantity: str, tolerance: str | None = None, since: str = "") -> Trend:
-    """The history of a coefficient of a device. `tolerance`: permissible deviation, such as `0.5 deg/h`. Raises `InputError` for an
-    unknown device or coefficient."""
+    """Returns the history of a coefficient of a device. `tolerance`: permissible deviation, such as `0.5 deg/h`. Raises
+    `InputError` for an unknown device or coefficient."""
     known = coefficients_of(index, device)
     if quantity not in known:
         message = f"no run of '{device}' has a coefficient '{quantity[:60]}'"
@@ -97,8 +97,8 @@ def trend_of(index: Index, device: str, quantity: str, tolerance: str | None = N
 
 
 def gauge_of(index: Index, quantity: str, wanted: RunFilter) -> tuple[GaugeStudy, str]:
-    """The gauge study of a coefficient in the runs that pass the filter, and its unit. Raises `InputError` if these runs do not
-    fill the design of a gauge study."""
+    """Computes the gauge study of a coefficient in the runs that pass the filter; returns the study and its unit. Raises
+    `InputError` if these runs do not fill the design of a gauge study."""
     points = [point for point in index.points(quantity, wanted) if math.isfinite(point.coefficient.value)]
     units = {point.coefficient.unit for point in points}
     hint = "choose runs with --device, --plan, --since and --until that have every combination at least twice"

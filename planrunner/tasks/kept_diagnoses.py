@@ -1,5 +1,5 @@
-"""Results of diagnoses of sealed runs, which are stored on this computer. After the next night, only the diagnoses of new runs must
-be computed.
+"""Stores the results of diagnoses of sealed runs on this computer. After the next night, only the diagnoses of new runs must be
+computed.
 
 A diagnosis of a run is a function of the run, of the program with its libraries and plug-ins, and of the options. The name of the
 file with a result is a digest of all three, so any change of them leads to another file. The files are in a folder that only the
@@ -55,7 +55,7 @@ class KeptDiagnoses:
         return cls(folder)
 
     def get(self, key: str) -> Json:
-        """The stored result for a key; None if there is none."""
+        """Returns the stored result for a key; None if there is none."""
         if self.folder is None:
             return None
         try:
@@ -71,8 +71,8 @@ class KeptDiagnoses:
 
 
 def key_of(kind: str, run: str, asked: Json) -> str:
-    """The key under which a result is stored. `run`: SHA-256 of the seal of the run. `asked`: all options that the result depends
-    on, as JSON data."""
+    """Returns the key under which a result is stored. `run`: SHA-256 of the seal of the run. `asked`: all options that the result
+    depends on, as JSON data."""
     return hashlib.sha256(to_bytes([kind, run, asked, _program()])).hexdigest()
 
 

@@ -30,7 +30,7 @@ ESTIMATE = "diagnosed"
 
 
 def plan_with_estimate(made: Diagnosed) -> Checked:
-    """The plan of a diagnosis with one more estimate. This estimate contains, for each output, the terms that the simulation of the
+    """Adds an estimate to the plan of a diagnosis. This estimate contains, for each output, the terms that the simulation of the
     output fits, and the named effects.
 
     The result is a checked plan: its text is in `plan_bytes`, and the check shows whether its segments can separate the effects.
@@ -74,8 +74,8 @@ def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object
 
 
 def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
-    """The text of a bench file with the named effects added, each with its estimated size. `simulation`: the virtual bench, as a
-    name or a file; by default, the bench of the recording. Raises `InputError` if the bench cannot simulate the effects."""
+    """Returns the text of a bench file with the named effects added, each with its estimated size. `simulation`: the virtual bench,
+    as a name or a file; by default, the bench of the recording. Raises `InputError` if the bench cannot simulate the effects."""
     base = simulated_by(made.recorded, simulation)
     shown = base.bench.origin.mark.file
     observed = made.diagnosis.grounds.weighing.observed
@@ -84,8 +84,8 @@ def bench_with_effects(made: Diagnosed, simulation: str | None = None) -> str:
 
 
 def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
-    """The plan of a recording, checked on a virtual bench. `simulation`: the virtual bench, as a name or a file; by default, the
-    bench of the recording. Raises `InputError` if the bench cannot simulate or cannot run the plan."""
+    """Returns the plan of a recording, checked on a virtual bench. `simulation`: the virtual bench, as a name or a file; by
+    default, the bench of the recording. Raises `InputError` if the bench cannot simulate or cannot run the plan."""
     sound = recorded.sound
     if simulation is not None:
         sound = check_plan(Document(sound.plan_bytes, sound.file), simulation).sound()
@@ -94,7 +94,7 @@ def simulated_by(recorded: Recorded, simulation: str | None = None) -> Sound:
 
 
 def stated_effects(made: Diagnosed) -> Stated:
-    """The named effects with their parameters as texts. Orientations are numbered as in the diagnosis."""
+    """Returns the named effects with their parameters as texts. Orientations are numbered as in the diagnosis."""
     return [
         (
             name,

@@ -68,7 +68,7 @@ CONTINUED_WITHIN = 24 * 3600.0
 
 
 class NightClock:
-    """The time of a night, which never goes back.
+    """Gives the time of a night, which never goes back.
 
     Simulated time advances only by `advance`. Real time comes from the monotonic clock of the computer, from the beginning of this
     process on. If someone sets the computer's clock forward, the time of the night follows; if someone sets it back, the time of
@@ -800,8 +800,8 @@ class _Night:
 
 
 def judged(code: int, document: JsonObject, *, asked: bool, overdue: bool = False) -> tuple[EndOfTest | None, str]:
-    """The outcome of a test, judged from the exit code and the JSON output of its process; also the reason in words. The outcome is
-    None if the test was stopped on request.
+    """Judges the outcome of a test from the exit code and the JSON output of its process. Returns the outcome, and the reason in
+    words. The outcome is None if the test was stopped on request.
 
     `asked`: True if the processes were asked to stop. `overdue`: True if this process was stopped because it took too long.
     """

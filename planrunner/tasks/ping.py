@@ -21,7 +21,7 @@ TIMES = 3
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """The answer of one instrument of a bench.
+    """Contains the answer of one instrument of a bench.
 
     `identity`, `readings`: identity and readings as the instrument reports them. `faults`: reasons why the instrument could not be
     used now. `round_trip`: time from question to answer, s. `failure`: the reason why the instrument could not be asked; empty if

@@ -46,7 +46,7 @@ _APART = 5.0  # K
 
 @dataclass(frozen=True)
 class MenuEntry:
-    """One line of a plan without its label."""
+    """Contains one line of a plan without its label."""
 
     orientation: str
     dwell: str
@@ -65,7 +65,8 @@ class MenuEntry:
 
 
 def menu(recorded: Sequence[Segment], models: BenchModels) -> list[MenuEntry]:
-    """The options for segments that may follow the recorded ones. An option states a temperature only if the recorded plan does."""
+    """Returns the options for segments that may follow the recorded ones. An option states a temperature only if the recorded plan
+    does."""
     usual = float(np.median([segment.dwell for segment in recorded if segment.dwell]))
     places = _orientations(recorded, models)
     upright = list({tuple(np.round(place[:, 2], 3)): place for place in places}.values())
@@ -195,7 +196,7 @@ _NO_TEXT = ("null", "true", "false")  # words that YAML does not read as text
 
 @dataclass(frozen=True)
 class Frame:
-    """Values that a proposed plan takes from the executed plan.
+    """Contains the values that a proposed plan takes from the executed plan.
 
     `settle`, `soak`: waiting times, s. `before`: time [s] from the beginning of the executed plan to its first sample.
     """
@@ -211,14 +212,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class Next:
-    """A proposal of what to measure next, and the text of the proposed plan. The text is empty if no segment that the bench can
-    execute helps."""
+    """Contains a proposal of what to measure next, and the text of the proposed plan. The text is empty if no segment that the
+    bench can execute helps."""
 
     proposal: SegmentProposal
     text: str
 
     def to_json(self) -> dict[str, object]:
-        """JSON data according to `next` of `schemas/diagnosis.schema.json`."""
+        """Returns JSON data according to `next` of `schemas/diagnosis.schema.json`."""
         found = self.proposal
         expected: dict[str, object] = {
             "rivals": [name for name, _ in found.rivals],
@@ -286,7 +287,7 @@ def propose_next(
 
 
 def plan_text(frame: Frame, entries: Sequence[MenuEntry], description: str) -> str:
-    """The text of a plan with one line for each segment."""
+    """Writes a plan with one line for each segment; returns its text."""
     lines = [
         "planrunner: 1",
         f"title: {_quoted(('What to measure next: ' + frame.title)[:_LONGEST_TITLE])}",

@@ -27,7 +27,7 @@ two digits of the uncertainty, so that a hundredth of the last digit remains."""
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """The comparison of recomputed results with the stored results of an analysis.
+    """Compares recomputed results with the stored results of an analysis.
 
     `verdict`: `identical` if all bits of every number are equal; `within tolerance` is possible only if other versions computed the
     stored results. `largest`: the largest change of a value or of a standard uncertainty, in units of the stored standard

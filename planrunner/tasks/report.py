@@ -34,8 +34,8 @@ def report_context(
     amendment: str = "",
     ring: KeyRing | None = None,
 ) -> ReportContext:
-    """All data that a report shows for one analysis. `ring`: key ring with the keys that the user knows; it verifies the signatures
-    of the run.
+    """Returns all data that a report shows for one analysis. `ring`: key ring with the keys that the user knows; it verifies the
+    signatures of the run.
 
     `amendment`: a text that states who amends which analysis and why.
 
@@ -68,7 +68,7 @@ def report_context(
 
 
 def printed_signatures(reader: RunReader, ring: KeyRing | None) -> Iterator[PrintedSignature]:
-    """The signatures of a run in their present state, for a report. Raises `OSError` if a signature cannot be read."""
+    """Returns the signatures of a run in their present state, for a report. Raises `OSError` if a signature cannot be read."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     for one in signatures_of(reader.folder, ring, signing):
         yield PrintedSignature(
@@ -136,8 +136,8 @@ def _minute(moment: str, before: str = "") -> str:
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
-    """The provenance of the results: times, digests and versions of the run, and those times, digests and versions of the analysis
-    that differ from them. `seeded`: True if the seed of the run had an effect."""
+    """States where the results come from: times, digests and versions of the run, and those times, digests and versions of the
+    analysis that differ from them. `seeded`: True if the seed of the run had an effect."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}

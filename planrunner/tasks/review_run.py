@@ -33,8 +33,8 @@ UNUSUAL = ("noticed", "paused", "rescued", "failed", "stopped", "reopened")
 def review_of(
     run: Path, number: int | None = None, notice: Announce | None = None, ring: KeyRing | None = None
 ) -> ReviewContext:
-    """The data for the review page of a run and one of its analyses; by default, the newest. `ring`: key ring with the keys that
-    the user knows.
+    """Returns the data for the review page of a run and one of its analyses; by default, the newest. `ring`: key ring with the keys
+    that the user knows.
 
     Raises `InputError` if the run has no such analysis, and `IntegrityError` if the folder was changed; `planrunner verify` then
     shows the changes.

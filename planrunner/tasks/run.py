@@ -120,9 +120,9 @@ class Retake:
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """A request for reports after a run: the names of the reports, run information given with the request, and the folder of an
-    earlier run of the same item, made before its adjustment. `ring`: key ring with the keys that the user knows; it verifies the
-    signatures that a report prints."""
+    """Describes a request for reports after a run: the names of the reports, run information given with the request, and the folder
+    of an earlier run of the same item, made before its adjustment. `ring`: key ring with the keys that the user knows; it verifies
+    the signatures that a report prints."""
 
     reports: tuple[str, ...] = ()
     given: Mapping[str, str] = field(default_factory=dict)
@@ -427,8 +427,8 @@ def _unfit(sound: Sound, error: InstrumentError) -> Exception:
 
 
 def sound_run(reader: RunReader, today: date | None = None, bench: Document | None = None) -> Sound:
-    """The plan and the bench of a run folder, checked in the same way as before the run. Raises `InputError` if the plan and the
-    bench no longer pass the checks.
+    """Checks the plan and the bench of a run folder in the same way as before the run, and returns them. Raises `InputError` if the
+    plan and the bench no longer pass the checks.
 
     `today`: the day on which calibrations must be valid; by default, the day of the run. `bench`: bench file to use instead of the
     one in the folder.
@@ -469,8 +469,8 @@ def evaluate_run(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> Evaluated:
-    """The same as `analyse_run`, but nothing is written; `keep` then makes the result an analysis of the run. It may be computed in
-    another process. `workers`: processes that share the Monte Carlo draws."""
+    """Does the same as `analyse_run`, but writes nothing; `keep` then makes the result an analysis of the run. It may be computed
+    in another process. `workers`: processes that share the Monte Carlo draws."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment, workers=workers)
@@ -539,8 +539,8 @@ def _read_results(analysis: StoredAnalysis) -> Json:
 
 
 def computed_by(analysis: StoredAnalysis) -> tuple[Json, dict[str, str]]:
-    """The stored results of an analysis as JSON data, and the versions of the software that computed them, if these versions are
-    stored. Raises `IntegrityError` if the results were changed."""
+    """Returns the stored results of an analysis as JSON data, and the versions of the software that computed them, if these
+    versions are stored. Raises `IntegrityError` if the results were changed."""
     data = _read_results(analysis)
     stated = data.get("computed_with", {}) if isinstance(data, Mapping) else {}
     return data, {str(name): str(version) for name, version in stated.items()}
@@ -555,8 +555,8 @@ def recompute(
 
 
 def evaluated_as(reader: RunReader, analysis: StoredAnalysis) -> Sound:
-    """The checked plan and bench of a run; if the analysis used an amended plan, the plan is that one. Raises `InputError` if that
-    plan no longer passes its checks, and `IntegrityError` if a file of the run was changed."""
+    """Returns the checked plan and bench of a run. If the analysis used an amended plan, the plan is that one. Raises `InputError`
+    if that plan no longer passes its checks, and `IntegrityError` if a file of the run was changed."""
     if EVALUATED_PLAN not in analysis.files:
         return sound_run(reader)
     return _evaluated(reader, Document(analysis.read(EVALUATED_PLAN), str(analysis.path / EVALUATED_PLAN)))

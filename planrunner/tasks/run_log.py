@@ -38,7 +38,7 @@ PROOF_FORMAT = 1
 
 @dataclass
 class LogVerification:
-    """The result of the verification of a log.
+    """Contains the result of the verification of a log.
 
     `content`: entries of the log; None if the log cannot be read. `signed`: the signed tree head in the log, if any. `findings`:
     errors are changes to the log or to runs; all other findings are remarks.
@@ -80,7 +80,7 @@ class LogVerification:
 
 
 def log_of(archive: Path) -> RunLog | None:
-    """The log of an archive; None if it has none. Raises `InputError` if it cannot be opened."""
+    """Returns the log of an archive; None if it has none. Raises `InputError` if it cannot be opened."""
     try:
         return RunLog.of(archive)
     except OSError as error:
@@ -100,7 +100,7 @@ def require_log(archive: Path) -> RunLog:
 def missing_log(
     archive: Path, runs: Sequence[LoggedRun], remembered: Mapping[str, RememberedHead]
 ) -> LogVerification | None:
-    """The verification of an archive without a log; None if nothing shows that the archive ever had one."""
+    """Returns the verification of an archive without a log; None if nothing shows that the archive ever had one."""
     found = LogVerification(archive / FOLDER)
     if remembered:
         message = f"the archive has no log, but {next(iter(remembered))} is a tree head of its log"
@@ -190,7 +190,7 @@ def _histories(entries: Iterable[LogEntry]) -> dict[str, _History]:
 
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
-    """The data of a run that are compared with the log of its archive.
+    """Contains the data of a run that are compared with the log of its archive.
 
     `name`: name of the run from its journal; if that cannot be read, from run.json, or else the name of the folder. `told`: the
     tree head that run.json contains. `events`: number of events in the journal; None if the journal cannot be read. `heads`: maps
@@ -207,7 +207,7 @@ class LoggedRun:
 
 
 def logged_run(run: Examined) -> LoggedRun:
-    """The data of an examined run that are compared with the log of its archive."""
+    """Returns those data of an examined run that are compared with the log of its archive."""
     path, scan = run.folder.path, run.scan
     name = run.state.created["run"] if run.state is not None else run.run.get("run", path.name)
     heads = {} if scan is None else {**scan.heads, scan.count: scan.head}
@@ -435,5 +435,5 @@ def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None
 
 
 def proof_bytes(proof: JsonObject) -> bytes:
-    """The proof as the contents of a file."""
+    """Returns the proof as the contents of a file."""
     return to_bytes(proof)

@@ -34,7 +34,7 @@ INSTRUMENT = "added"
 
 @dataclass(frozen=True)
 class Simulation:
-    """A plan that was checked on a bench with added effects, and these effects."""
+    """Contains a plan that was checked on a bench with added effects, and these effects."""
 
     sound: Sound
     additions: tuple[Addition, ...]
@@ -78,7 +78,7 @@ def simulation(
 
 
 def stated(item: Addition) -> dict[str, str]:
-    """All parameters of an effect with their units, in the form in which a bench file states them."""
+    """Returns all parameters of an effect with their units, in the form in which a bench file states them."""
     units = {name: "" if text == "1" else f" {text}" for name, text in item.units.items()}
     return {name: f"{value:.12g}{units[name]}" for name, value in item.values.items()}
 
@@ -94,7 +94,7 @@ def check_virtual(sound: Sound) -> None:
 
 
 def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
-    """The effects to add, each with all its parameters. `effects`: maps the name of each effect to the stated values of its
+    """Returns the effects to add, each with all its parameters. `effects`: maps the name of each effect to the stated values of its
     parameters. `mark`: position at which the effects are stated. Raises `InputError` for an effect, a parameter or a value that is
     not possible."""
     from planrunner.error_model.added import addition
@@ -144,8 +144,8 @@ def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
 
 
 def with_effects(text: str, additions: Sequence[Addition]) -> str:
-    """The text of a bench file with one more instrument, which adds the effects. This instrument comes last in the order in which
-    instruments are made safe."""
+    """Returns the text of a bench file with one more instrument, which adds the effects. This instrument comes last in the order in
+    which instruments are made safe."""
     entry = {"driver": "added_effects", "effects": {item.id: stated(item) for item in additions}}
     return _with_instrument(text, INSTRUMENT, _flow(entry))
 

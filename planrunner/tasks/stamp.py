@@ -1,4 +1,4 @@
-"""Time stamps of runs: makes the object that obtains time stamps for a bench, and stamps a seal when it is written or later."""
+"""Stamps runs with the time: makes the object that obtains time stamps for a bench, and stamps a seal when it is written or later."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from planrunner.signing.time_stamps import StampAuthority, StampError, parse_aut
 
 
 def authority_of(spec: TimeStampsSpec) -> StampAuthority:
-    """The certificates of the authority that a bench names; they were already checked with the bench."""
+    """Returns the certificates of the authority that a bench names; they were already checked with the bench."""
     return parse_authority(spec.certificate.encode())
 
 
 def stamper_of(bench: Bench) -> Stamper | None:
-    """The object that obtains time stamps for a run on a bench; None if the bench names no authority."""
+    """Returns the object that obtains time stamps for a run on a bench; None if the bench names no authority."""
     spec = bench.time_stamps
     return None if spec is None else Stamper(spec.url, authority_of(spec), spec.every.value)
 

@@ -41,7 +41,7 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The result of the verification of a run folder.
+    """Contains the result of the verification of a run folder.
 
     `changes`: each change, with the finding that describes it. `remarks`: findings that are not changes, for example that the run
     is not sealed. `amendments`: maps the number of each amended analysis to a text that states who amended which analysis, and why.
@@ -150,8 +150,8 @@ def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignatu
 def verification(
     found: Examined, signatures: tuple[RunSignature, ...] = (), approvals: tuple[RunApproval, ...] = ()
 ) -> Verification:
-    """The result of verifying a run, from the result of examining its folder. An error that is no special kind of change counts as
-    an alteration."""
+    """Derives the result of verifying a run from the result of examining its folder. An error that is no special kind of change
+    counts as an alteration."""
     changes, remarks = [], []
     for finding in found.findings:
         change = CHANGES.get(finding.code, "altered" if finding.severity == "error" else None)
@@ -170,8 +170,8 @@ def verification(
 
 
 def runs_beneath(archive: Path) -> list[Path]:
-    """All run folders in a folder and its subfolders, sorted by name. Links are not followed. Raises `InputError` if there is no
-    run folder."""
+    """Finds all run folders in a folder and its subfolders, sorted by name. Links are not followed. Raises `InputError` if there is
+    no run folder."""
     found = runs_in(archive)
     if not found:
         message, hint = "there is no run folder in this folder", "give the folder that contains the runs, such as runs/"
@@ -180,7 +180,7 @@ def runs_beneath(archive: Path) -> list[Path]:
 
 
 def runs_in(archive: Path) -> list[Path]:
-    """The same as `runs_beneath`, except that there is no error if the folder contains no run or does not exist."""
+    """Does the same as `runs_beneath`, except that there is no error if the folder contains no run or does not exist."""
     if not archive.exists():
         return []
     try:

@@ -1,4 +1,4 @@
-"""JSON Schemas (draft 2020-12) of plans, benches and suites, generated from the same records that read these files.
+"""Writes JSON Schemas (draft 2020-12) of plans, benches and suites. They are generated from the same records that read these files.
 
 The command `python -m planrunner.tasks.write_schemas schemas` writes the schemas; a test checks that the files are up to date.
 """
@@ -18,7 +18,7 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def plan_schema() -> Schema:
-    """The schema of plan files, with the parameters of every installed estimator."""
+    """Returns the schema of plan files, with the parameters of every installed estimator."""
     from planrunner.plan.model import Plan, SegmentSpec
 
     segment = {
@@ -29,7 +29,7 @@ def plan_schema() -> Schema:
 
 
 def bench_schema() -> Schema:
-    """The schema of bench files, with the parameters of every installed instrument driver."""
+    """Returns the schema of bench files, with the parameters of every installed instrument driver."""
     from planrunner.bench.model import Bench
 
     return _document("planrunner bench", object_schema(keys_of(Bench)), {})
@@ -92,7 +92,7 @@ def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Jso
 
 
 def text(schema: JsonObject) -> str:
-    """A schema as text for a file."""
+    """Writes a schema as text for a file."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
