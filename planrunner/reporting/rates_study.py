@@ -58,7 +58,7 @@ def tables(found: FoundRates) -> tuple[Table, ...]:
             "Information from the rates",
             (
                 *alike(Role.LABEL, "Rates"),
-                *alike(Role.SHARE, "Of the best found", "Of the best use of their time"),
+                *alike(Role.SHARE, "Of the best found", "Of the best design of equal duration"),
                 *alike(Role.LABEL, "Plan takes"),
             ),
             compared,
