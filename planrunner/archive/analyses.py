@@ -60,7 +60,8 @@ class StoredAnalysis:
 
     @property
     def basis(self) -> Basis | None:
-        """The data from which the analysis was made; None for an analysis in an earlier format, in which this was not recorded."""
+        """Returns the data from which the analysis was made; None for an analysis in an earlier format, in which this was not
+        recorded."""
         if self.digests["planrunner_digests"] == 1:
             return None
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
@@ -129,7 +130,7 @@ def _unreadable(path: Path, error: OSError) -> IntegrityError:
 
 
 def numbers(run: GuardedFolder) -> tuple[int, ...]:
-    """The numbers of a run's analyses, in order. Raises `OSError` if the folder of the analyses cannot be read."""
+    """Returns the numbers of a run's analyses, in order. Raises `OSError` if the folder of the analyses cannot be read."""
     if run.entry(FOLDER) is None:
         return ()
     found = [
@@ -156,7 +157,8 @@ def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
 
 
 def chosen_analysis(run: Path, analyses: Iterable[StoredAnalysis], number: int | None = None) -> StoredAnalysis:
-    """The analysis of a run that has this number; by default, the newest analysis. Raises `InputError` if the run does not have it."""
+    """Returns the analysis of a run that has this number; by default, the newest analysis. Raises `InputError` if the run does not
+    have it."""
     known = {one.number: one for one in analyses}
     number = max(known, default=0) if number is None else number
     if number not in known:

@@ -87,7 +87,7 @@ def _too_deep(value: Json) -> bool:
 
 @lru_cache(maxsize=8)
 def schema(name: str) -> JsonObject:
-    """A shipped JSON Schema: `run`, `journal-event`, `seal`, `digests`, `issued` or `results`."""
+    """Returns a shipped JSON Schema: `run`, `journal-event`, `seal`, `digests`, `issued` or `results`."""
     from planrunner.base.shipped import shipped
 
     data: JsonObject = json.loads((shipped("schemas") / f"{name}.schema.json").read_text(encoding="utf-8"))
@@ -101,8 +101,8 @@ def _check_of(name: str) -> Check:
 
 
 def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> JsonObject:
-    """The content of a JSON file of a run folder, checked against its schema. `path`: path of the file, for messages. Raises
-    `IntegrityError` if the content does not match the schema."""
+    """Returns the content of a JSON file of a run folder, checked against its schema. `path`: path of the file, for messages.
+    Raises `IntegrityError` if the content does not match the schema."""
     try:
         value = from_bytes(data)
     except ValueError as error:
@@ -122,7 +122,7 @@ def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int
 
 
 def event_fault(event: Mapping[str, Json]) -> str | None:
-    """The reason why the schema rejects a journal event; None if the event is valid."""
+    """Returns the reason why the schema rejects a journal event; None if the event is valid."""
     kind = event.get("event")
     check = _events().get(kind) if isinstance(kind, str) else None
     if check is None:

@@ -32,7 +32,7 @@ FIRST = "0" * 64
 
 
 def utc_now() -> str:
-    """The current time in UTC, ISO 8601 with microseconds."""
+    """Returns the current time in UTC, ISO 8601 with microseconds."""
     now = time.time_ns() // 1000
     return f"{_whole_second(now // 1_000_000)}.{now % 1_000_000:06d}+00:00"
 

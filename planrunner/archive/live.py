@@ -178,14 +178,14 @@ def _channel(data: JsonObject) -> LiveChannel:
 
 
 def _short(text: str) -> str:
-    """A text, shortened to the length that the schema permits. This is necessary because a plan or a driver may give a text of any
-    length."""
+    """Returns a text, shortened to the length that the schema permits. This is necessary because a plan or a driver may give a text
+    of any length."""
     return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
 
 
 def _number(value: float) -> float | None:
-    """A number for display, with ten significant digits, because a bias can be a millionth of the reading of a channel. NaN and
-    infinities become null."""
+    """Returns a number for display, with ten significant digits, because a bias can be a millionth of the reading of a channel. NaN
+    and infinities become null."""
     return float(f"{value:.10g}") if math.isfinite(value) else None
 
 
@@ -206,7 +206,7 @@ def withdraw(run: GuardedFolder) -> None:
 
 
 def read_live(run: GuardedFolder) -> LiveState | None:
-    """The live state of a run; None if there is none, or if its file does not have the expected form."""
+    """Returns the live state of a run; None if there is none, or if its file does not have the expected form."""
     data = _read(run, NAME, "live", "planrunner_live")
     return None if data is None else LiveState.from_json(data)
 
@@ -218,7 +218,7 @@ def write_answer(run: GuardedFolder, answer: Answer) -> None:
 
 
 def take_answer(run: GuardedFolder, question: str) -> Answer | None:
-    """The answer to a question in the run folder; None if there is none. An answer to another question is discarded."""
+    """Returns the answer to a question in the run folder; None if there is none. An answer to another question is discarded."""
     try:
         if run.entry(ANSWER) is None:
             return None

@@ -18,7 +18,7 @@ class ProofError(ValueError):
 
 
 def leaf_hash(entry: bytes) -> bytes:
-    """The hash of a leaf of a Merkle tree; its prefix 00 distinguishes leaves from nodes (RFC 9162, 2.1.1)."""
+    """Returns the hash of a leaf of a Merkle tree; its prefix 00 distinguishes leaves from nodes (RFC 9162, 2.1.1)."""
     return hashlib.sha256(b"\0" + entry).digest()
 
 
@@ -27,7 +27,7 @@ def node_hash(left: bytes, right: bytes) -> bytes:
 
 
 def tree_hash(leaves: Hashes) -> bytes:
-    """The hash MTH of a Merkle tree whose leaves have these hashes (RFC 9162, 2.1.1)."""
+    """Returns the hash MTH of a Merkle tree whose leaves have these hashes (RFC 9162, 2.1.1)."""
     if not leaves:
         return EMPTY
     level = list(leaves)
@@ -46,8 +46,8 @@ def complete_nodes(leaves: Hashes) -> list[list[bytes]]:
 
 
 def root_of(levels: Sequence[Hashes], size: int) -> bytes:
-    """The hash MTH of the tree of the first `size` leaves, computed from `complete_nodes`. The time grows with the logarithm of the
-    size."""
+    """Returns the hash MTH of the tree of the first `size` leaves, computed from `complete_nodes`. The time grows with the
+    logarithm of the size."""
     root, end = None, size
     for height, level in enumerate(
         levels
@@ -60,7 +60,8 @@ def root_of(levels: Sequence[Hashes], size: int) -> bytes:
 
 
 def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
-    """The inclusion proof PATH(index, leaves): the hashes that lead from a leaf, counted from 0, to the root (RFC 9162, 2.1.3.1)."""
+    """Returns the inclusion proof PATH(index, leaves): the hashes that lead from a leaf, counted from 0, to the root (RFC 9162,
+    2.1.3.1)."""
     if not 0 <= index < len(leaves):
         raise ProofError(f"the tree has no leaf {index}")
     n = len(leaves)
@@ -73,16 +74,16 @@ def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
 
 
 def consistency_proof(size: int, leaves: Hashes) -> list[bytes]:
-    """The consistency proof PROOF(size, leaves), which shows that the tree of the first `size` leaves is a part of the tree of all
-    leaves (RFC 9162, 2.1.4.1). The proof is empty for size 0."""
+    """Returns the consistency proof PROOF(size, leaves), which shows that the tree of the first `size` leaves is a part of the tree
+    of all leaves (RFC 9162, 2.1.4.1). The proof is empty for size 0."""
     if not 0 <= size <= len(leaves):
         raise ProofError(f"the tree has fewer than {size} leaves")
     return _subproof(size, leaves, whole=True) if 0 < size < len(leaves) else []
 
 
 def _subproof(m: int, leaves: Hashes, *, whole: bool) -> list[bytes]:
-    """The list SUBPROOF(m, leaves, b) of RFC 9162, 2.1.4.1. `whole`: the argument b, which is True if the verifier knows the hash
-    of the tree of the first m leaves."""
+    """Returns the list SUBPROOF(m, leaves, b) of RFC 9162, 2.1.4.1. `whole`: the argument b, which is True if the verifier knows
+    the hash of the tree of the first m leaves."""
     n = len(leaves)
     if m == n:
         return [] if whole else [tree_hash(leaves)]
@@ -154,5 +155,5 @@ def require_consistency(first: int, second: int, first_hash: bytes, second_hash:
 
 
 def _split(n: int) -> int:
-    """The largest power of two smaller than n."""
+    """Returns the largest power of two smaller than n."""
     return 1 << (n - 1).bit_length() - 1

@@ -37,7 +37,7 @@ class OriginUnknownError(Exception):
 
 
 def state_folder() -> Path:
-    """The folder for the key of this user. Raises `OriginUnknownError` if there is no such folder."""
+    """Returns the folder for the key of this user. Raises `OriginUnknownError` if there is no such folder."""
     stated = os.environ.get(STATE)
     try:
         if stated:
@@ -52,8 +52,8 @@ def state_folder() -> Path:
 
 
 def _home() -> Path:
-    """The home folder from the environment. An empty HOME counts as missing, because it would mean the current folder, which may
-    belong to anyone."""
+    """Returns the home folder from the environment. An empty HOME counts as missing, because it would mean the current folder,
+    which may belong to anyone."""
     if os.environ.get("HOME") == "":
         raise RuntimeError
     return Path.home()
@@ -73,7 +73,7 @@ def leave_origin(run: GuardedFolder, first: str) -> None:
 
 
 def made_here(run: GuardedFolder, first: str) -> bool:
-    """Whether this user made the run folder on this computer. Raises `OriginUnknownError` if this cannot be determined."""
+    """Returns True if this user made the run folder on this computer. Raises `OriginUnknownError` if this cannot be determined."""
     key = _key(make=False)
     if not key:
         return False
@@ -85,8 +85,8 @@ def made_here(run: GuardedFolder, first: str) -> bool:
 
 
 def foreign(run: GuardedFolder, first: str) -> str:
-    """The reason why a run folder counts as made elsewhere; empty if this user made it on this computer. The bench file of a run
-    made elsewhere must not decide what planrunner connects to or signs."""
+    """Returns the reason why a run folder counts as made elsewhere; empty if this user made it on this computer. The bench file of
+    a run made elsewhere must not decide what planrunner connects to or signs."""
     try:
         return "" if made_here(run, first) else "you did not make this run folder on this computer"
     except OriginUnknownError as error:

@@ -30,7 +30,7 @@ def take_back(run: GuardedFolder) -> bool:
 
 
 def is_written(run: GuardedFolder) -> bool:
-    """Whether a process is writing to the run folder at present."""
+    """Returns True if a process is writing to the run folder at present."""
     if run.entry(LOCK) is None:
         return False
     try:

@@ -18,8 +18,8 @@ from planrunner.plan.schedule import Segment
 
 
 def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
-    """The segments of a recording as the player plays them back. The recording is kept in memory or in a temporary Parquet file, so
-    that it can be read repeatedly. Raises `InstrumentError` if the recording cannot be read."""
+    """Returns the segments of a recording as the player plays them back. The recording is kept in memory or in a temporary Parquet
+    file, so that it can be read repeatedly. Raises `InstrumentError` if the recording cannot be read."""
     if isinstance(player, SummaryPlayer):
         name, units = player.parameters.file, player.channels()
         return tuple(summarised(one, units, player.summary, player.stream(one), name) for one in segments)

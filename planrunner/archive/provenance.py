@@ -44,7 +44,7 @@ _BLAS = ("internal_api", "version", "architecture")
 
 @functools.cache
 def _libraries() -> dict[str, str]:
-    """The versions of the libraries. They are read once, because a process keeps the libraries that it has loaded."""
+    """Returns the versions of the libraries. They are read once, because a process keeps the libraries that it has loaded."""
     found = {}
     for name in LIBRARIES:
         try:

@@ -27,9 +27,9 @@ class RowsRead:
 
 
 def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce | None) -> tuple[RecordedSegment, ...]:
-    """The given segments, changed so that reading their samples displays the progress. A pass over the samples that takes long is
-    reported to `notice` under the name `what`, with the fraction of all rows that have been read at least once. After all rows have
-    been read, the next pass starts again from zero."""
+    """Returns the given segments, changed so that reading their samples displays the progress. A pass over the samples that takes
+    long is reported to `notice` under the name `what`, with the fraction of all rows that have been read at least once. After all
+    rows have been read, the next pass starts again from zero."""
     if notice is None:
         return tuple(recording)
     passes = _Passes([item.statistics.count + item.statistics.rejected for item in recording], what, notice)

@@ -75,7 +75,7 @@ class Statistics:
         return self.end - self.start + self.period if self.count > 1 else 0.0
 
     def of(self, channel: str) -> int:
-        """The index of a channel. Raises KeyError if the segment does not have the channel."""
+        """Returns the index of a channel. Raises KeyError if the segment does not have the channel."""
         try:
             return self.channels.index(channel)
         except ValueError:
@@ -158,8 +158,8 @@ class RecordedSegment:
 
 
 def expected_segment(segment: Segment, units: dict[str, str], statistics: Statistics) -> RecordedSegment:
-    """A segment that is not recorded yet. It has its expected statistics and a few samples with this mean and scatter; the number
-    of these samples does not grow with the dwell."""
+    """Returns a segment that is not recorded yet. It has its expected statistics and a few samples with this mean and scatter; the
+    number of these samples does not grow with the dwell."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         count = min(statistics.count, _SHOWN)
@@ -199,5 +199,5 @@ WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]
 
 
 def in_time_order(recording: Sequence[RecordedSegment]) -> tuple[RecordedSegment, ...]:
-    """The segments in order of time, regardless of their order in the plan; segments without samples come last."""
+    """Returns the segments in order of time, regardless of their order in the plan; segments without samples come last."""
     return tuple(sorted(recording, key=lambda item: item.statistics.start if item.statistics.count else math.inf))

@@ -240,8 +240,8 @@ def _copy_file(copying: _Copying, file: _RemoteFile, folder: GuardedFolder, name
 
 
 def _counts(info: Mapping[str, object]) -> bool:
-    """Whether an entry belongs to the archive. False for the empty objects that storage consoles make for folders, and for files
-    that are being written."""
+    """Returns True if an entry belongs to the archive. False for the empty objects that storage consoles make for folders, and for
+    files that are being written."""
     name = str(info["name"])
     return not (name.endswith("/") and info["type"] != "directory" and not info["size"]) and not name.endswith(ASIDE)
 
@@ -251,7 +251,7 @@ def _file(info: Mapping[str, object]) -> _RemoteFile:
 
 
 def _changed(info: Mapping[str, object]) -> int | None:
-    """The time when an object was last changed. Each implementation of fsspec has its own name for this attribute."""
+    """Returns the time when an object was last changed. Each implementation of fsspec has its own name for this attribute."""
     for key in ("LastModified", "last_modified", "mtime", "modified", "updated", "created"):
         value = info.get(key)
         if isinstance(value, str):
@@ -269,7 +269,8 @@ def _name(info: Mapping[str, object], root: str) -> str:
 
 
 def _parts(info: Mapping[str, object], root: str, url: str) -> _Place:
-    """The names on the path from the root to an object. Raises `InputError` for an object whose name would lead outside the folder."""
+    """Returns the names on the path from the root to an object. Raises `InputError` for an object whose name would lead outside the
+    folder."""
     inner = str(info["name"]).strip("/").removeprefix(root.strip("/")).removeprefix("/")
     parts = tuple(inner.split("/")) if inner else ()
     for part in parts:
@@ -434,7 +435,7 @@ def _write(files: AbstractFileSystem, path: str, data: bytes) -> None:
 
 
 def _opened(url: str) -> tuple[AbstractFileSystem, str]:
-    """The file system of a URL, and the path in it. Raises `InputError` if the file system cannot be used."""
+    """Returns the file system of a URL, and the path in it. Raises `InputError` if the file system cannot be used."""
     try:
         from fsspec.core import url_to_fs
     except ImportError:

@@ -284,11 +284,11 @@ class RunWriter:
 
     @property
     def resume_point(self) -> ResumePoint:
-        """The clock and the states from which the run continues."""
+        """Returns the clock and the states from which the run continues."""
         return self._point
 
     def acknowledged(self, index: int) -> bool:
-        """Whether a segment had been acknowledged when the folder was opened."""
+        """Returns True if a segment had been acknowledged when the folder was opened."""
         return index in self._point.acknowledged
 
     # -- growing -----------------------------------------------------------------------------------------------------

@@ -65,13 +65,13 @@ class LogEntry:
     why: str = ""
 
     def to_json(self) -> JsonObject:
-        """The entry as JSON data; values that are absent are left out."""
+        """Returns the entry as JSON data; values that are absent are left out."""
         value = {name: getattr(self, name) for name in self.__slots__}
         return {name: item for name, item in value.items() if item not in (0, "")}
 
     @property
     def line(self) -> bytes:
-        """The entry as a leaf of the tree, which is its line in the file without the line feed."""
+        """Returns the entry as a leaf of the tree, which is its line in the file without the line feed."""
         return json.dumps(self.to_json(), separators=(",", ":"), ensure_ascii=False).encode("utf-8", "backslashreplace")
 
     @classmethod
@@ -146,7 +146,7 @@ class LogContent:
         return self.leaves[0].hex() if self.leaves else ""
 
     def head(self) -> TreeHead:
-        """The head of the tree of all entries; its time is the present time."""
+        """Returns the head of the tree of all entries; its time is the present time."""
         return TreeHead(len(self.entries), self.root(len(self.entries)), utc_now())
 
 
@@ -159,7 +159,8 @@ class RunLog:
 
     @classmethod
     def of(cls, archive: Path, storage: Storage | None = None) -> RunLog | None:
-        """The log of a folder that contains runs; None if the folder has no log. Raises `OSError` if the folder cannot be read."""
+        """Returns the log of a folder that contains runs; None if the folder has no log. Raises `OSError` if the folder cannot be
+        read."""
         try:
             above = GuardedFolder.open(archive)
         except FileNotFoundError:

@@ -97,11 +97,11 @@ class RunReader:
 
     @property
     def sealed(self) -> bool:
-        """Whether the run is finished and sealed."""
+        """Returns True if the run is finished and sealed."""
         return self.seal is not None and self.state.finished
 
     def acknowledged(self) -> tuple[Acknowledged, ...]:
-        """The valid segments in the order of the schedule."""
+        """Returns the valid segments in the order of the schedule."""
         return tuple(self.state.acknowledged[index] for index in sorted(self.state.acknowledged))
 
     def rejected(self) -> tuple[Rejected, ...]:
@@ -143,7 +143,7 @@ class RunReader:
     def recording(
         self, schedule: Schedule, watch: WatcherOf | None = None, notice: Announce | None = None
     ) -> tuple[RecordedSegment, ...]:
-        """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
+        """Returns the acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
         `schedule`: the schedule made from the plan and the bench in the run folder. `watch`: screens the samples while they are
         read for the statistics. `notice`: receives the progress. Raises `IntegrityError` if the schedule does not match the
@@ -179,7 +179,7 @@ class RunReader:
         return tuple(segments)
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:
-        """The samples of a segment in blocks of bounded size; all channels if `channels` is None."""
+        """Returns the samples of a segment in blocks of bounded size; all channels if `channels` is None."""
         return _blocks((SegmentData(self.folder, part) for part in item.parts), channels)
 
     # -- integrity -----------------------------------------------------------------------------------------------------

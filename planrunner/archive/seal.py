@@ -20,7 +20,7 @@ MOST_BYTES = 2**25
 
 
 def seal_of(folder: GuardedFolder, run: str, files: Mapping[str, str], head: str, events: int) -> bytes:
-    """The text of the seal for a run whose journal ends with the digest `head` after `events` events.
+    """Returns the text of the seal for a run whose journal ends with the digest `head` after `events` events.
 
     `run`: name of the run. `files`: maps the name of each other recorded file to its SHA-256, as computed while the file was
     written. Raises `OSError`.
@@ -38,7 +38,7 @@ def seal_of(folder: GuardedFolder, run: str, files: Mapping[str, str], head: str
 
 
 def parse_seal(data: bytes, path: Path) -> JsonObject:
-    """The content of a seal. Raises `IntegrityError` if it does not match its schema or its own digest."""
+    """Returns the content of a seal. Raises `IntegrityError` if it does not match its schema or its own digest."""
     seal = formats.parse_json(data, path, "seal", "planrunner_seal", formats.SEAL_FORMAT)
     formats.require_own_digest(data, seal, path)
     return seal

@@ -65,12 +65,13 @@ class Part:
 
 
 def safe_name(label: str) -> str:
-    """A label in a form that every platform accepts in a file name: letters, digits, `+`, `-` and `_`, at most 60 characters."""
+    """Returns a label in a form that every platform accepts in a file name: letters, digits, `+`, `-` and `_`, at most 60
+    characters."""
     return re.sub(r"[^A-Za-z0-9+_-]+", "_", label).strip("_")[:60] or "segment"
 
 
 def file_stem(index: int, label: str, attempt: int) -> str:
-    """The beginning of a file name, `0001-P1`, or `0001-P1.try2` for a repeated segment; the numbers count from 1."""
+    """Returns the beginning of a file name, `0001-P1`, or `0001-P1.try2` for a repeated segment; the numbers count from 1."""
     again = f".try{attempt}" if attempt > 1 else ""
     return f"{index + 1:04d}-{safe_name(label)}{again}"
 
@@ -141,7 +142,7 @@ class SegmentWriter:
             )
 
     def take_finished(self) -> list[Part]:
-        """The parts finished since the last call, in order."""
+        """Returns the parts finished since the last call, in order."""
         finished, self._finished = self._finished, []
         return finished
 

@@ -35,8 +35,8 @@ def require_space(folder: Path, needed: int) -> None:
 
 
 def shortage(folder: Path, needed: int) -> str:
-    """The end of a sentence about a disk that has less than `needed` bytes, such as "needs up to 2 GB, …"; empty if the disk has
-    enough room."""
+    """Returns the end of a sentence about a disk that has less than `needed` bytes, such as "needs up to 2 GB, …"; empty if the
+    disk has enough room."""
     existing = next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path.cwd())
     free = shutil.disk_usage(existing).free
     return "" if free >= needed else f"needs up to {_size(needed)}, the disk has {_size(free)} free"

@@ -33,7 +33,8 @@ class StampName:
 
 
 def stamp_names(folder: GuardedFolder) -> tuple[StampName, ...]:
-    """The names of the stamps of a run in the order of their numbers. Raises `OSError` if the folder of the stamps cannot be read."""
+    """Returns the names of the stamps of a run in the order of their numbers. Raises `OSError` if the folder of the stamps cannot
+    be read."""
     if folder.entry(FOLDER) is None:
         return ()
     matches = [match for match in map(_FILE.match, folder.folder(FOLDER).entries()) if match is not None]

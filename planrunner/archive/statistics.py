@@ -60,8 +60,8 @@ def follows_course(motion: Motion) -> bool:
 
 
 def course_of(motion: Motion, time: Array, samples: Array, interval: float) -> MotionCourse | None:
-    """The periodic signal that a motion causes in averages over a few consecutive samples. Returns None if there are too few such
-    averages.
+    """Returns the periodic signal that a motion causes in averages over a few consecutive samples. Returns None if there are too
+    few such averages.
 
     `time`: array of shape (c,) in s, middle of the interval of each average, counted from the segment's first sample. `samples`:
     array of shape (c,), number of samples in each average. `interval`: time between samples, s.
@@ -133,8 +133,8 @@ def statistics_of(
 
 
 def _products(values: Array) -> Array:
-    """The product values @ values.T, (k, k), computed as inner products of short pieces. Longer pieces would start threads that
-    cost more time than they save, and a matrix product of a few long rows is slower too."""
+    """Returns the product values @ values.T, (k, k), computed as inner products of short pieces. Longer pieces would start threads
+    that cost more time than they save, and a matrix product of a few long rows is slower too."""
     channels, rows = values.shape
     whole = rows - rows % UNSHARED
     out = np.zeros((channels, channels))
@@ -148,7 +148,7 @@ def _products(values: Array) -> Array:
 
 
 def _range(columns: list[Array]) -> tuple[Array, Array]:
-    """The smallest and the largest sample of each column; NaN for a column that contains NaN."""
+    """Returns the smallest and the largest sample of each column; NaN for a column that contains NaN."""
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
 
 
@@ -305,7 +305,7 @@ class _Gathered:
         )
 
     def _course(self) -> MotionCourse | None:
-        """The periodic signal that the motion causes, determined from averages over a few samples."""
+        """Returns the periodic signal that the motion causes, determined from averages over a few samples."""
         if not self.follows or self.count < 3:
             return None
         interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)

@@ -90,10 +90,10 @@ class Storage:
 
 
 def digest(data: bytes) -> str:
-    """The SHA-256 digest as 64 hexadecimal digits."""
+    """Returns the SHA-256 digest as 64 hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
 
 
 def digest_of(file: BufferedReader) -> str:
-    """The SHA-256 digest of an open file, which is read in pieces."""
+    """Returns the SHA-256 digest of an open file, which is read in pieces."""
     return hashlib.file_digest(file, "sha256").hexdigest()

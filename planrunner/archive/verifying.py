@@ -130,7 +130,7 @@ class Examined:
 
     @property
     def basis(self) -> Basis:
-        """The state of journal and seal that a new analysis is based on."""
+        """Returns the state of journal and seal that a new analysis is based on."""
         assert self.scan is not None
         return Basis(self.scan.count, self.scan.head, self.seal_digest)
 
@@ -346,7 +346,7 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
 
 
 def is_being_written(found: Examined) -> bool:
-    """Whether a process is writing to the run folder at present, so that a seal or signature may still be added."""
+    """Returns True if a process is writing to the run folder at present, so that a seal or signature may still be added."""
     try:
         return pausing.is_written(found.folder)
     except OSError:
@@ -385,7 +385,8 @@ def _check_chain(found: Examined) -> None:
 
 
 def _follows_seal(found: Examined, basis: Basis) -> bool:
-    """Whether the analysis was made after the present seal. An analysis of a reopened run may belong to an earlier seal instead."""
+    """Returns True if the analysis was made after the present seal. An analysis of a reopened run may belong to an earlier seal
+    instead."""
     return found.seal is not None and basis.events >= int(found.seal["journal"]["events"])
 
 
@@ -419,7 +420,7 @@ def _check_times(found: Examined) -> None:
 
 
 def _of_the_whole(found: Examined) -> list[StoredAnalysis]:
-    """The analyses that were made from the whole journal as it is now."""
+    """Returns the analyses that were made from the whole journal as it is now."""
     assert found.scan is not None
     return [one for one in found.analyses if one.basis is not None and one.basis.events == found.scan.count]
 
@@ -524,7 +525,7 @@ def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
 
 
 def _aside(name: str, entry: Entry, kind: str) -> bool:
-    """Whether an entry is left over from an interrupted write; entries of this kind are ignored."""
+    """Returns True if an entry is left over from an interrupted write; entries of this kind are ignored."""
     return name.endswith(ASIDE) and entry.kind == kind
 
 

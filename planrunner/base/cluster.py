@@ -158,7 +158,7 @@ def _packed(work: Callable[[T], R]) -> bytes:
 
 
 def _paths(items: Sequence[object]) -> tuple[str, ...]:
-    """The items, and parts of items, that are paths of existing files or folders."""
+    """Returns the items, and parts of items, that are paths of existing files or folders."""
     parts = (part for item in items for part in (item if isinstance(item, tuple) else (item,)))
     return tuple(str(part) for part in parts if isinstance(part, Path) and part.exists())
 
@@ -272,8 +272,8 @@ def _knock(address: str) -> None:
 
 
 def _answer_of(future: Future[_Answer], address: str) -> _Answer:
-    """The answer of a task. Raises `ProcessEndedError` if the item cannot be computed because workers or the scheduler end, and
-    `ClusterError` for workers without planrunner."""
+    """Returns the answer of a task. Raises `ProcessEndedError` if the item cannot be computed because workers or the scheduler end,
+    and `ClusterError` for workers without planrunner."""
     from concurrent.futures import CancelledError
 
     from distributed import KilledWorker

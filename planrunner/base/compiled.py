@@ -24,7 +24,7 @@ KEPT = Path("planrunner") / "compiled"
 
 
 def cache_folder(environment: Mapping[str, str], user: int | None = None) -> Path | None:
-    """The folder for compiled code; None if no folder can be made or written.
+    """Returns the folder for compiled code; None if no folder can be made or written.
 
     `environment`: the variables of the process; except on Windows, `NUMBA_CACHE_DIR` or `XDG_CACHE_HOME` may replace the user's
     `~/.cache`. `user`: user number, by default the current user. Raises `UntrustedFolderError` if another user could write code
@@ -49,7 +49,7 @@ def _base(environment: Mapping[str, str]) -> Path:
 
 @functools.cache
 def _cache_folder() -> Path | None:
-    """The cache folder of this process. If there is none, the reason is reported once."""
+    """Returns the cache folder of this process. If there is none, the reason is reported once."""
     try:
         return cache_folder(os.environ)
     except UntrustedFolderError as error:
@@ -62,7 +62,7 @@ def _cache_folder() -> Path | None:
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """A decorator like `numba.njit(**options)` that caches the machine code for later processes."""
+    """Returns a decorator like `numba.njit(**options)` that caches the machine code for later processes."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         folder = _cache_folder()

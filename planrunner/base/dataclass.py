@@ -26,7 +26,7 @@ KNOWN = {"frozen", "slots", "eq", "kw_only"}
 
 
 def _dataclass(given: type | None = None, /, **options: bool) -> Any:
-    """A decorator with the same effect as `dataclasses.dataclass`."""
+    """Returns a decorator with the same effect as `dataclasses.dataclass`."""
     if given is None:
         return lambda cls: _dataclass(cls, **options)
     bases: list[Any] = [base for base in given.__mro__[1:] if "__dataclass_fields__" in base.__dict__]
@@ -183,7 +183,7 @@ def _compiled(source: str) -> CodeType:
 
 
 def _values(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """A function that returns the values of the named attributes of a record, in the order of the names."""
+    """Returns a function that returns the values of the named attributes of a record, in the order of the names."""
     if not names:
         return lambda _: ()
     get: Any = attrgetter(*names)

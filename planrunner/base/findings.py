@@ -126,7 +126,7 @@ class Findings:
             self._cause = before
 
     def error_in(self, *parts: Mark) -> Finding | None:
-        """The first error in one of these parts, or the error from which that error follows; None if there is none."""
+        """Returns the first error in one of these parts, or the error from which that error follows; None if there is none."""
         found = next((error for error in self._errors if any(part.covers(error.mark) for part in parts)), None)
         return found if found is None or found.cause is None else found.cause
 
@@ -142,7 +142,7 @@ class Findings:
 
     @property
     def errors(self) -> list[Finding]:
-        """All errors in the order in which they were found, including those that follow from other errors."""
+        """Returns all errors in the order in which they were found, including those that follow from other errors."""
         return self._errors
 
     def __iter__(self) -> Iterator[Finding]:
@@ -174,7 +174,8 @@ class InputError(Exception):
 
 
 def count_of(number: int, one: str, several: str = "") -> str:
-    """A number with its noun, such as `1 run` and `2 runs`. `several`: the plural of the noun; by default the noun with an s."""
+    """Returns a number with its noun, such as `1 run` and `2 runs`. `several`: the plural of the noun; by default the noun with an
+    s."""
     return f"{number} {one if number == 1 else several or f'{one}s'}"
 
 
@@ -199,7 +200,7 @@ character looks like another name."""
 
 
 def closest(word: str, known: Iterable[str]) -> str:
-    """A hint with the closest known word, or with all known words if none is close."""
+    """Returns a hint with the closest known word, or with all known words if none is close."""
     names = tuple(sorted(known))
     near = _nearest(word[:80], names)
     if near is not None:
@@ -209,7 +210,7 @@ def closest(word: str, known: Iterable[str]) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that a misspelt word probably means; None if no word is close."""
+    """Returns the known word that a misspelt word probably means; None if no word is close."""
     return _nearest(word[:80], tuple(sorted(known)))
 
 

@@ -98,7 +98,7 @@ class GuardedFolder:
     # -- looking -----------------------------------------------------------------------------------------------------
 
     def entries(self) -> dict[str, Entry]:
-        """The entries of the folder by name, sorted by name."""
+        """Returns the entries of the folder by name, sorted by name."""
         self._check_place()
         found: dict[str, Entry] = {}
         with os.scandir(self.path if self._descriptor is None else self._descriptor) as listed:
@@ -110,7 +110,7 @@ class GuardedFolder:
         return dict(sorted(found.items()))
 
     def entry(self, name: str) -> Entry | None:
-        """The entry at a name; None if there is none."""
+        """Returns the entry at a name; None if there is none."""
         self._check_place()
         try:
             return _entry(self._status(_plain(name)))
@@ -153,7 +153,7 @@ class GuardedFolder:
         return os.fdopen(self._open(name, _READ, limit), "rb")
 
     def read(self, name: str, limit: int) -> bytes:
-        """The contents of a file of at most `limit` bytes."""
+        """Returns the contents of a file of at most `limit` bytes."""
         with self.open_file(name, limit) as file:
             data = file.read(limit + 1)
         if len(data) > limit:
@@ -225,8 +225,8 @@ class GuardedFolder:
     # -- how it is guarded -------------------------------------------------------------------------------------------
 
     def _at(self, name: str) -> str:
-        """The name in the form that system calls need: relative to the open folder, or with the folder's path on a system that
-        cannot keep a folder open."""
+        """Returns the name in the form that system calls need: relative to the open folder, or with the folder's path on a system
+        that cannot keep a folder open."""
         return name if self._descriptor is not None else str(self.path / name)
 
     def _status(self, name: str) -> os.stat_result:

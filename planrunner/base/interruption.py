@@ -124,5 +124,5 @@ def _main_thread() -> int:
 
 
 def signals(names: Sequence[str]) -> list[signal.Signals]:
-    """The signals with these names. Signals that this system lacks are omitted."""
+    """Returns the signals with these names. Signals that this system lacks are omitted."""
     return [signal.Signals[name] for name in names if name in signal.Signals.__members__]

@@ -39,7 +39,7 @@ class _Selectable(Protocol):
 
 @cache
 def _installed() -> _Selectable:
-    """The entry points of all installed distributions. This is slow because it reads files of every distribution."""
+    """Returns the entry points of all installed distributions. This is slow because it reads files of every distribution."""
     from importlib.metadata import entry_points
 
     return entry_points()
@@ -97,7 +97,7 @@ def _found(place: str) -> object:
 
 
 def names(group: str) -> tuple[str, ...]:
-    """The sorted names of the plug-ins that are installed in a group."""
+    """Returns the sorted names of the plug-ins that are installed in a group."""
     return tuple(_table(group))
 
 

@@ -49,7 +49,7 @@ def processors() -> int:
 def shared_out(
     work: Callable[[T], R], items: Sequence[T], jobs: int | None = None, tell: Callable[[float], None] | None = None
 ) -> list[R]:
-    """The results of `work` for all items, in their order.
+    """Returns the results of `work` for all items, in their order.
 
     `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `jobs`: number
     of processes including this one; if it is None, the number depends on the processors and on the number of items. `tell`: called
@@ -84,7 +84,7 @@ def _untold(_: float) -> None:
 
 
 def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[[float], None] = _untold) -> list[R]:
-    """The results for the items before the first one that fails."""
+    """Returns the results for the items before the first one that fails."""
     results: list[R] = []
     with contextlib.suppress(Exception):
         for item in share:
@@ -137,8 +137,8 @@ class _Started(Generic[T, R]):
         self._answer.close()
 
     def results(self) -> list[R]:
-        """The results of this process for its items, up to the first item that failed. Raises `ProcessEndedError` if the process
-        ended without sending them."""
+        """Returns the results of this process for its items, up to the first item that failed. Raises `ProcessEndedError` if the
+        process ended without sending them."""
         try:
             found: list[R] = self._answer.recv()
         except (EOFError, OSError):

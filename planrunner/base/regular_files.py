@@ -27,7 +27,7 @@ _KINDS: tuple[tuple[int, FileKind], ...] = (
 
 
 def open_flags(*names: str) -> int:
-    """The flags of `os.open` with these names, such as O_NOFOLLOW. Flags that this system does not have are omitted."""
+    """Returns the flags of `os.open` with these names, such as O_NOFOLLOW. Flags that this system does not have are omitted."""
     flags = 0
     for name in names:
         flags |= getattr(os, name, 0)
@@ -35,7 +35,7 @@ def open_flags(*names: str) -> int:
 
 
 def file_kind(status: os.stat_result) -> FileKind:
-    """The kind of a file from the result of `os.stat` or `os.lstat`; "a link" only if the result describes the link itself."""
+    """Returns the kind of a file from the result of `os.stat` or `os.lstat`; "a link" only if the result describes the link itself."""
     kind = stat.S_IFMT(status.st_mode)
     return next((word for number, word in _KINDS if number == kind), "something else")
 
@@ -84,14 +84,15 @@ def open_regular(
 
 
 def read_regular(path: Path | str, limit: int, *, folder: int | None = None, links: bool = True) -> bytes:
-    """The contents of a regular file of at most `limit` bytes (see `open_regular`). Raises `RefusedFileError` for any other file."""
+    """Returns the contents of a regular file of at most `limit` bytes (see `open_regular`). Raises `RefusedFileError` for any other
+    file."""
     with open_regular(path, limit, folder=folder, links=links) as file:
         return read_bounded(file, limit)
 
 
 def read_bounded(file: BinaryIO, limit: int) -> bytes:
-    """The rest of an open file, at most `limit` bytes even if the file grows while it is read. Raises `RefusedFileError` if the
-    file is larger or cannot be read."""
+    """Returns the rest of an open file, at most `limit` bytes even if the file grows while it is read. Raises `RefusedFileError` if
+    the file is larger or cannot be read."""
     try:
         data = file.read(min(limit, _USUAL) + 1)  # a larger buffer is costly, and most files need none
         if data is not None and _USUAL < len(data) <= limit:

@@ -49,12 +49,12 @@ class Said(str):
 
     @property
     def number(self) -> int:
-        """The number that selects the plural form."""
+        """Returns the number that selects the plural form."""
         value = self.values.get(COUNT)
         return value if isinstance(value, int) else 0
 
     def to_json(self) -> JsonObject:
-        """The text as JSON data, with its template and values for translation."""
+        """Returns the text as JSON data, with its template and values for translation."""
         if not self.template:
             return {"text": str(self)}
         values = {name: _value_to(value) for name, value in self.values.items()}
@@ -77,15 +77,16 @@ class Said(str):
 
 
 def said(template: str, /, **values: Inserted) -> Said:
-    """The template with the values inserted. `{name}` inserts a value, `{name:.3g}` a number with this format; `{{` is a brace.
+    """Returns the template with the values inserted. `{name}` inserts a value, `{name:.3g}` a number with this format; `{{` is a
+    brace.
 
     Raises ValueError for a template that uses other features, and KeyError for a name without a value."""
     return _made(template, "", values)
 
 
 def counted(one: str, many: str, /, count: int, **values: Inserted) -> Said:
-    """The same as `said`, with the first template if `count` is 1 and the second template otherwise. Both templates can contain
-    `{count}`."""
+    """Does the same as `said`, with the first template if `count` is 1 and the second template otherwise. Both templates can
+    contain `{count}`."""
     return _made(one, many, {COUNT: count, **values})
 
 
@@ -95,7 +96,7 @@ def formats(template: str) -> dict[str, str]:
 
 
 def filled(template: str, shown: Mapping[str, str]) -> str:
-    """The template with each name replaced by the given text."""
+    """Returns the template with each name replaced by the given text."""
     return "".join(text + ("" if name is None else shown[name]) for text, name, _ in _pieces(template))
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 @lru_cache(maxsize=8)
 def shipped(folder: str) -> Path:
-    """The folder `plans`, `schemas`, `templates`, `locales` or `web` of this installation. Raises FileNotFoundError if it is missing."""
+    """Returns the folder `plans`, `schemas`, `templates`, `locales` or `web` of this installation. Raises FileNotFoundError if it
+    is missing."""
     package = Path(__file__).resolve().parents[1]
     for path in (package / "_shipped" / folder, package.parent / folder):
         if path.is_dir():
@@ -17,5 +18,5 @@ def shipped(folder: str) -> Path:
 
 
 def shipped_bytes(folder: str, name: str) -> bytes:
-    """The bytes of a file in one of the shipped folders."""
+    """Returns the bytes of a file in one of the shipped folders."""
     return (shipped(folder) / name).read_bytes()

@@ -30,13 +30,13 @@ class UntrustedFolderError(Exception):
 
 
 def this_user() -> int:
-    """The number of the current user; 0 on Windows, which has no user numbers."""
+    """Returns the number of the current user; 0 on Windows, which has no user numbers."""
     return 0 if sys.platform == "win32" else os.geteuid()
 
 
 def trusted(folder: Path, user: int | None = None) -> Path:
-    """The path of the folder with links resolved, if only `user` (by default the current user) and the administrator can change it. Raises
-    `UntrustedFolderError` otherwise, and `OSError` for a missing folder."""
+    """Returns the path of the folder with links resolved, if only `user` (by default the current user) and the administrator can
+    change it. Raises `UntrustedFolderError` otherwise, and `OSError` for a missing folder."""
     user = this_user() if user is None else user
     walked = list(_components(folder))
     for path, known in walked:
@@ -85,18 +85,18 @@ def make_private(folder: Path) -> None:
 
 
 def computer_data() -> Path:
-    """The system's data folder for all users on Windows, independent of environment variables."""
+    """Returns the system's data folder for all users on Windows, independent of environment variables."""
     return _known_folder(0x23)
 
 
 def user_data() -> Path:
-    """The system's folder for this user's local data on Windows, independent of environment variables."""
+    """Returns the system's folder for this user's local data on Windows, independent of environment variables."""
     return _known_folder(0x1C)
 
 
 def user_cache(variable: str, name: str) -> Path:
-    """The folder for this user's cached data: the folder that the environment variable names or, if it names none, the folder
-    `name` below planrunner's folder in the system's folder for caches."""
+    """Returns the folder for this user's cached data: the folder that the environment variable names or, if it names none, the
+    folder `name` below planrunner's folder in the system's folder for caches."""
     stated = os.environ.get(variable)
     if stated:
         return Path(stated)

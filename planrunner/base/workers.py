@@ -39,7 +39,7 @@ _SHORT = 0.5
 def results_of(
     work: Callable[[T], R], items: Sequence[T], workers: Workers, tell: Callable[[float], None] | None = None
 ) -> list[R]:
-    """The results of `work` for all items, in their order.
+    """Returns the results of `work` for all items, in their order.
 
     `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `tell`: called
     with the completed fraction of all items, 0 to 1. If `work` raises an exception, it is raised here too; if several items fail,

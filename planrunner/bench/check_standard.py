@@ -94,7 +94,7 @@ class CheckStandardRule(Record):
         return Path(self.plan).stem
 
     def measured_by(self, plan_name: str, info: Mapping[str, object]) -> bool:
-        """Whether a run with this plan and this run information measures the check standard itself."""
+        """Returns True if a run with this plan and this run information measures the check standard itself."""
         return plan_name == self.plan_name and device_of(info) == self.device
 
 

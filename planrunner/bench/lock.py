@@ -98,8 +98,8 @@ def lock_folder() -> Path:
 
 
 def _named(folder: Path) -> Path:
-    """The folder for locks that an environment variable names. If it does not exist, it is created: by an administrator for all
-    users, by any other user for this user alone."""
+    """Returns the folder for locks that an environment variable names. If it does not exist, it is created: by an administrator for
+    all users, by any other user for this user alone."""
     if not folder.is_absolute():
         raise UntrustedFolderError(f"{folder} is a different folder for each process: give its absolute path")
     try:

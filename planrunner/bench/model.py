@@ -293,7 +293,7 @@ class BenchModels:
 
 
 def driver_of(entry: InstrumentEntry) -> type[Driver[Record]]:
-    """The driver class of an instrument. Raises `InputError` if it is not installed."""
+    """Returns the driver class of an instrument. Raises `InputError` if it is not installed."""
     driver: type[Driver[Record]] = plugins.load(plugins.INSTRUMENTS, entry.driver)
     return driver
 
@@ -335,8 +335,8 @@ def models(bench: Bench) -> BenchModels:
 
 
 def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool) -> DataOrigin:
-    """The origin of the bench's samples. It is simulated if at least one instrument is simulated, in this program (which restores
-    the state of the instrument after a crash) or in a process behind the address of the instrument."""
+    """Returns the origin of the bench's samples. It is simulated if at least one instrument is simulated, in this program (which
+    restores the state of the instrument after a crash) or in a process behind the address of the instrument."""
     inside = any(issubclass(driver, Resumable) and not issubclass(driver, PlaysBack) for driver in drivers)
     if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
         return "simulated"
@@ -349,7 +349,7 @@ def real_instruments(bench: Bench) -> tuple[str, ...]:
 
 
 def runs_on_virtual_clock(bench: Bench) -> bool:
-    """Whether time is simulated, as the bench states it. By default only played-back recordings use simulated time."""
+    """Returns True if time is simulated, as the bench states it. By default only played-back recordings use simulated time."""
     return _virtual(bench, any(issubclass(driver_of(entry), PlaysBack) for entry in bench.instruments.values()))
 
 
@@ -388,8 +388,8 @@ def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, by
 
 @lru_cache(maxsize=16)
 def bench_of(data: bytes, shown: str) -> Bench:
-    """The bench that a file's bytes describe, cached because many plans name the same bench. Raises `InputError` if the file
-    contains an error."""
+    """Returns the bench that a file's bytes describe, cached because many plans name the same bench. Raises `InputError` if the
+    file contains an error."""
     bench, log = parse_bench(source.parse(source.decode(data, shown), shown))
     if bench is None or log.errors:
         raise InputError(log)

@@ -196,8 +196,8 @@ def _spin(
 def _elsewhere(
     table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
 ) -> list[Excess]:
-    """The limits of the axes that a spin exceeds if it begins at an angle other than the planned one. The table may be at several
-    such angles."""
+    """Returns the limits of the axes that a spin exceeds if it begins at an angle other than the planned one. The table may be at
+    several such angles."""
     # The angle of a continuous innermost axis makes no difference to a spin.
     matter = len(table.axes) - 1 if table.axes[-1].continuous else len(table.axes)
     starts = {start[:matter].tobytes(): start for start in state.starts()[1:]}

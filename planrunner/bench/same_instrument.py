@@ -46,7 +46,7 @@ def _of_host(host: str, where: str) -> frozenset[str]:
 
 
 def _addresses(host: str) -> set[str]:
-    """All network addresses that belong to a host."""
+    """Returns all network addresses that belong to a host."""
     try:
         found = {str(entry[4][0]).partition("%")[0] for entry in socket.getaddrinfo(host, None)}
     except (OSError, UnicodeError):
@@ -68,8 +68,8 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """All names that this computer has for a serial port. `numbered`: True if a name that is a plain number means the Windows port
-    with this number."""
+    """Returns all names that this computer has for a serial port. `numbered`: True if a name that is a plain number means the
+    Windows port with this number."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":
@@ -95,8 +95,8 @@ def windows_port(name: str, numbered: bool = False) -> frozenset[str]:
 
 
 def _calling_out(path: str) -> str:
-    """The device of macOS for outgoing calls that belongs to a serial port. macOS has two devices for each port; the other one
-    waits for a carrier."""
+    """Returns the device of macOS for outgoing calls that belongs to a serial port. macOS has two devices for each port; the other
+    one waits for a carrier."""
     return path.replace("/dev/tty.", "/dev/cu.", 1)
 
 

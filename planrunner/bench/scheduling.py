@@ -81,7 +81,7 @@ def build_schedule(
     log: Findings,
     mounting: Mapping[str, model.MountedAxis] | None = None,
 ) -> Schedule:
-    """The schedule of the valid segments. A segment with an error is omitted; the other segments are still checked.
+    """Returns the schedule of the valid segments. A segment with an error is omitted; the other segments are still checked.
 
     `mounting`: directions of the sensor's input axes in its frame, if stated in the plan; by default the axes of the frame.
     """
@@ -104,8 +104,8 @@ MOST_SAMPLES = 10_000_000_000
 
 
 def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:
-    """Whether planning can continue with a schedule of this size. Adds findings if the schedule takes more than a year or gives
-    more samples than can be stored."""
+    """Returns True if planning can continue with a schedule of this size. Adds findings if the schedule takes more than a year or
+    gives more samples than can be stored."""
     if not schedule.segments:
         return True
     before = log.raised
@@ -136,8 +136,8 @@ def _days(seconds: float) -> str:
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
-    """The position of the finding about segments without a required key, and its message, which names the first of these segments.
-    `segments`: maps the position of each segment in the plan to its label."""
+    """Returns the position of the finding about segments without a required key, and its message, which names the first of these
+    segments. `segments`: maps the position of each segment in the plan to its label."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 
@@ -264,7 +264,7 @@ class _Planner:
         return None
 
     def _turns(self, item: StatedSegment, dwell: Turns) -> float | None:
-        """The duration [s] of a dwell that is stated in whole turns of a spin or in whole cycles of turns and stops."""
+        """Returns the duration [s] of a dwell that is stated in whole turns of a spin or in whole cycles of turns and stops."""
         if (dwell.turns is None) == (dwell.cycles is None):
             message = f"the dwell of '{item.label}' has {'both turns and cycles' if dwell.turns else 'neither turns nor cycles'}"
             self._once("meaning-turns", item.marks["dwell"], message, "write for example `dwell: {turns: 1}`")

@@ -157,5 +157,5 @@ def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
 
 
 def _furthest(off: Array) -> Array:
-    """The largest absolute difference among the joints of each row, shape (n,)."""
+    """Returns the largest absolute difference among the joints of each row, shape (n,)."""
     return np.asarray(np.abs(off).max(axis=1))

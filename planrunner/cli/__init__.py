@@ -68,7 +68,7 @@ COMMANDS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The `planrunner` command. Returns the exit code."""
+    """Returns the `planrunner` command. Returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     _print_anything()
     with printable_streams(), COMMAND:

@@ -32,8 +32,8 @@ def folder_argument(text: str, *, anew: bool = False) -> Path:
 
 
 def folder_to_verify(text: str) -> Path:
-    """The same as `folder_argument`, except that all files of a URL are always copied again, because an older copy does not show
-    the present state."""
+    """Does the same as `folder_argument`, except that all files of a URL are always copied again, because an older copy does not
+    show the present state."""
     return folder_argument(text, anew=True)
 
 

@@ -138,8 +138,8 @@ def sound_plan(plan: str, bench: str | None, parameters: Sequence[str] = ()) -> 
 
 
 def summary(checked: Checked, looked_over: bool = True) -> str:
-    """A summary for the terminal: whether the plan is sound, how long it takes, and the expected uncertainties. `looked_over`: True
-    if the check also examined a recording that the bench plays back."""
+    """Returns a summary for the terminal: whether the plan is sound, how long it takes, and the expected uncertainties.
+    `looked_over`: True if the check also examined a recording that the bench plays back."""
     errors, warnings = (
         sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")
     )

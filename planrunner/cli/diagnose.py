@@ -190,7 +190,7 @@ def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
 
 
 def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
-    """The options of the diagnosis from the command line; None if there are none, so that the options in the plan apply."""
+    """Returns the options of the diagnosis from the command line; None if there are none, so that the options in the plan apply."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.gap.hypotheses.candidates import FULL
 
@@ -257,7 +257,7 @@ def context_of(made: Diagnosed, found: JsonObject, next_plan: str) -> DiagnosisC
 
 
 def _given(found: JsonObject) -> dict[str, str]:
-    """The effects that the user declared to act, as one fact for the page; empty if there are none."""
+    """Returns the effects that the user declared to act, as one fact for the page; empty if there are none."""
     fitted = dict.fromkeys(f"{one['effect']} (fitted)" for one in found["given"]["fitted"])
     stated = [
         f"{name} = {', '.join(filter(None, (f'{key} {text}'.strip() for key, text in values.items())))}"

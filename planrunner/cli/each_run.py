@@ -39,8 +39,8 @@ def add_runs(parser: argparse.ArgumentParser, kind: Callable[[str], Path] = Path
 
 
 def run_folders(given: Sequence[Path]) -> list[Path]:
-    """The given folders, except those that contain the records of suite nights. A pattern such as `runs/*` also matches such
-    folders; a note names each one that is skipped."""
+    """Returns the given folders, except those that contain the records of suite nights. A pattern such as `runs/*` also matches
+    such folders; a note names each one that is skipped."""
     nights = [] if len(given) < 2 else [folder for folder in given if holds_nights(folder)]
     for folder in nights:
         print_line(f"note: {folder} is skipped: it holds the records of nights, not a run", sys.stderr)
@@ -48,8 +48,8 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
 
 
 def runs_of(args: argparse.Namespace) -> list[Path]:
-    """The run folders to work on: those given as arguments or, with --all, those in the archive. Raises `InputError` if --all is
-    used with several folders."""
+    """Returns the run folders to work on: those given as arguments or, with --all, those in the archive. Raises `InputError` if
+    --all is used with several folders."""
     runs: list[Path] = args.runs
     if not args.all:
         return run_folders(runs)
@@ -59,7 +59,7 @@ def runs_of(args: argparse.Namespace) -> list[Path]:
 
 
 def archive_of(runs: Sequence[Path]) -> Path:
-    """The single folder given together with --all. Raises `InputError` if several folders were given."""
+    """Returns the single folder given together with --all. Raises `InputError` if several folders were given."""
     if len(runs) > 1:
         raise InputError.of_usage("--all takes one folder", "give the folder that contains the runs")
     return runs[0]
@@ -91,8 +91,8 @@ def each_result(
     as_json: bool,
     last: Callable[[], Done | None] | None = None,
 ) -> int:
-    """The same as `each_run`, for work that prints nothing itself, so that several workers can share the runs. `work` must be a
-    function defined at module level, or a `partial` of such a function, because it is sent to workers.
+    """Does the same as `each_run`, for work that prints nothing itself, so that several workers can share the runs. `work` must be
+    a function defined at module level, or a `partial` of such a function, because it is sent to workers.
 
     `show`: prints one result; it is called in the order of the runs. `what`: text that describes the work in the progress. `last`:
     computes a further result from all runs together, which becomes the last entry.

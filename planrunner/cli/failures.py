@@ -73,7 +73,7 @@ def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailu
 
 
 def unsaved_failure_of(error: Exception, where: str) -> CommandFailure:
-    """The same as `failure_of`, but no file is written, so that a worker on another computer can call it."""
+    """Does the same as `failure_of`, but no file is written, so that a worker on another computer can call it."""
     if isinstance(error, InputError):
         return CommandFailure(exit_codes.WRONG_INPUT, tuple(error.findings))
     for kind in type(error).__mro__:

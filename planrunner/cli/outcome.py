@@ -101,7 +101,7 @@ def _check_standard(run: Path) -> tuple[JsonObject, bool]:
 
 
 def code_of(results: Results) -> int:
-    """The exit code that follows from the results: `WRONG_INPUT` if an estimate failed because of the plan; otherwise
+    """Returns the exit code that follows from the results: `WRONG_INPUT` if an estimate failed because of the plan; otherwise
     `LIMIT_FAILED` if a limit is not met or the data do not give an estimate; otherwise `DONE`."""
     if results.failures.keys() - set(results.unfit):
         return exit_codes.WRONG_INPUT

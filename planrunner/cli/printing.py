@@ -46,8 +46,8 @@ class Excerpt:
 
 
 def excerpt(mark: Mark, width: int, encoding: str = "utf-8") -> Excerpt | None:
-    """The source line that a mark refers to, cut to `width` columns, for a stream with this encoding; None if the text of the file
-    is not known."""
+    """Returns the source line that a mark refers to, cut to `width` columns, for a stream with this encoding; None if the text of
+    the file is not known."""
     if mark.text is None:
         return None
     lines = _lines(mark.text)
@@ -71,7 +71,7 @@ def _lines(text: str) -> list[str]:
 
 
 def _cell(char: str, encoding: str) -> tuple[str, int]:
-    """The text that is shown for one character of a file, and the number of columns that the text takes."""
+    """Returns the text that is shown for one character of a file, and the number of columns that the text takes."""
     if char == "\t":
         return _TAB, len(_TAB)
     shown = printable(char, keep="").encode(encoding, "backslashreplace").decode(encoding)
@@ -83,8 +83,8 @@ def _cell(char: str, encoding: str) -> tuple[str, int]:
 
 
 def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> tuple[str, int, int]:
-    """The part of a line that fits into `room` columns and contains the cells from `first` to `last`. The function also returns the
-    number of columns before these cells, and the number of columns that the cells take."""
+    """Returns the part of a line that fits into `room` columns and contains the cells from `first` to `last`. The function also
+    returns the number of columns before these cells, and the number of columns that the cells take."""
     widths = [width for _, width in cells]
     begin, end = 0, len(cells)
     if sum(widths) > room:

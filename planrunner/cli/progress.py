@@ -112,7 +112,7 @@ def _place(event: SegmentBegun | Advanced | SegmentFinished) -> str:
 
 
 def left_text(seconds: float | None) -> str:
-    """The time left in words, such as `about 3 min left`."""
+    """Returns the time left in words, such as `about 3 min left`."""
     if seconds is None:
         return ""
     from planrunner.reporting.words import duration

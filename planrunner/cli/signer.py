@@ -31,8 +31,8 @@ def add_passphrase(parser: argparse.ArgumentParser) -> None:
 
 
 def passphrase(args: argparse.Namespace, *, twice: bool = False) -> bytes:
-    """The passphrase, without a line break at its end. `twice`: True if the terminal asks for the passphrase a second time, to
-    detect a typing error. Raises `InputError` if there is no passphrase."""
+    """Returns the passphrase, without a line break at its end. `twice`: True if the terminal asks for the passphrase a second time,
+    to detect a typing error. Raises `InputError` if there is no passphrase."""
     if args.passphrase_fd is not None:
         try:
             data = os.read(args.passphrase_fd, _MOST)
@@ -62,7 +62,7 @@ def add_signer(parser: argparse.ArgumentParser) -> None:
 
 
 def signer_of(args: argparse.Namespace) -> Signer:
-    """The signer that the options name. Raises `InputError` unless exactly one key is given."""
+    """Returns the signer that the options name. Raises `InputError` unless exactly one key is given."""
     from planrunner.signing.keys import is_encrypted, read_private, read_public
 
     if (args.by is None) == (args.agent is None):

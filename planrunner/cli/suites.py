@@ -74,7 +74,7 @@ def checked_suite(args: argparse.Namespace, file: Path) -> CheckedSuite:
 
 
 def timetable_of(checked: CheckedSuite) -> Timetable | None:
-    """The timetable of a suite; None if errors in the suite prevent one."""
+    """Returns the timetable of a suite; None if errors in the suite prevent one."""
     if checked.suite is None or checked.forecast is None:
         return None
     return Timetable(
@@ -89,7 +89,7 @@ def timetable_of(checked: CheckedSuite) -> Timetable | None:
 
 
 def suite_summary(checked: CheckedSuite) -> str:
-    """A summary for the terminal: the numbers of findings and the timetable."""
+    """Returns a summary for the terminal: the numbers of findings and the timetable."""
     counts = {kind: sum(item.severity == kind for item in checked.findings) for kind in ("error", "warning")}
     head = ", ".join(count_of(number, kind) for kind, number in counts.items())
     table = timetable_of(checked) if checked.ok else None

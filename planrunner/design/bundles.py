@@ -18,8 +18,8 @@ from planrunner.base.workers import ALONE, Workers, results_in_order
 
 
 def loss(matrix: Array, criterion: str) -> float:
-    """The loss of an information matrix M (p, p). It is −ln|M| for criterion D and tr M⁻¹ for criterion A, and infinite if M is
-    singular."""
+    """Returns the loss of an information matrix M (p, p). It is −ln|M| for criterion D and tr M⁻¹ for criterion A, and infinite if
+    M is singular."""
     sign, logarithm = np.linalg.slogdet(matrix)
     size = float(np.trace(matrix)) / len(matrix)
     if sign <= 0 or size <= 0 or logarithm - len(matrix) * math.log(size) < 2 * math.log(1e-9):
@@ -37,9 +37,9 @@ def choose(
     seed: int = 0,
     workers: Workers = ALONE,
 ) -> tuple[int, ...]:
-    """The best `count` different bundles of `bundles` (N, p, p), as ascending indices (count,), found by exchange from seeded
-    starts. The bundles in `kept` are always included. `workers`: processes that share the starts; the result for a seed does not
-    depend on the number of workers.
+    """Returns the best `count` different bundles of `bundles` (N, p, p), as ascending indices (count,), found by exchange from
+    seeded starts. The bundles in `kept` are always included. `workers`: processes that share the starts; the result for a seed does
+    not depend on the number of workers.
 
     Raises ValueError if there are fewer bundles than requested, or if no choice determines all terms.
     """
@@ -79,10 +79,10 @@ def _settle(bundles: Array, fixed: Array, others: Array, criterion: str, start: 
 def shares(
     bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
 ) -> tuple[Array, float]:
-    """The fractions (N,) of a resource, such as the time, that each bundle should get, and the remaining excess. The fractions add
-    up to 1. `bundles` (N, p, p) is the information of each bundle if that bundle gets the whole resource. The excess is the ratio
-    of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at the optimum (Kiefer and
-    Wolfowitz; multiplicative steps as in `continuous`).
+    """Returns the fractions (N,) of a resource, such as the time, that each bundle should get, and the remaining excess. The
+    fractions add up to 1. `bundles` (N, p, p) is the information of each bundle if that bundle gets the whole resource. The excess
+    is the ratio of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at the optimum (Kiefer
+    and Wolfowitz; multiplicative steps as in `continuous`).
 
     `fixed`: array of shape (p, p), information that does not depend on the fractions. Raises ValueError if the bundles cannot
     determine all terms.

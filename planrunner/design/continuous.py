@@ -44,8 +44,8 @@ class Continuous:
 
     @property
     def largest_variance(self) -> float:
-        """The certificate of a D-optimal design: max d(x) over the candidates. At the optimum, max d(x) is p, or `mean` if there is
-        fixed information."""
+        """Returns the certificate of a D-optimal design: max d(x) over the candidates. At the optimum, max d(x) is p, or `mean` if
+        there is fixed information."""
         return self.mean * (1.0 + self.excess)
 
     def determinant_bound(self, observations: int) -> float:
@@ -76,7 +76,7 @@ def solve(
     start: Array | None = None,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The optimal fractions of the observations for the candidates `rows`, shape (N, p), which must have rank p.
+    """Returns the optimal fractions of the observations for the candidates `rows`, shape (N, p), which must have rank p.
 
     `weighting`: the matrix W (p, p) of the criterion tr(W·M⁻¹), or None for criterion D. `least`: smallest fraction that any
     candidate may have. `start`: fractions with which the iteration starts. `fixed`: array of shape (p, p), information per
@@ -120,7 +120,7 @@ def solve(
 def judged(
     rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0, fixed: Array | None = None
 ) -> Continuous:
-    """The design with the given fractions, with its certificate over the candidates `rows`."""
+    """Returns the design with the given fractions, with its certificate over the candidates `rows`."""
     matrix = information(rows, shares) + (0.0 if fixed is None else fixed)
     gain = derivative(rows, matrix, weighting)
     free = shares - least
@@ -131,9 +131,9 @@ def judged(
 
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
-    """A step of the fractions towards the candidate with the largest variance d, or away from the candidate with the smallest d
-    among those with a fraction above zero. Of these two directions, it takes the one whose d differs more from p. The length of the
-    step maximises |M|."""
+    """Returns a step of the fractions towards the candidate with the largest variance d, or away from the candidate with the
+    smallest d among those with a fraction above zero. Of these two directions, it takes the one whose d differs more from p. The
+    length of the step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
     down = int(held[np.argmin(gain[held])])
@@ -151,7 +151,7 @@ def _step(shares: Array, gain: Array, p: int) -> Array:
 
 
 def _needed(gain: Array, p: int, excess: float) -> Array:
-    """The candidates that may support a D-optimal design (Harman & Pronzato, Statist. Probab. Lett. 77, 2007)."""
+    """Returns the candidates that may support a D-optimal design (Harman & Pronzato, Statist. Probab. Lett. 77, 2007)."""
     e = p * excess
     bound = p * (1.0 + e / 2 - np.sqrt(e * (4.0 + e - 4.0 / p)) / 2)
     return np.asarray(gain >= bound)
@@ -169,8 +169,8 @@ def solve_with_climbing(
     most_rounds: int = 6,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The best fractions of the observations for points of a continuous region. The search starts with the candidates `rows`, and
-    adds better points found by climbing until climbing finds none.
+    """Returns the best fractions of the observations for points of a continuous region. The search starts with the candidates
+    `rows`, and adds better points found by climbing until climbing finds none.
 
     `climb`: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
     derivatives there. The excess of the result refers to the region, as far as climbing finds the maxima.

@@ -135,7 +135,7 @@ def _together(moves: int, parts: Iterable[tuple[RotationCycle | None, Round]]) -
 def _best_of_part(
     choices: Sequence[Sequence[float]], planned: RotationCycle, cable: Cable, part: range
 ) -> tuple[RotationCycle | None, Round]:
-    """The result of `_best_of` for one part of all combinations of turns. The combinations are numbered in the order of
+    """Returns the result of `_best_of` for one part of all combinations of turns. The combinations are numbered in the order of
     `itertools.product`."""
     numbers = np.unravel_index(np.array(part), [len(ways) for ways in choices])
     turns = np.column_stack([np.array(ways)[number] for ways, number in zip(choices, numbers, strict=True)])
@@ -143,15 +143,15 @@ def _best_of_part(
 
 
 def _ways(turn: float, most: float) -> list[float]:
-    """All turns that end at the same position as `turn` and are not longer than `most` [rad]. The first of them is `turn` itself. A
-    turn of zero is left out."""
+    """Returns all turns that end at the same position as `turn` and are not longer than `most` [rad]. The first of them is `turn`
+    itself. A turn of zero is left out."""
     others = [turn + TURN * whole for whole in range(-2, 3) if whole]
     return [turn, *(other for other in others if abs(other) <= most and abs(other) > _ANGLE)]
 
 
 def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[RotationCycle | None, Round]:
-    """The best of m cycles with stops of equal duration, and the extent of this search. `turns`: array of shape (m, n), the n turns
-    of each cycle."""
+    """Returns the best of m cycles with stops of equal duration, and the extent of this search. `turns`: array of shape (m, n), the
+    n turns of each cycle."""
     ends = np.cumsum(turns, axis=1)
     begins = ends - turns
     left = np.zeros(len(turns), dtype=complex)
@@ -212,14 +212,14 @@ def free_order(
 
 
 def _home(angles: Sequence[float]) -> int:
-    """The position in which a cycle begins and ends."""
+    """Returns the position in which a cycle begins and ends."""
     return min(range(len(angles)), key=lambda index: abs(math.remainder(angles[index], TURN)))
 
 
 def _best_after(
     angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, most: float, near: bool, first: int
 ) -> tuple[RotationCycle | None, Round]:
-    """The best of the cycles that begin with the step number `first` from the home position."""
+    """Returns the best of the cycles that begin with the step number `first` from the home position."""
     return _Search(angles, visits, planned, cable, most, near, first).run()
 
 
@@ -302,8 +302,8 @@ class _Search:
 
 
 def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list[tuple[int, float]]:
-    """The permitted steps from one position, as pairs of the index of the next position and the turn to it. The shortest turn comes
-    first; of two equally long turns, the positive turn comes first."""
+    """Returns the permitted steps from one position, as pairs of the index of the next position and the turn to it. The shortest
+    turn comes first; of two equally long turns, the positive turn comes first."""
     count = len(angles)
     ends = [(start + 1) % count, (start - 1) % count] if near else [index for index in range(count) if index != start]
     found = set()
@@ -316,7 +316,7 @@ def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list
 
 
 def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
-    """The residual [s] of one turn that begins at angle zero, and the duration of the turn [s]."""
+    """Returns the residual [s] of one turn that begins at angle zero, and the duration of the turn [s]."""
     if abs(turn) <= _ANGLE:
         return 0j, 0.0
     alone = RotationCycle((turn,), 0.0, planned.rate, planned.acceleration)
@@ -324,7 +324,7 @@ def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
 
 
 def _better(first: RotationCycle | None, second: RotationCycle | None) -> RotationCycle | None:
-    """The better of two cycles with zero residual; the first if both are equally good."""
+    """Returns the better of two cycles with zero residual; the first if both are equally good."""
     if first is None or second is None:
         return first or second
     return second if _merit(second) < _merit(first) else first

@@ -23,8 +23,8 @@ _UPPER = np.triu_indices(9)
 
 
 def quick(rows_at: RowsAt, seed: int = 0) -> RowsAt:
-    """A fast replacement for the function `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3). It returns `rows_at` itself if
-    the rows are not polynomials of second degree in the direction cosines."""
+    """Returns a fast replacement for the function `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3). It returns `rows_at`
+    itself if the rows are not polynomials of second degree in the direction cosines."""
     random = np.random.default_rng(seed)
     attitudes = np.linalg.qr(random.normal(size=(_FITTED + _TRIED, 3, 3)))[0]
     attitudes = attitudes * np.linalg.det(attitudes)[:, None, None]
@@ -42,7 +42,7 @@ def _polynomial(weights: Array, attitudes: Array) -> Array:
 
 
 def _monomials(attitudes: Array) -> Array:
-    """The number 1, the nine cosines and the products of two cosines, shape (m, 55)."""
+    """Returns the number 1, the nine cosines and the products of two cosines, shape (m, 55)."""
     cosines = attitudes.reshape(len(attitudes), 9)
     products = cosines[:, _UPPER[0]] * cosines[:, _UPPER[1]]
     return np.concatenate([np.ones((len(cosines), 1)), cosines, products], axis=1)

@@ -55,23 +55,24 @@ class Efficiency:
 
 
 def information(rows: Array, weights: Array | None = None) -> Array:
-    """The information matrix M, shape (p, p). `weights`: array of shape (n,), 1 for each row by default."""
+    """Returns the information matrix M, shape (p, p). `weights`: array of shape (n,), 1 for each row by default."""
     rows = np.asarray(rows, dtype=float)
     return rows.T @ rows if weights is None else (rows * np.asarray(weights)[:, None]).T @ rows
 
 
 def region_moment(region: Array) -> Array:
-    """The mean of x·xᵀ over the rows of a region, shape (p, p), so that the mean variance over the region is trace(moment·M⁻¹)."""
+    """Returns the mean of x·xᵀ over the rows of a region, shape (p, p), so that the mean variance over the region is
+    trace(moment·M⁻¹)."""
     return information(region) / len(region)
 
 
 def variances(rows: Array, matrix: Array) -> Array:
-    """The variance xᵀM⁻¹x for each row, shape (n,)."""
+    """Returns the variance xᵀM⁻¹x for each row, shape (n,)."""
     return np.asarray(np.einsum("ij,ij->i", rows @ np.linalg.inv(matrix), rows))
 
 
 def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array | None = None) -> Merit:
-    """The values of the criteria for a set of observations.
+    """Returns the values of the criteria for a set of observations.
 
     `region`: rows of the points for which predictions are required. `weights`: weight of each observation, 1 by default. `fixed`:
     rows (k, p) that are always observed and that are not among `observations`.

@@ -43,7 +43,7 @@ class Chosen:
 
 
 def loss(rows: Array, weighting: Array | None = None, fixed: Array | None = None) -> float:
-    """The loss, −ln|M| or tr(W·M⁻¹), of one set of rows (n, p)."""
+    """Returns the loss, −ln|M| or tr(W·M⁻¹), of one set of rows (n, p)."""
     if fixed is not None:
         rows = np.concatenate([rows, root(fixed)])
     singular = np.linalg.svd(rows, compute_uv=False)
@@ -70,7 +70,7 @@ def choose(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> Chosen:
-    """The best set of `count` different candidates, by exhaustive search if feasible, otherwise by exchange."""
+    """Returns the best set of `count` different candidates, by exhaustive search if feasible, otherwise by exchange."""
     if math.comb(len(rows), count) <= MOST_CHOICES:
         return exhaust(rows, count, weighting, progress, fixed)
     return exchange(rows, count, weighting, restarts=restarts, seed=seed, fixed=fixed, progress=progress)[0]
@@ -83,7 +83,7 @@ def exhaust(
     progress: Progress | None = None,
     fixed: Array | None = None,
 ) -> Chosen:
-    """The best of all choices of `count` different candidates."""
+    """Returns the best of all choices of `count` different candidates."""
     p = rows.shape[1]
     outers = np.einsum("ni,nj->nij", rows, rows).reshape(len(rows), p * p)
     total = math.comb(len(rows), count)
@@ -111,7 +111,7 @@ def _chunks(size: int, count: int) -> Iterator[Indices]:
 
 
 def _losses(matrices: Array, weighting: Array | None) -> Array:
-    """The losses of many information matrices (N, p, p); the loss of a singular matrix is infinite."""
+    """Returns the losses of many information matrices (N, p, p); the loss of a singular matrix is infinite."""
     p = matrices.shape[-1]
     sign, logarithm = np.linalg.slogdet(matrices)
     size = np.log(np.maximum(np.trace(matrices, axis1=1, axis2=2) / p, 1e-300))
@@ -135,8 +135,8 @@ def exchange(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> list[Chosen]:
-    """The sets found by exchange from `restarts` random sets, the best first. The same seed gives the same sets. `repeats`: True if
-    a set may contain a candidate more than once."""
+    """Returns the sets found by exchange from `restarts` random sets, the best first. The same seed gives the same sets. `repeats`:
+    True if a set may contain a candidate more than once."""
     if not repeats and count > len(rows):
         raise ValueError(f"{count} different positions cannot be chosen from {len(rows)}")
     random = np.random.default_rng(seed)

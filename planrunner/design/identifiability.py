@@ -36,7 +36,7 @@ class Identifiability:
 
 
 def identify(design: Design) -> tuple[Identifiability, ...]:
-    """The `Identifiability` of each output of a design. Outputs that share a design matrix are analysed once."""
+    """Returns the `Identifiability` of each output of a design. Outputs that share a design matrix are analysed once."""
     found: list[Identifiability] = []
     for place, block in enumerate(design.blocks):
         alike = [k for k, other in enumerate(design.blocks[:place]) if _alike(other, block)]
@@ -49,7 +49,8 @@ def _alike(one: DesignBlock, other: DesignBlock) -> bool:
 
 
 def identify_block(block: DesignBlock) -> Identifiability:
-    """The `Identifiability` of one output, from its design matrix. A matrix without rows has rank 0 and contains no information."""
+    """Returns the `Identifiability` of one output, from its design matrix. A matrix without rows has rank 0 and contains no
+    information."""
     columns = len(block.terms)
     scaled = np.asarray(block.matrix, dtype=float).reshape(-1, columns) / block.magnitudes
     if len(scaled) == 0:

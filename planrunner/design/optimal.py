@@ -104,8 +104,8 @@ def _refined(over: Region, weighting: Array | None, fixed: Array | None, start: 
 
 
 def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Array | None = None) -> Array:
-    """The local optimum that L-BFGS-B reaches from `start` (n, k), in the same shape. The derivatives of the criterion with respect
-    to the rows are exact."""
+    """Returns the local optimum that L-BFGS-B reaches from `start` (n, k), in the same shape. The derivatives of the criterion with
+    respect to the rows are exact."""
     from scipy.optimize import minimize
 
     shape = start.shape
@@ -165,8 +165,8 @@ def bound(
     tolerance: float = 1e-5,
     fixed: Array | None = None,
 ) -> Continuous:
-    """The continuous optimum over the region, with its certificate. The certificate is valid if climbing from the candidates finds
-    all maxima.
+    """Returns the continuous optimum over the region, with its certificate. The certificate is valid if climbing from the
+    candidates finds all maxima.
 
     `begin`: array of shape (m, k), settings to begin with, such as the best sets found. The closer these settings are to the
     optimum, the sooner the optimum is certified.
@@ -181,9 +181,9 @@ def bound(
 def allocate(
     rows: Array, weighting: Array | None = None, *, least_share: float = 0.25, fixed: Array | None = None
 ) -> Array:
-    """The fractions (n,) of the total recording time for given positions; they add up to 1. The variance of an observation is
-    inversely proportional to its time. `least_share`: every position keeps at least this fraction of an equal share of the time, so
-    that all positions remain for checking the model."""
+    """Returns the fractions of the total recording time for given positions, shape (n,); they add up to 1. The variance of an
+    observation is inversely proportional to its time. `least_share`: every position keeps at least this fraction of an equal share
+    of the time, so that all positions remain for checking the model."""
     return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9, fixed=fixed).shares
 
 
@@ -198,6 +198,6 @@ def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
 
 
 def boxed(over: Region, count: int) -> list[tuple[float | None, float | None]]:
-    """The bounds of `count` settings in sequence, as scipy expects them."""
+    """Returns the bounds of `count` settings in sequence, as scipy expects them."""
     own = [(None if math.isinf(low) else low, None if math.isinf(high) else high) for low, high in over.bounds]
     return own * count

@@ -74,8 +74,8 @@ class Sight:
 
 
 def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[Place, ...], tuple[Segment, ...]]:
-    """The places of the segments that an estimate uses, and the spinning segments that it uses, which the design leaves unchanged.
-    Raises `EstimationError` for segments that no design of positions can move."""
+    """Returns the places of the segments that an estimate uses, and the spinning segments that it uses, which the design leaves
+    unchanged. Raises `EstimationError` for segments that no design of positions can move."""
     chosen = set(select([segment.label for segment in segments], patterns))
     groups: dict[tuple[int, int], list[Segment]] = {}
     spins = tuple(segments[index] for index in sorted(chosen) if isinstance(segments[index].motion, Spin))
@@ -113,8 +113,8 @@ def sight(
     spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """The response of an estimate at the given places; the spinning segments stay unchanged. `output`: name of the output, required
-    if the design matrices of the outputs differ. Raises `EstimationError` if the estimate cannot be designed."""
+    """Returns the response of an estimate at the given places; the spinning segments stay unchanged. `output`: name of the output,
+    required if the design matrices of the outputs differ. Raises `EstimationError` if the estimate cannot be designed."""
     at_rest = tuple(place.segments[0] for place in found)
     design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)
     if design is None or not design.blocks:
@@ -185,8 +185,8 @@ def _mark(segment: Segment) -> tuple[int, int]:
 
 
 def attitudes(axes: Sequence[TableAxis], settings: Array, azimuth: float) -> Array:
-    """The attitudes (m, 3, 3), with the sensor's axes as rows in East-North-Up, at joint angles (m, k) [rad]. The computation is
-    efficient if there are many angles."""
+    """Returns the attitudes (m, 3, 3), with the sensor's axes as rows in East-North-Up, at joint angles (m, k) [rad]. The
+    computation is efficient if there are many angles."""
     platform = np.broadcast_to(_turned(np.array([0.0, 0.0, 1.0]), np.array([-azimuth])), (len(settings), 3, 3))
     for axis, angles in zip(axes, settings.T, strict=True):
         platform = platform @ _turned(np.asarray(axis.direction, dtype=float), angles)
@@ -213,8 +213,8 @@ def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float
 
 
 def quick_order(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> list[int]:
-    """An order of the attitudes in which the table moves little. The search always takes the nearest remaining attitude next, and
-    then exchanges pairs of attitudes if this shortens the path."""
+    """Returns an order of the attitudes in which the table moves little. The search always takes the nearest remaining attitude
+    next, and then exchanges pairs of attitudes if this shortens the path."""
 
     def travel(order: Sequence[int]) -> float:
         joints, total = np.zeros(len(axes)), 0.0

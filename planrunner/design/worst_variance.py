@@ -22,8 +22,8 @@ NORMS = (4.0, 16.0, 64.0, 256.0)
 
 
 def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
-    """The largest variance xᵀM⁻¹x over the rows of `region` (N, p), for a set of observations with the rows `rows` (n, p); infinite
-    if M is singular.
+    """Returns the largest variance xᵀM⁻¹x over the rows of `region` (N, p), for a set of observations with the rows `rows` (n, p);
+    infinite if M is singular.
 
     `fixed`: array of shape (p, p), information that does not depend on the choice.
     """

@@ -303,8 +303,8 @@ def _each_orientation(
 
 
 def _among_others(observed: Observed) -> Observed:
-    """The recording of one segment, extended by short copies of the segment in other orientations. The copies are necessary because
-    an effect with amplitudes for each orientation has no columns in a recording with a single orientation."""
+    """Returns the recording of one segment, extended by short copies of the segment in other orientations. The copies are necessary
+    because an effect with amplitudes for each orientation has no columns in a recording with a single orientation."""
     turns = [np.roll(np.eye(3), k, axis=0) for k in (1, 2)]
     half = np.diag([1.0, -1.0, -1.0])
     attitudes = [observed.attitude[0]] + [turn @ observed.attitude[0] for turn in (*turns, half, turns[0] @ half)]

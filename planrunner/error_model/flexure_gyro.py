@@ -57,7 +57,7 @@ def drifts(products: tuple[str, ...] = ()) -> tuple[str, ...]:
 
 
 def output_names(products: tuple[str, ...] = ()) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The names of the output coefficients: (U0, U1, …) and (V0, V1, …)."""
+    """Returns the names of the output coefficients: (U0, U1, …) and (V0, V1, …)."""
     p = 6 + len(products)
     return tuple(f"U{k}" for k in range(p)), tuple(f"V{k}" for k in range(p))
 
@@ -123,7 +123,7 @@ def compensated_rates(outputs: Array, observed: Array, specific_force: Array) ->
 
 
 def _mixing(outputs: Array) -> tuple[Array, Array]:
-    """The matrix M and its inverse, each of shape (2, 2) or (2, 2, n)."""
+    """Returns the matrix M and its inverse, each of shape (2, 2) or (2, 2, n)."""
     mixing = np.asarray(outputs)[:, 1:3]
     determinant = mixing[0, 0] * mixing[1, 1] - mixing[0, 1] * mixing[1, 0]
     scale = np.abs(mixing).max(axis=(0, 1))

@@ -46,9 +46,9 @@ class Channel:
 
 
 def axis_of(name: str) -> int | None:
-    """The sensor axis along which a channel measures. The axis is the first x, y or z among the words of the channel's name, in
-    small or capital letters, such as gyro_x, x_rate or accel_z_filtered. None if the name contains no axis. Recordings, schedules
-    and simulations all use this function."""
+    """Returns the sensor axis along which a channel measures. The axis is the first x, y or z among the words of the channel's
+    name, in small or capital letters, such as gyro_x, x_rate or accel_z_filtered. None if the name contains no axis. Recordings,
+    schedules and simulations all use this function."""
     return next(("xyz".index(word) for word in name.lower().split("_") if word in ("x", "y", "z")), None)
 
 
@@ -271,7 +271,7 @@ class Observed:
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
 
     def turn_before(self, seconds: float) -> Array:
-        """The rate `turn` at a time `seconds` earlier, minus the present `turn`, (N, 3). While the table rocks with angular
+        """Returns the rate `turn` at a time `seconds` earlier, minus the present `turn`, (N, 3). While the table rocks with angular
         frequency p, the motion is harmonic: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the
         rate is assumed to be constant before the first and after the last sample of a segment."""
         from scipy.interpolate import CubicSpline
@@ -290,8 +290,8 @@ class Observed:
         return change
 
     def turn_lagged(self, tau: float) -> Array:
-        """The rate `turn` after a first-order lag, minus `turn` itself, (N, 3). The lag is in steady state at the start of each
-        segment. The rate x is assumed to be linear between samples. For a step h, the lagged rate y is y₁ = q·y₀ + (1 − g·(1 −
+        """Returns the rate `turn` after a first-order lag, minus `turn` itself, (N, 3). The lag is in steady state at the start of
+        each segment. The rate x is assumed to be linear between samples. For a step h, the lagged rate y is y₁ = q·y₀ + (1 − g·(1 −
         q))·x₁ + (g·(1 − q) − q)·x₀ with q = exp(−h/τ) and g = τ/h."""
         from scipy.signal import lfilter
 
@@ -319,8 +319,8 @@ class Observed:
         return np.where(self.pulsation > 0, (self.acceleration**2 + (self.pulsation * self.rate) ** 2) / 2, 0.0)
 
     def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:
-        """The given values (N, …), which follow from attitude and table angle, but with the values of the recorded motion in
-        segments that have one."""
+        """Returns the given values (N, …), which follow from attitude and table angle, but with the values of the recorded motion
+        in segments that have one."""
         for rows, course in zip(self.segments(), self.courses, strict=False):
             if course is not None:
                 values[rows] = part(course)
@@ -384,8 +384,8 @@ class Observed:
 
     @cached_property
     def _turned(self) -> Array:
-        """A matrix (N, 3) with the columns 1, cosine of the table's angle, and sine of the table's angle. For bins, cosine and sine
-        are means over each bin, correct to second order in the length of the bin."""
+        """Returns a matrix with the columns 1, cosine of the table's angle, and sine of the table's angle, shape (N, 3). For bins,
+        cosine and sine are means over each bin, correct to second order in the length of the bin."""
         cosine, sine = np.cos(self.angle), np.sin(self.angle)
         if self.bins is not None:
             spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner]
@@ -448,7 +448,8 @@ class Observed:
         return np.asarray(np.abs(self.gyro_range).max(axis=1))
 
     def seen(self, index: int, vector: Array) -> Array:
-        """The component of a vector along a channel's input axis, shape (N,). The vector, shape (N, 3), is given in sensor axes."""
+        """Returns the component of a vector along a channel's input axis, shape (N,). The vector, shape (N, 3), is given in sensor
+        axes."""
         if self.along is None:
             return np.asarray(vector[:, self.channels[index].axis])
         component = np.einsum("ni,ni->n", self.along[self.owner], vector)
@@ -464,17 +465,17 @@ class Observed:
 
     @cached_property
     def warmth(self) -> Array:
-        """The temperature (N,) minus the reference temperature, K."""
+        """Returns the temperature (N,) minus the reference temperature, K."""
         return self.temperature - REFERENCE_TEMPERATURE
 
     @cached_property
     def overvoltage(self) -> Array:
-        """The supply voltage (N,) minus the nominal supply voltage of the sensor, V."""
+        """Returns the supply voltage (N,) minus the nominal supply voltage of the sensor, V."""
         return np.zeros(len(self.time)) if self.excess_voltage is None else self.excess_voltage
 
     @cached_property
     def overpressure(self) -> Array:
-        """The ambient pressure (N,) minus the standard atmosphere, Pa."""
+        """Returns the ambient pressure (N,) minus the standard atmosphere, Pa."""
         return np.zeros(len(self.time)) if self.excess_pressure is None else self.excess_pressure
 
     @property

@@ -32,7 +32,7 @@ ACTORS = {
 
 
 def reference() -> str:
-    """The text of the page `docs/effects.md`."""
+    """Returns the text of the page `docs/effects.md`."""
     effects = [effect_named(name) for name in plugins.names(plugins.EFFECTS)]
     parts = [_BEGINNING]
     for actor, words in ACTORS.items():

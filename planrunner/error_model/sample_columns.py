@@ -35,7 +35,7 @@ _STEP = 1e-6  # of the largest output, for the slope of an effect on the output
 
 
 def shaped(part: EffectPart) -> bool:
-    """Whether an effect has a shape, such as a time constant or a limit."""
+    """Returns True if an effect has a shape, such as a time constant or a limit."""
     return isinstance(part.effect, Shaped | ChangesWithinSegments)
 
 
@@ -129,7 +129,7 @@ class ErrorsAtSamples:
         return made
 
     def _felt(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> Observed:
-        """The samples with a changed stimulus: first with the effects of the stimulus, then with the effects on the rate."""
+        """Returns the samples with a changed stimulus: first with the effects of the stimulus, then with the effects on the rate."""
         observed = self.observed
         change = np.zeros((len(TRIADS), len(observed.time)))
         for part in self.errors.chosen:

@@ -73,7 +73,7 @@ class SegmentStates:
     overpressure: Array
 
     def at(self, rows: Sequence[int]) -> SegmentStates:
-        """The states of the selected segments."""
+        """Returns the states of the selected segments."""
         place = list(rows)
         return SegmentStates(**{one.name: getattr(self, one.name)[place] for one in fields(self)})
 
@@ -86,9 +86,9 @@ class SegmentStates:
 
 
 def states_of(segments: Sequence[Segment], start: Array, seconds: Array, nominal_supply: float) -> SegmentStates:
-    """The planned states of segments. A temperature, voltage or pressure that is not planned has its reference value. `start`,
-    `seconds`: arrays of shape (n,) in s, start and length of each segment, planned or recorded. `nominal_supply`: nominal supply
-    voltage of the sensor, V."""
+    """Returns the planned states of segments. A temperature, voltage or pressure that is not planned has its reference value.
+    `start`, `seconds`: arrays of shape (n,) in s, start and length of each segment, planned or recorded. `nominal_supply`: nominal
+    supply voltage of the sensor, V."""
     kelvin = [one.begins_at for one in segments]
     begin = np.array([REFERENCE_TEMPERATURE if one is None else one - ZERO_CELSIUS for one in kelvin])
     ends = [one.ramp_to for one in segments]
@@ -237,8 +237,8 @@ class ErrorsAtSegments:
         return self._evaluated((np.zeros((len(self.segments), 3)),) * 2, np.zeros(len(self.segments)))
 
     def _evaluated(self, changes: tuple[Array, Array], faster: Array) -> tuple[OutputColumns, ...]:
-        """The columns of each output at a changed stimulus. `changes`: additional angular rate and specific force, each (n, 3).
-        `faster`: array of shape (n,), additional rate of the table."""
+        """Returns the columns of each output at a changed stimulus. `changes`: additional angular rate and specific force, each (n,
+        3). `faster`: array of shape (n,), additional rate of the table."""
         observed, owner = self._planned, self._planned.owner
         felt = tuple(own + change[owner] for own, change in zip((observed.omega, observed.force), changes, strict=True))
         moved = replace(observed, felt=(felt[0], felt[1]), rate=observed.rate + faster[owner])
@@ -281,14 +281,14 @@ class ErrorsAtSegments:
         return OutputColumns(self._means(felt[:, output.axis][None])[0], available, tuple(amplitudes), matrix)
 
     def _means(self, rows: Array) -> Array:
-        """The means (k, n) over the n segments, from values (k, N) at the nodes of all segments."""
+        """Returns the means (k, n) over the n segments, from values (k, N) at the nodes of all segments."""
         weight = np.concatenate([weight for _, _, weight in self._nodes])
         return np.asarray(np.add.reduceat(rows * weight, self._planned.bounds[:-1], axis=1))
 
     @cached_property
     def _nodes(self) -> list[tuple[Array, Array, Array]]:
-        """For each segment, three arrays of shape (k,): the angle of the table at each node, the position of the node along the
-        segment from −0.5 to 0.5, and the weight of the node."""
+        """Returns, for each segment, three arrays of shape (k,): the angle of the table at each node, the position of the node
+        along the segment from −0.5 to 0.5, and the weight of the node."""
         shaped = any(one.shape is not None for output in self.outputs for one in output.chosen)
         places, weights = np.polynomial.legendre.leggauss(_ALONG_SHAPED if shaped else _ALONG)
         found = []
@@ -302,7 +302,7 @@ class ErrorsAtSegments:
 
     @cached_property
     def _planned(self) -> Observed:
-        """The planned segments as a recording of two ideal triads, whose samples are the nodes."""
+        """Returns the planned segments as a recording of two ideal triads, whose samples are the nodes."""
         states, made = self.states, []
         for row, (segment, (angle, along, _)) in enumerate(zip(self.segments, self._nodes, strict=True)):
             zero = np.zeros(len(angle))
@@ -349,7 +349,7 @@ def amplitudes_of(
 
 
 def estimable(effect: Effect) -> str:
-    """The reason why an estimate cannot fit an effect; empty if an estimate can fit it."""
+    """Returns the reason why an estimate cannot fit an effect; empty if an estimate can fit it."""
     if isinstance(effect, OutsideCoefficients):
         return "it acts on the noise, not on means: use allan_deviation"
     if isinstance(effect, HasShape) and not isinstance(effect, ShapedOverSegments | ChangesWithinSegments):
@@ -366,13 +366,14 @@ def estimable(effect: Effect) -> str:
 
 
 def _beside(part: EffectPart) -> tuple[float, ...]:
-    """Two values of the shape, one slightly above and one slightly below the chosen value, for the numerical derivative; empty if
-    no derivative is needed."""
+    """Returns two values of the shape, one slightly above and one slightly below the chosen value, for the numerical derivative;
+    empty if no derivative is needed."""
     return (part.shape * (1 + _STEP), part.shape * (1 - _STEP)) if part.shape is not None and part.sizes else ()
 
 
 def _derivative(part: EffectPart, output: OutputErrors, above: Sequence[Column], below: Sequence[Column]) -> Array:
-    """The derivative (N,) of an output with respect to an effect's shape. The amplitudes keep their values in the display unit."""
+    """Returns the derivative of an output with respect to an effect's shape, shape (N,). The amplitudes keep their values in the
+    display unit."""
     assert part.shape is not None
     found = np.zeros(len(next(iter(above[0].parts.values()))))
     for high, low in zip(above, below, strict=True):
@@ -394,7 +395,7 @@ def _columns(effect: Effect, observed: Observed, shape: float | None = None) -> 
 
 
 def without_axis(column: Column) -> tuple[str, bool]:
-    """The name of a column without the letter of its axis, and whether the column acts on a single channel."""
+    """Returns the name of a column without the letter of its axis, and whether the column acts on a single channel."""
     if column.axis is None or len(column.parts) != 1:
         return column.name, False
     return column.name.removesuffix(f"_{'xyz'[column.axis]}"), True

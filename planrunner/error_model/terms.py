@@ -45,7 +45,8 @@ class Term:
     of_motion: bool = False
 
     def column(self, stimulus: Stimulus) -> Array:
-        """The column of the term, shape (n,). Raises `StimulusError` for a term of degree two or more if the attitude moves."""
+        """Returns the column of the term, shape (n,). Raises `StimulusError` for a term of degree two or more if the attitude
+        moves."""
         if self.degree > 1 and bool(stimulus.moving.any()):
             raise StimulusError(
                 f"the term {self.name} is a product and cannot be computed from means over turning segments"
@@ -90,8 +91,8 @@ ACCEL_Y_ACCEL_Z = Term("accel_y_accel_z", _along("y", "z"), _G2, "(m/s^2)^2", _p
 
 
 def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
-    """The design matrix, shape (n, p), SI, with one column per term. Raises `StimulusError` if a term is not defined for the
-    stimulus."""
+    """Returns the design matrix, shape (n, p), SI, with one column per term. Raises `StimulusError` if a term is not defined for
+    the stimulus."""
     matrix = np.empty((len(stimulus), len(terms)))
     for k, term in enumerate(terms):
         matrix[:, k] = term.column(stimulus)
@@ -110,7 +111,8 @@ class LinearModel(Protocol):
 
 
 def columns_of(model: LinearModel, poses: Poses, site: Site) -> Array:
-    """The design matrix of segments, shape (n, p), SI. Raises `StimulusError` if a column cannot be computed for these segments."""
+    """Returns the design matrix of segments, shape (n, p), SI. Raises `StimulusError` if a column cannot be computed for these
+    segments."""
     if model.of_motion:
         return _columns_of_motion(model, poses.timeless.arrays, site)
     return model.columns(poses.felt(site))
@@ -133,7 +135,7 @@ class ErrorModel:
 
     @property
     def magnitudes(self) -> Array:
-        """The declared sizes of the columns, shape (p,), SI."""
+        """Returns the declared sizes of the columns, shape (p,), SI."""
         return np.array([term.magnitude for term in self.terms])
 
     @property
@@ -141,12 +143,12 @@ class ErrorModel:
         return all(term.of_motion for term in self.terms)
 
     def columns(self, stimulus: Stimulus) -> Array:
-        """The design matrix, shape (n, p), SI."""
+        """Returns the design matrix, shape (n, p), SI."""
         return design_matrix(self.terms, stimulus)
 
     def predict(self, coefficients: Mapping[str, float] | Array, stimulus: Stimulus) -> Array:
-        """The output, shape (n,), for given coefficients. The coefficients are an array of shape (p,), or a mapping from names to
-        values, in which coefficients that are not named are zero."""
+        """Returns the output, shape (n,), for given coefficients. The coefficients are an array of shape (p,), or a mapping from
+        names to values, in which coefficients that are not named are zero."""
         if isinstance(coefficients, Mapping):
             unknown = set(coefficients) - set(self.names)
             if unknown:
@@ -156,7 +158,7 @@ class ErrorModel:
 
 
 def term_names() -> Choice:
-    """The kind of plan key whose value is the name of an installed term."""
+    """Returns the kind of plan key whose value is the name of an installed term."""
     return Choice(plugins.names(plugins.TERMS))
 
 

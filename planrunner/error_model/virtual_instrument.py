@@ -41,7 +41,7 @@ _WALKS = 2  # second part of a generator's key, of the first of four processes: 
 
 
 def _of_axis(item: Addition, kind: OutsideKind, output: str) -> float | None:
-    """The parameter of a noise effect for one output; None if the effect does not change the noise of this output."""
+    """Returns the parameter of a noise effect for one output; None if the effect does not change the noise of this output."""
     from planrunner.error_model.added import BY_AXIS, NOISE
     from planrunner.error_model.observed import axis_of
 
@@ -181,8 +181,8 @@ class AddedEffects:
     # -- internals ----------------------------------------------------------------------------------------------------
 
     def _known(self, observed: Observed) -> Sequence[Addition]:
-        """The effects with the values of all their parameters. They are determined when the first samples arrive, because they
-        depend on the sensor."""
+        """Returns the effects with the values of all their parameters. They are determined when the first samples arrive, because
+        they depend on the sensor."""
         if len(self.additions) < len(self.parameters.effects):
             from planrunner.error_model.added import addition
             from planrunner.error_model.scheduled import everything
@@ -240,7 +240,7 @@ class AddedEffects:
                 self.past[value] = item.effect.remembered(observed, value)
 
     def _number(self, segment: Segment) -> int:
-        """The number of the segment's orientation, counted from 1 in the order of first use."""
+        """Returns the number of the segment's orientation, counted from 1 in the order of first use."""
         from planrunner.error_model.observed import orientation_key
 
         place = orientation_key(np.array(segment.attitude))
@@ -258,7 +258,7 @@ class AddedEffects:
             self.before = now
 
     def _walked(self, moments: Moments, observed: Observed) -> Array:
-        """The slow random changes (N, K) of the biases at the samples, SI."""
+        """Returns the slow random changes of the biases at the samples, SI, shape (N, K)."""
         from planrunner.error_model.added import OF_TRIAD, SIGMA
         from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 

@@ -106,8 +106,8 @@ def analyse(
 
 
 def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
-    """The names of the estimates, ordered so that every estimate comes after the estimates that it uses. Estimates that use each
-    other in a circle come last, and fail because their inputs are missing."""
+    """Returns the names of the estimates, ordered so that every estimate comes after the estimates that it uses. Estimates that use
+    each other in a circle come last, and fail because their inputs are missing."""
     order: list[str] = []
     waiting = list(estimates)
     while waiting:

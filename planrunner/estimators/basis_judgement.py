@@ -298,7 +298,7 @@ def _named(courses: Sequence[DriftCourse]) -> tuple[str, ...]:
 
 
 def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
-    """For each output, a text with the percentage of the scatter that a drift or a nonlinearity explains."""
+    """Returns, for each output, a text with the percentage of the scatter that a drift or a nonlinearity explains."""
     return tuple(
         said("{share:.3g} % ({output})", share=100 * float(share), output=output)
         for output, share in zip(fit.outputs, shares, strict=True)
@@ -306,7 +306,7 @@ def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
 
 
 def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
-    """A warning about a drift that is included in the uncertainties, although it is not fitted."""
+    """Returns a warning about a drift that is included in the uncertainties, although it is not fitted."""
     return said(
         "{outputs}: the segments neither show nor exclude a drift ({drift}; probability by chance: {chance:.2g}). It is not fitted, and "
         "the uncertainties include the change of the coefficients that it would cause. To find out whether there is a drift, repeat "
@@ -318,7 +318,7 @@ def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
 
 
 def _included(fit: OutputsFit, found: DoubtedDrift) -> Said:
-    """A note about a drift that is included in the uncertainties because it was not fitted: a nonlinearity may explain the
+    """Returns a note about a drift that is included in the uncertainties because it was not fitted: a nonlinearity may explain the
     residuals instead."""
     return said(
         "{outputs}: the uncertainties include the change of the coefficients that the drift ({drift}) would cause.",
@@ -328,7 +328,7 @@ def _included(fit: OutputsFit, found: DoubtedDrift) -> Said:
 
 
 def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArray[np.float64]) -> Said:
-    """A warning about residuals that come either from a drift or from a nonlinearity."""
+    """Returns a warning about residuals that come either from a drift or from a nonlinearity."""
     return said(
         "The residuals look like a drift during the test ({drifts}), but a nonlinearity of the outputs explains "
         "them as well: the square of the output explains {shares} of the scatter about the model. Neither of "
@@ -343,7 +343,7 @@ def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArra
 
 
 def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
-    """A warning about a drift that is not fitted, although the data do not exclude a drift large enough to matter."""
+    """Returns a warning about a drift that is not fitted, although the data do not exclude a drift large enough to matter."""
     output, name = fit.outputs[found.output], found.course.name
     if found.course.changed:
         return said(
@@ -376,14 +376,14 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
 
 
 def _consequence(fit: OutputsFit, found: SuspectedDrift) -> Said:
-    """A clause that states whether the uncertainties include a drift that is not fitted."""
+    """Returns a clause that states whether the uncertainties include a drift that is not fitted."""
     if any(one.course.name == found.course.name for one in fit.drift.doubted):
         return said("but the uncertainties include the change that it would cause")
     return said("so no uncertainty includes it")
 
 
 def _size(found: SuspectedDrift) -> Said:
-    """A clause that states how the uncertainty of the coefficient would change if the drift were fitted."""
+    """Returns a clause that states how the uncertainty of the coefficient would change if the drift were fitted."""
     if not np.isfinite(found.growth):
         return said("these segments cannot separate the two at all")
     return said(
@@ -393,14 +393,14 @@ def _size(found: SuspectedDrift) -> Said:
 
 
 def _written(courses: Sequence[DriftCourse]) -> str:
-    """The value of the plan's key `drift` that asks for these drift functions."""
+    """Returns the value of the plan's key `drift` that asks for these drift functions."""
     highest = max((course for course in courses if course.order), key=lambda one: one.order, default=None)
     words = [course.name for course in courses if course is highest or not course.order]
     return words[0] if len(words) == 1 else f"[{', '.join(words)}]"
 
 
 def _exceeding(found: BasisComparison, basis: str) -> Said:
-    """A warning that the residuals are larger than the noise can explain."""
+    """Returns a warning that the residuals are larger than the noise can explain."""
     values: dict[str, str | float] = {"output": found.output, "ratio": found.ratio, "chance": found.probability}
     if basis == "within_segment":
         return said(

@@ -201,9 +201,9 @@ def fitted_drift(
 
 
 def _scattering(plain: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float:
-    """The probability that the noise within the segments causes residuals at least as large as those of all outputs together
-    (F-test); 1 if the noise is unknown, or if the residuals are so large that another warning names them. Unlike the test of one
-    drift function, this test finds a drift of any form."""
+    """Returns the probability that the noise within the segments causes residuals at least as large as those of all outputs
+    together (F-test); 1 if the noise is unknown, or if the residuals are so large that another warning names them. Unlike the test
+    of one drift function, this test finds a drift of any form."""
     found = _probability_of_residuals(plain, noises)
     return 1.0 if found is None or found < SIGNIFICANCE else found
 
@@ -216,8 +216,8 @@ def _doubted(
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """A `DoubtedDrift` for the drift function, if there are few degrees of freedom and the probability by chance is small enough;
-    otherwise an empty tuple."""
+    """Returns a `DoubtedDrift` for the drift function, if there are few degrees of freedom and the probability by chance is small
+    enough; otherwise an empty tuple."""
     found = fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
@@ -259,21 +259,21 @@ def _not_corrected(
 
 
 def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
-    """The fraction (m,) of the sum of squared residuals that additional columns explain."""
+    """Returns the fraction of the sum of squared residuals that additional columns explain, shape (m,)."""
     left, all_ = (np.array([one.chi_squared for one in each]) for each in (after, before))
     return 1 - left / np.where(all_ > 0, all_, 1.0)
 
 
 def _criterion(found: Sequence[LinearFit], n: int) -> float:
-    """The Bayesian information criterion of fits with n observations each: χ² of all fits plus ln N for each fitted coefficient,
-    where N is the number of observations of all fits."""
+    """Returns the Bayesian information criterion of fits with n observations each: χ² of all fits plus ln N for each fitted
+    coefficient, where N is the number of observations of all fits."""
     terms = sum(n - one.degrees_of_freedom for one in found)
     return sum(one.chi_squared for one in found) + terms * float(np.log(n * len(found)))
 
 
 def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[LinearFit, ...]:
-    """The fits of m outputs with an additional column, the square of the output's fitted values. The result is empty if the terms
-    can reproduce this square for one of the outputs."""
+    """Returns the fits of m outputs with an additional column, the square of the output's fitted values. The result is empty if the
+    terms can reproduce this square for one of the outputs."""
     found = []
     for k, one in enumerate(plain):
         fitted = matrix @ one.coefficients
@@ -289,8 +289,9 @@ def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[L
 def _next(
     matrix: Array, magnitudes: Array, drift: DriftCourses, chosen: Sequence[DriftCourse], outputs: int
 ) -> tuple[DriftCourse, ...]:
-    """The drift functions that may be added: the lowest missing power of the time, and the missing temperatures. A drift function
-    is left out if the terms and the chosen drift functions can reproduce it, or if too few degrees of freedom would remain."""
+    """Returns the drift functions that may be added: the lowest missing power of the time, and the missing temperatures. A drift
+    function is left out if the terms and the chosen drift functions can reproduce it, or if too few degrees of freedom would
+    remain."""
     base, names = joined(matrix, chosen), {course.name for course in chosen}
     allowed = [one for one in drift.courses if not drift.shown or one.name in drift.shown]
     missing = [course for course in allowed if course.name not in names]
@@ -306,7 +307,7 @@ def _next(
 
 
 def _separable(scaled: Array, course: DriftCourse) -> bool:
-    """Whether the drift function is independent of given columns (n, P), which are already divided by their magnitudes."""
+    """Returns True if the drift function is independent of given columns (n, P), which are already divided by their magnitudes."""
     basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
     own = course.columns - basis @ (basis.T @ course.columns)
     return bool(np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0)))
@@ -320,7 +321,7 @@ def _suspected(
     hinted: tuple[DriftCourse, float] | None,
     fits: Fits,
 ) -> tuple[SuspectedDrift, ...]:
-    """The suspected drift functions, if none is adopted. `hinted`: the most likely of the tested drift functions, and its
+    """Returns the suspected drift functions, if none is adopted. `hinted`: the most likely of the tested drift functions, and its
     probability by chance."""
     found = []
     for course in drift.courses:
@@ -336,8 +337,8 @@ def _suspected(
 def _affected(
     matrix: Array, magnitudes: Array, names: Sequence[str], course: DriftCourse, fits: Fits
 ) -> tuple[SuspectedDrift, float]:
-    """The coefficient that a drift function affects most, and the largest change of any coefficient in units of its standard
-    uncertainty."""
+    """Returns the coefficient that a drift function affects most, and the largest change of any coefficient in units of its
+    standard uncertainty."""
     n, p = matrix.shape
     before = fits(matrix)
     spreads = np.array([np.sqrt(np.diag(one.cofactor)) for one in before])
@@ -361,9 +362,9 @@ def _chance(
     noises: Sequence[WithinSegmentNoise],
     correlation: Array,
 ) -> float:
-    """The probability that chance alone reduces χ² as much as the drift function does, in one output or in all outputs together
-    (F-tests, Bonferroni's bound). Outputs whose noise is correlated count as a smaller number of outputs, by Satterthwaite's
-    formula."""
+    """Returns the probability that chance alone reduces χ² as much as the drift function does, in one output or in all outputs
+    together (F-tests, Bonferroni's bound). Outputs whose noise is correlated count as a smaller number of outputs, by
+    Satterthwaite's formula."""
     from scipy.special import fdtrc
 
     r, left = course.columns.shape[1], after[0].degrees_of_freedom
@@ -393,8 +394,8 @@ def explained_by_noise(after: Sequence[LinearFit], noises: Sequence[WithinSegmen
 
 
 def _probability_of_residuals(found: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float | None:
-    """The probability that the noise within the segments causes residuals at least as large as those of all outputs together
-    (F-test); None if the noise is unknown."""
+    """Returns the probability that the noise within the segments causes residuals at least as large as those of all outputs
+    together (F-test); None if the noise is unknown."""
     from scipy.special import fdtrc
 
     if not all(noise.known for noise in noises):
@@ -405,7 +406,7 @@ def _probability_of_residuals(found: Sequence[LinearFit], noises: Sequence[Withi
 
 
 def _is_rounding(matrix: Array, course: DriftCourse, after: Sequence[LinearFit]) -> bool:
-    """Whether the fitted drift function changes the observations by no more than rounding errors."""
+    """Returns True if the fitted drift function changes the observations by no more than rounding errors."""
     p, r = matrix.shape[1], course.columns.shape[1]
     for one in after:
         moved = np.max(np.abs(course.columns @ one.coefficients[-r:]))

@@ -114,8 +114,8 @@ class _Design:
 
     @classmethod
     def of(cls, block: DesignBlock, planned: Sequence[Segment], orders: int) -> _Design | None:
-        """The design for a block, or None if the times of the segments are not planned, or if the terms cannot be separated even
-        without a drift."""
+        """Returns the design for a block, or None if the times of the segments are not planned, or if the terms cannot be separated
+        even without a drift."""
         if any(segment.dwell is None for segment in planned) or len(block.labels) < 2:
             return None
         place = {segment.label: row for row, segment in enumerate(planned)}
@@ -134,21 +134,21 @@ class _Design:
         return int(self.matrix.shape[1])
 
     def growth(self) -> Array:
-        """The factors (p,) by which the standard uncertainties grow in the planned order if the drift is fitted; infinite if the
-        drift cannot be separated."""
+        """Returns the factors by which the standard uncertainties grow in the planned order if the drift is fitted, shape (p,);
+        infinite if the drift cannot be separated."""
         return _growth(self.matrix, self._courses(self.start, self.seconds)[self.rows], self.weights)
 
     def reordered(self, orders: NDArray[np.int64]) -> Array:
-        """The factors (k, p) by which the standard uncertainties grow if the segments are recorded in each of k other orders and
-        the drift is fitted. `orders`: array of shape (k, n), for each order, the indices of the rows in the sequence in which they
-        are recorded. All rows must have the same dwell."""
+        """Returns the factors (k, p) by which the standard uncertainties grow if the segments are recorded in each of k other
+        orders and the drift is fitted. `orders`: array of shape (k, n), for each order, the indices of the rows in the sequence in
+        which they are recorded. All rows must have the same dwell."""
         # The middle of the test and the average of a course stay, so that the courses are those of the places.
         places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
         return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
 
     def closed(self) -> Array:
-        """The factors (p,) by which the standard uncertainties grow if the first segment is repeated at the end of the test and the
-        drift is fitted."""
+        """Returns the factors (p,) by which the standard uncertainties grow if the first segment is repeated at the end of the test
+        and the drift is fitted."""
         order = np.argsort(self.start)
         ends = (self.start + self.seconds)[order]
         pauses = np.sort(
@@ -163,7 +163,7 @@ class _Design:
 
     @property
     def first(self) -> int:
-        """The index of the row that is recorded first."""
+        """Returns the index of the row that is recorded first."""
         return int(self.start[self.rows].argmin())
 
     def _courses(self, start: Array, seconds: Array) -> Array:
@@ -172,9 +172,9 @@ class _Design:
 
 
 def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
-    """The factors (…, p) by which the standard uncertainties grow if a drift with the columns `courses` (…, n, r) is fitted. The
-    leading dimensions are different orders of the segments. `matrix`: array of shape (n, p), weighted design matrix. `weights`:
-    array of shape (n,), factors by which the columns of the drift are multiplied."""
+    """Returns the factors (…, p) by which the standard uncertainties grow if a drift with the columns `courses` (…, n, r) is
+    fitted. The leading dimensions are different orders of the segments. `matrix`: array of shape (n, p), weighted design matrix.
+    `weights`: array of shape (n,), factors by which the columns of the drift are multiplied."""
     weighted = courses * weights[:, None]
     scaled = weighted / np.sqrt((weighted**2).sum(axis=-2, keepdims=True) / len(matrix))
     gains, own, beside = _projections(matrix)
@@ -192,8 +192,8 @@ def _projections(matrix: Array) -> tuple[Array, Array, Array]:
 
 
 def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
-    """The blocks after leaving out each block whose design equals the design of an earlier block. The outputs of a triad often have
-    the same design."""
+    """Returns the blocks after leaving out each block whose design equals the design of an earlier block. The outputs of a triad
+    often have the same design."""
     found: dict[tuple[object, ...], DesignBlock] = {}
     for block in blocks:
         found.setdefault((block.labels, block.matrix.tobytes(), block.sigma.tobytes()), block)
@@ -215,8 +215,8 @@ def _proposal(designs: Sequence[_Design]) -> str:
 
 
 def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | None:
-    """A better order of the segments, and the largest growth factor in this order; None if the segments cannot be exchanged freely.
-    Each step of the search exchanges the two segments whose exchange reduces the largest growth factor most."""
+    """Returns a better order of the segments, and the largest growth factor in this order; None if the segments cannot be exchanged
+    freely. Each step of the search exchanges the two segments whose exchange reduces the largest growth factor most."""
     one = designs[0]
     same = all(other.block.labels == one.block.labels for other in designs)
     alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1
@@ -238,5 +238,5 @@ def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | 
 
 
 def _largest(designs: Sequence[_Design], orders: NDArray[np.int64]) -> Array:
-    """The largest growth factor (k,) over all designs, for each of k orders."""
+    """Returns the largest growth factor over all designs, for each of k orders, shape (k,)."""
     return np.asarray(np.max([design.reordered(orders).max(axis=1) for design in designs], axis=0))

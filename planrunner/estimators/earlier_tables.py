@@ -25,7 +25,8 @@ _NUMBER = re.compile(
 def earlier_table(
     title: str, titles: Sequence[str], rows: tuple[tuple[Cell, ...], ...], settings: Mapping[str, Json]
 ) -> Table:
-    """A table of format 1, with roles derived from its titles. `settings`: the settings of the estimate from which the table comes."""
+    """Returns a table of format 1, with roles derived from its titles. `settings`: the settings of the estimate from which the
+    table comes."""
     columns = tuple(TableColumn(name, _role(name, [row[k] for row in rows])) for k, name in enumerate(titles))
     return Table(title, columns, rows, title in settings.get(TERMINAL_TABLES, ()))
 

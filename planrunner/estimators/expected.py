@@ -114,8 +114,8 @@ def expected_recording(
 
 
 def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Poses, list[str]]:
-    """The poses of the segments, and sentences about the assumptions that they need. Rocking segments and cycles have the pose in
-    which they begin."""
+    """Returns the poses of the segments, and sentences about the assumptions that they need. Rocking segments and cycles have the
+    pose in which they begin."""
     assumed: list[str] = []
     segments: list[Segment] = []
     for segment in request.segments:
@@ -132,7 +132,7 @@ def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Pose
 
 
 def _along(about: Sequence[float]) -> Array:
-    """An attitude in which a given direction is the z axis."""
+    """Returns an attitude in which a given direction is the z axis."""
     z = np.asarray(about, dtype=float) / np.linalg.norm(about)
     x = np.eye(3)[int(np.abs(z).argmin())]
     x = x - (x @ z) * z
@@ -147,7 +147,7 @@ def _means(
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
-    """The means (n,) of an output, derived from its name and unit; and True if they depend on declared values only."""
+    """Returns the means (n,) of an output, derived from its name and unit; and True if they depend on declared values only."""
     try:
         own = unit(output.unit)
     except UnknownUnitError:

@@ -50,8 +50,8 @@ class PositionsDesign:
     magnitudes: Array
 
     def blocks(self, request: DesignRequest[FittedFromPositions], outputs: Sequence[str]) -> tuple[DesignBlock, ...]:
-        """The design blocks for the command `check`, one per output. Raises `EstimationError` for an output that the sensor does
-        not have."""
+        """Returns the design blocks for the command `check`, one per output. Raises `EstimationError` for an output that the sensor
+        does not have."""
         return planned_blocks(request, outputs, self.model.names, self.matrix, self.magnitudes)
 
 

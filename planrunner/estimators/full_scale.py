@@ -82,7 +82,7 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
 
 
 def _turns(request: DesignRequest[object], name: str) -> bool:
-    """Whether an output measures rotation about a known axis, judged by its unit and its name."""
+    """Returns True if an output measures rotation about a known axis, judged by its unit and its name."""
     model = request.sensor.output(name)
     rotation = (unit("rad/s").dimension, unit("pulse/s").dimension)
     return (
@@ -103,7 +103,7 @@ def _rate(motion: Motion) -> float:
 
 
 def _axis(motion: Motion) -> tuple[float, float, float] | None:
-    """The rotation axis in site axes; None for a motion without a single axis."""
+    """Returns the rotation axis in site axes; None for a motion without a single axis."""
     if isinstance(motion, Cycle):
         return UP
     return motion.about if isinstance(motion, Spin) else None

@@ -29,8 +29,8 @@ class Grouping:
 
 
 def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
-    """The divisions into groups that a test can use. The repeats must be in the order of time. Every returned division has at least
-    two groups, and more repeats than twice the number of groups.
+    """Returns the divisions into groups that a test can use. The repeats must be in the order of time. Every returned division has
+    at least two groups, and more repeats than twice the number of groups.
 
     `labels`: labels such as day1/r2 or startup-b-07, where the last number counts the repeats of a group. `pauses`: array of shape
     (n − 1,), time between successive repeats, s; None if this is not known.

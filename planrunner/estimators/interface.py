@@ -64,8 +64,8 @@ class Coefficient:
     role: CoefficientRole = CoefficientRole.LOCATION
 
     def near(self, place: float) -> float:
-        """The value in `unit`. For a circular quantity, this is the equivalent value that is nearest to `place`, which is in `unit`
-        too."""
+        """Returns the value in `unit`. For a circular quantity, this is the equivalent value that is nearest to `place`, which is
+        in `unit` too."""
         return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 
@@ -231,7 +231,7 @@ class Foresight:
 
     @property
     def known(self) -> bool:
-        """Whether the coefficients of a run are known."""
+        """Returns True if the coefficients of a run are known."""
         return bool(self.predicted or self.unpredicted)
 
 

@@ -107,13 +107,14 @@ def fit_each(
 
 
 def whitener(covariance: Array) -> Array:
-    """The matrix W (…, n, n) with W·V·Wᵀ = 1. It makes observations of covariance V (…, n, n) uncorrelated with variance one."""
+    """Returns the matrix W with W·V·Wᵀ = 1, shape (…, n, n). It makes observations of covariance V (…, n, n) uncorrelated with
+    variance one."""
     return _triangular_inverse(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
 
 
 def _triangular_inverse(lower: Array) -> Array:
-    """The inverses of lower triangular matrices (…, n, n), computed by recursive halving. This is much faster than a general
-    inverse."""
+    """Returns the inverses of lower triangular matrices (…, n, n), computed by recursive halving. This is much faster than a
+    general inverse."""
     n = lower.shape[-1]
     if n <= _SMALL:
         return np.asarray(np.linalg.inv(lower))
@@ -129,8 +130,8 @@ _SMALL = 64  # rows of a matrix that is inverted as a whole
 
 
 def _triangles(matrix: Array, observed: Array, weight: Array | None, whitening: Array | None, scale: Array) -> Array:
-    """For each of m outputs, the matrix R of the QR factorisation of the weighted matrix [matrix·scale | observed]. The shape is
-    (m, p + 1, p + 1), with fewer rows if there are fewer observations."""
+    """Returns, for each of m outputs, the matrix R of the QR factorisation of the weighted matrix [matrix·scale | observed]. The
+    shape is (m, p + 1, p + 1), with fewer rows if there are fewer observations."""
     if whitening is None and len(matrix) >= 2 * _CHUNK:
         weights = [None] * len(observed) if weight is None else list(weight)
         return np.array([_triangle(matrix, one, own, scale) for one, own in zip(observed, weights, strict=True)])
@@ -148,7 +149,8 @@ _BATCH = 4  # chunks scaled and reduced at a time, so that all of it stays in th
 
 
 def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array) -> Array:
-    """The matrix R (p + 1, p + 1) of the QR factorisation of the matrix weight·[matrix·scale | observed], if it has many rows.
+    """Returns the matrix R of the QR factorisation of the matrix weight·[matrix·scale | observed], if it has many rows, shape (p +
+    1, p + 1).
 
     Chunks of rows are reduced first, and then the resulting triangular matrices together (Demmel et al., SIAM J. Sci. Comput. 34,
     2012).

@@ -53,8 +53,8 @@ VerdictKind = Literal["pass", "warned", "fail", "none"]
 
 
 def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> VerdictKind:
-    """The verdict on all limits together. `failures`: messages about estimates and limits without a result. `warnings`: number of
-    warnings that may invalidate the verdict."""
+    """Returns the verdict on all limits together. `failures`: messages about estimates and limits without a result. `warnings`:
+    number of warnings that may invalidate the verdict."""
     if failures:
         return "fail"
     if not limits:
@@ -65,9 +65,9 @@ def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], wa
 
 
 def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
-    """The verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns until it is as near as
-    possible to the middle between the two bounds of the limit. Raises `EstimationError` if the quantity of the limit is missing or
-    has another dimension than the limit."""
+    """Returns the verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns until it is as
+    near as possible to the middle between the two bounds of the limit. Raises `EstimationError` if the quantity of the limit is
+    missing or has another dimension than the limit."""
     coefficient = _coefficient(limit.quantity, estimates)
     lower, upper = bounds(limit, coefficient)
     u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom
@@ -102,7 +102,7 @@ def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
 def _global(
     limit: Limit, coefficient: Coefficient, tolerance: tuple[float, float], acceptance: tuple[float, float]
 ) -> GlobalRisk:
-    """The global risks of the decision rule; NaN if the limit states no prior, or if the uncertainty is not known."""
+    """Returns the global risks of the decision rule; NaN if the limit states no prior, or if the uncertainty is not known."""
     if limit.prior is None or not math.isfinite(coefficient.standard_uncertainty):
         return GlobalRisk(math.nan, math.nan)
     if not limit.prior.standard_uncertainty:

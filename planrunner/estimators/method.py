@@ -158,8 +158,8 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
 
 @cache
 def _foresees(estimator: type) -> bool:
-    """Whether an estimator class has its own method for predictions. The answer is cached, because a protocol check inspects every
-    attribute."""
+    """Returns True if an estimator class has its own method for predictions. The answer is cached, because a protocol check
+    inspects every attribute."""
     return issubclass(estimator, ForeseesResults)
 
 
@@ -200,7 +200,7 @@ def _alike(one: Coefficient, others: Sequence[Coefficient]) -> bool:
 
 
 def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Expected, number: int) -> Estimate | None:
-    """The estimate from an expected recording, with its complete uncertainty; None if the formula fails."""
+    """Returns the estimate from an expected recording, with its complete uncertainty; None if the formula fails."""
     uses = {
         name: design.expected[min(number, len(design.expected) - 1)]
         for name, design in request.uses.items()
@@ -242,8 +242,8 @@ def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Exp
 
 
 def _whole(made: Estimate) -> Estimate:
-    """The estimate with a covariance that includes the contribution of the data and all influences. The degrees of freedom are
-    infinite, because the noise is declared."""
+    """Returns the estimate with a covariance that includes the contribution of the data and all influences. The degrees of freedom
+    are infinite, because the noise is declared."""
     covariance = np.array(made.covariance, dtype=float)
     for item in merged(one for one in made.influences if not one.in_scatter):
         covariance += item.covariance

@@ -90,7 +90,7 @@ def _warning(found: Sequence[OpenFlicker]) -> Said:
 
 
 def no_flicker_declared(channels: Sequence[str]) -> Said:
-    """A note about channels without a declared bias instability."""
+    """Returns a note about channels without a declared bias instability."""
     return said(
         "No bias instability is declared for {outputs}: the intervals are valid only if the noise of different "
         "segments is independent (no flicker).",

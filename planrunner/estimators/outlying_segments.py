@@ -137,8 +137,8 @@ class _Weighed:
         return cls(covariance, whitening.T @ whitening, columns, fit.fits[k].residuals)
 
     def shifts(self, taken: tuple[int, ...]) -> _Shifts:
-        """The effects of one additional column, for each segment. `taken`: indices of the segments that already have an additional
-        column."""
+        """Returns the effects of one additional column, for each segment. `taken`: indices of the segments that already have an
+        additional column."""
         n = len(self.residuals)
         columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])
         weighted = self.weights @ columns

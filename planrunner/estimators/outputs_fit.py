@@ -111,14 +111,14 @@ class OutputsFit:
         return np.asarray(np.sqrt(variances[:, self.matrix.shape[1] :]))
 
     def drift_freedom(self, output: int, basis: str) -> float:
-        """The degrees of freedom of the drift amplitudes of one output."""
+        """Returns the degrees of freedom of the drift amplitudes of one output."""
         if basis == "residual":
             return self.pooled_freedom if self.pooled else float(self.freedom)
         return self.noises[output].degrees_of_freedom
 
     @property
     def freedom(self) -> int:
-        """The number of degrees of freedom of each output's residuals."""
+        """Returns the number of degrees of freedom of each output's residuals."""
         return self.fits[0].degrees_of_freedom
 
     def available(self, basis: str) -> bool:
@@ -180,7 +180,8 @@ class OutputsFit:
         )
 
     def _evidence(self, output: int, error: CorrelatedError) -> FlickerEvidence | None:
-        """The information in an output's observations about the size of the flicker; None if the noise of an output is not known."""
+        """Returns the information in an output's observations about the size of the flicker; None if the noise of an output is not
+        known."""
         noise = self.noises[output]
         if not all(one.known for one in self.noises):
             return None
@@ -339,12 +340,12 @@ class _Weighting:
     within: int = 0
 
     def plain(self) -> list[LinearFit]:
-        """The fits that are weighted by noise and effects."""
+        """Returns the fits that are weighted by noise and effects."""
         return self._fits(self.sigma, self.whitening)
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
-        """The fits that are weighted by noise and effects, with all information that `OutputsFit` needs. `residual`: True allows a
-        standard deviation between segments to be added to the noise if the residuals require it."""
+        """Returns the fits that are weighted by noise and effects, with all information that `OutputsFit` needs. `residual`: True
+        allows a standard deviation between segments to be added to the noise if the residuals require it."""
         spreads, between, whitening = self.sigma.copy(), np.zeros(len(noises)), self.whitening
         found = self.plain()
         ratios = _factors(found)
@@ -363,8 +364,8 @@ class _Weighting:
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
     def equal(self) -> _Fitted:
-        """The fits in which all segments have equal weights. The residuals are compared with the noise in a second fit, which is
-        weighted by noise and effects. With equal weights, a few large residuals would decide this comparison."""
+        """Returns the fits in which all segments have equal weights. The residuals are compared with the noise in a second fit,
+        which is weighted by noise and effects. With equal weights, a few large residuals would decide this comparison."""
         spreads = np.broadcast_to(np.sqrt(np.mean(self.sigma**2, axis=1, keepdims=True)), self.sigma.shape)
         whitening = _whitening(spreads, self.roots)
         found = self._fits(spreads, None)
@@ -374,8 +375,8 @@ class _Weighting:
         return _Fitted(fits, gains, spreads, np.zeros(len(fits)), _factors(self.plain()), whitening)
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
-        """The degrees of freedom of the mean of the outputs' variance factors. The degrees of freedom are those of a χ² variable
-        with the same mean and variance (Satterthwaite)."""
+        """Returns the degrees of freedom of the mean of the outputs' variance factors. The degrees of freedom are those of a χ²
+        variable with the same mean and variance (Satterthwaite)."""
         m, p, n = found.gains.shape
         if found.whitening is None:
             return float((n - p) * m**2 / np.sum(correlation**2))
@@ -388,7 +389,7 @@ class _Weighting:
         return (m * (n - p)) ** 2 / common if common else 0.0
 
     def _fit_of(self, output: int, spread: Array) -> LinearFit:
-        """The fit of one output whose noise has the standard deviations `spread` (n,)."""
+        """Returns the fit of one output whose noise has the standard deviations `spread` (n,)."""
         one = slice(output, output + 1)
         return self._fits(spread[None], _whitening(spread[None], self.roots[one]), one)[0]
 
@@ -399,7 +400,7 @@ class _Weighting:
 
 
 def _whitening(spreads: Array, roots: Array) -> Array | None:
-    """The matrices (m, n, n) that make observations uncorrelated with variance one, for noise with the standard deviations
+    """Returns the matrices (m, n, n) that make observations uncorrelated with variance one, for noise with the standard deviations
     `spreads` (m, n) and effects with the roots `roots` (m, n, r). None without effects."""
     return least_squares.whitener(mixed(spreads, roots)) if roots.size else None
 
@@ -409,17 +410,17 @@ def _factors(fits: Sequence[LinearFit]) -> Array:
 
 
 def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
-    """The matrices (AᵀV⁻¹A)⁻¹·AᵀV⁻¹ (m, p, n), which compute the coefficients from the observations. `weighted`: array of shape (m,
-    n, p), the product V⁻¹A."""
+    """Returns the matrices (AᵀV⁻¹A)⁻¹·AᵀV⁻¹ (m, p, n), which compute the coefficients from the observations. `weighted`: array of
+    shape (m, n, p), the product V⁻¹A."""
     return np.asarray(np.array([one.cofactor for one in fits]) @ weighted.swapaxes(1, 2))
 
 
 def _cofactors(
     found: _Fitted, noises: Sequence[WithinSegmentNoise], correlation: Array, effects: Array
 ) -> dict[str, Array]:
-    """The covariances of the coefficients for each basis of uncertainty, without the variance factors. The correlation of the noise
-    between outputs always comes from the samples, because the residuals of a few segments do not determine it. `effects`: array of
-    shape (m, n, r), matrices R for which R·Rᵀ is the covariance of the observations due to the effects."""
+    """Returns the covariances of the coefficients for each basis of uncertainty, without the variance factors. The correlation of
+    the noise between outputs always comes from the samples, because the residuals of a few segments do not determine it. `effects`:
+    array of shape (m, n, r), matrices R for which R·Rᵀ is the covariance of the observations due to the effects."""
     m, p, _ = found.gains.shape
 
     def products(roots: Array) -> Array:

@@ -189,8 +189,8 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
 
 
 def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Sequence[str]) -> list[str]:
-    """The repeated items: segments if the plan names channels, otherwise estimates. Raises `EstimationError` if the plan names both
-    channels and estimates or neither, or if there are fewer than two items."""
+    """Returns the repeated items: segments if the plan names channels, otherwise estimates. Raises `EstimationError` if the plan
+    names both channels and estimates or neither, or if there are fewer than two items."""
     if parameters.channels and uses:
         raise EstimationError("both `channels` and `uses` are given: compare either segment means or other estimates")
     if not parameters.channels and not uses:
@@ -207,8 +207,8 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
 
 
 def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: bool) -> NDArray[np.int64]:
-    """The indices of the groups to which the names belong. Raises `EstimationError` for a name that belongs to no group or to two
-    groups, and for an empty group."""
+    """Returns the indices of the groups to which the names belong. Raises `EstimationError` for a name that belongs to no group or
+    to two groups, and for an empty group."""
     number = np.zeros(len(names), dtype=np.int64)
     if not groups:
         return number
@@ -291,7 +291,7 @@ def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDAr
 
 
 def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
-    """The variance that noise alone causes in a coefficient of expected estimates; NaN for estimates from a recording."""
+    """Returns the variance that noise alone causes in a coefficient of expected estimates; NaN for estimates from a recording."""
     found = []
     for used in uses:
         if not used.expected or used.data_covariance is None:
@@ -302,8 +302,8 @@ def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
 
 
 def together(repeats: Sequence[Coefficient]) -> Array:
-    """The values (n,) of a repeated coefficient. For a circular quantity, these are the equivalent values nearest to the circular
-    mean (Mardia and Jupp, Directional Statistics, 2.2)."""
+    """Returns the values of a repeated coefficient, shape (n,). For a circular quantity, these are the equivalent values nearest to
+    the circular mean (Mardia and Jupp, Directional Statistics, 2.2)."""
     period = repeats[0].period
     if math.isinf(period) or not all(math.isfinite(one.value) for one in repeats):
         return np.array([one.value for one in repeats])
@@ -353,8 +353,8 @@ def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float
 
 
 def _interval_of_sum(terms: Sequence[float], freedom: Sequence[float]) -> tuple[float, float]:
-    """The confidence interval, with the confidence level `PROBABILITY`, of a sum of independent mean squares, each multiplied by a
-    positive factor (Graybill and Wang)."""
+    """Returns the confidence interval, with the confidence level `PROBABILITY`, of a sum of independent mean squares, each
+    multiplied by a positive factor (Graybill and Wang)."""
     low, high = 0.0, 0.0
     for term, own in zip(terms, freedom, strict=True):
         below, above = deviation_interval(1.0, own)
@@ -372,7 +372,7 @@ def deviation_interval(variance: float, freedom: float) -> tuple[float, float]:
 
 
 def _of_deviation(variance: float, freedom: float) -> tuple[float, float]:
-    """The standard deviation s and its standard uncertainty, s/√(2ν) for ν degrees of freedom (JCGM 100:2008, E.4.3)."""
+    """Returns the standard deviation s and its standard uncertainty, s/√(2ν) for ν degrees of freedom (JCGM 100:2008, E.4.3)."""
     value = math.sqrt(variance)
     return value, value / math.sqrt(2 * freedom)
 
@@ -561,8 +561,8 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
 
 
 def _unnamed_groups(one: Repeats) -> Said | None:
-    """A warning about repeats that form different groups although the plan treats them as one group; None if they do not. If m
-    divisions into groups are tried, each division is tested at 1/m of the significance level."""
+    """Returns a warning about repeats that form different groups although the plan treats them as one group; None if they do not.
+    If m divisions into groups are tried, each division is tested at 1/m of the significance level."""
     if len(np.unique(one.group)) > 1 or not math.isnan(one.expected):
         return None
     tried = groupings(one.labels, one.pauses)
@@ -587,7 +587,7 @@ def _unnamed_groups(one: Repeats) -> Said | None:
 
 
 def _scatter_differs(one: Repeats) -> bool:
-    """Whether the scatter within groups differs from group to group; only groups of at least three repeats are compared."""
+    """Returns True if the scatter within groups differs from group to group; only groups of at least three repeats are compared."""
     held = [one.value[one.group == number] for number in np.unique(one.group)]
     held = [values for values in held if len(values) >= _TO_COMPARE]
     variances = np.array([float(np.var(values, ddof=1)) for values in held])

@@ -43,7 +43,7 @@ def resolution_influences(
 
 
 def _left(segments: Sequence[RecordedSegment], name: str, sensor: SensorModel) -> Array:
-    """The fraction (n,) of a single sample's rounding error that remains in the mean of each segment."""
+    """Returns the fraction of a single sample's rounding error that remains in the mean of each segment, shape (n,)."""
     held = [one.statistics for one in segments]
     places = [one.of(name) for one in held]
     counts = np.array([one.count for one in held])

@@ -199,7 +199,7 @@ _ALONG = 0.5  # share of the rate along an output's axis from which its slope is
 
 
 def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[AxisResponse]:
-    """The responses of outputs whose unit is a rate, if their input axis is near the axis about which all segments turn."""
+    """Returns the responses of outputs whose unit is a rate, if their input axis is near the axis about which all segments turn."""
     segments = [one.segment for one in request.segments if isinstance(one.segment.motion, Spin)]
     shares = shares_by_name(segments, request.setup.mounting, found.observations.channels)
     rows = []
@@ -285,8 +285,8 @@ def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates:
 def _common(
     request: EstimateRequest[ScaleFactorParameters], functionals: Array, coefficients: Array, rates: Array
 ) -> tuple[Influence, ...]:
-    """The influence of an error that all rates have in common and that the plan states, such as an error of the table's clock. This
-    error changes the slope and causes no scatter.
+    """Returns the influence of an error that all rates have in common and that the plan states, such as an error of the table's
+    clock. This error changes the slope and causes no scatter.
 
     `functionals`: array of shape (q, m, n), ∂coefficient/∂(mean of output k over segment n). `coefficients`: array of shape (m, 2),
     coefficients of the lines.

@@ -80,7 +80,7 @@ def _effect(
     estimate: Callable[[tuple[RecordedSegment, ...]], Estimate],
     segments: Sequence[RecordedSegment],
 ) -> tuple[Said, tuple[Table, ...]]:
-    """A sentence and a table about the difference between the estimates with and without the bad samples."""
+    """Returns a sentence and a table about the difference between the estimates with and without the bad samples."""
     try:
         other = {item.name: item for item in estimate(tuple(segments)).coefficients}
     except EstimationError as error:
@@ -137,8 +137,8 @@ def _table(found: Sequence[tuple[RecordedSegment, Find]], excluded: bool) -> Tab
 
 
 def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Inserted:
-    """A text that lists the longest findings of the screening, each with kind, segment, channel and time, and states how many more
-    there are."""
+    """Returns a text that lists the longest findings of the screening, each with kind, segment, channel and time, and states how
+    many more there are."""
     ordered = sorted(found, key=lambda item: -item[1].rows)
     texts = tuple(_find(recorded, one) for recorded, one in ordered[:NAMED])
     more = len(ordered) - NAMED

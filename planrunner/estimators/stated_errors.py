@@ -43,7 +43,7 @@ def mean_poses(segments: Sequence[Segment]) -> Poses:
 
 
 def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
-    """The mean stimulus of the segments. A spin is averaged over whole turns."""
+    """Returns the mean stimulus of the segments. A spin is averaged over whole turns."""
     return mean_poses(segments).felt(site)
 
 
@@ -74,7 +74,7 @@ def site_errors(
 
 
 def _site_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, stated: tuple[InputQuantity, ...]) -> Array:
-    """The changes (r, n, p) of the model's columns per unit of each of r inputs of the site (latitude, gravity)."""
+    """Returns the changes (r, n, p) of the model's columns per unit of each of r inputs of the site (latitude, gravity)."""
     held = Poses(*poses)
 
     def felt(at: Site) -> Array:
@@ -119,9 +119,9 @@ def table_errors(
 
 
 def _table_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, table: TableModel | None) -> Array:
-    """The changes (r, n, p) of the model's columns per unit of each of r inputs of the table. These inputs are a rotation about
-    each site axis; the angle between each pair of neighbouring axes, if the table is at rest and can reach the attitudes; the
-    azimuth; and the rate."""
+    """Returns the changes of the model's columns per unit of each of r inputs of the table, shape (r, n, p). These inputs are a
+    rotation about each site axis; the angle between each pair of neighbouring axes, if the table is at rest and can reach the
+    attitudes; the azimuth; and the rate."""
     held = Poses(*poses)
     felt = held.felt(site)
     both = np.array((felt.omega, felt.specific_force))
@@ -140,7 +140,7 @@ _table_slopes_of_motion = kept(64)(_table_slopes)
 
 
 def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array | float = 0.0) -> Array:
-    """The changes (r, n, p) of the model's columns per unit of each of r inputs.
+    """Returns the changes of the model's columns per unit of each of r inputs, shape (r, n, p).
 
     `moves`: array of shape (2, r, n, 3), change of angular rate and specific force per unit of each input. `table_rate`: array of
     shape (r, n), change of the table's rate per unit of each input.
@@ -163,8 +163,8 @@ def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array 
 
 
 def _followed(slopes: Array, coefficients: Array) -> Array:
-    """The changes (m, n, r) of the observations of m outputs per unit of each of r inputs, computed from `slopes` (r, n, p) and
-    `coefficients` (m, p)."""
+    """Returns the changes (m, n, r) of the observations of m outputs per unit of each of r inputs, computed from `slopes` (r, n, p)
+    and `coefficients` (m, p)."""
     return np.asarray(np.einsum("mp,rnp->mnr", coefficients, slopes))
 
 
@@ -255,8 +255,8 @@ def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Arra
 
 
 def _tilts(table: TableModel | None, attitudes: Array, site: Site) -> Array:
-    """The tilts (pairs, n, 3) of the sensor due to an orthogonality error of each pair of neighbouring axes; empty if the table
-    cannot reach the attitudes."""
+    """Returns the tilts of the sensor due to an orthogonality error of each pair of neighbouring axes, shape (pairs, n, 3); empty
+    if the table cannot reach the attitudes."""
     if table is not None and len(table.axes) > 1:
         with suppress(Unreachable):
             return np.array(orthogonality_tilts(table.axes, list(attitudes), site.azimuth))

@@ -33,7 +33,7 @@ class Role(StrEnum):
 
     @property
     def uncertain(self) -> bool:
-        """Whether the column contains uncertainties, which determine the rounding of values to its left."""
+        """Returns True if the column contains uncertainties, which determine the rounding of values to its left."""
         return self in (Role.STANDARD_UNCERTAINTY, Role.EXPANDED_UNCERTAINTY)
 
 

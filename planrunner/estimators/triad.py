@@ -52,7 +52,7 @@ def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Ro
 
 
 def own_frame(matrix: Array) -> Array:
-    """The rotations R (3, 3, n) from the frame of matrices A (3, 3, n) to the triads' own frames: A = L·R, where L is lower
+    """Returns the rotations R (3, 3, n) from the frame of matrices A (3, 3, n) to the triads' own frames: A = L·R, where L is lower
     triangular.
 
     The x axis of the own frame lies along the first row of the matrix, and the y axis in the plane of the first two rows. Raises

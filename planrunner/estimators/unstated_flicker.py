@@ -51,7 +51,7 @@ class FlickerEvidence:
     roots: Array
 
     def bound(self) -> float:
-        """An upper bound of the coefficient B, in the unit of the channel: B is smaller with the probability `CREDIBLE`."""
+        """Returns an upper bound of the coefficient B, in the unit of the channel: B is smaller with the probability `CREDIBLE`."""
         few = self._averaged()
         whitening = least_squares.whitener(mixed(few.sigma, few.roots))
         columns, flicker = whitening @ few.columns, whitening @ few.flicker
@@ -73,14 +73,14 @@ class FlickerEvidence:
         return float(sizes[min(int(np.searchsorted(weights, CREDIBLE * weights[-1])), _ANGLES - 1)])
 
     def _scale(self, whitened: Array) -> float:
-        """The reciprocal of the scale of the prior distribution of B. `whitened`: the whitened flicker, which is used if the
-        observations are not averaged."""
+        """Returns the reciprocal of the scale of the prior distribution of B. `whitened`: the whitened flicker, which is used if
+        the observations are not averaged."""
         if len(self.values) <= _MOST:
             return _spread(whitened)
         return _spread(self.flicker / np.sqrt(self.sigma**2 + np.sum(self.roots**2, axis=1))[:, None])
 
     def _averaged(self) -> FlickerEvidence:
-        """The evidence in at most `_MOST` averages of successive observations. The averages are linear functions of the
+        """Returns the evidence in at most `_MOST` averages of successive observations. The averages are linear functions of the
         observations and follow the same model, so the bound from the averages is valid with the same probability. For n
         observations, the cost then grows with n² instead of n³."""
         n = len(self.values)
@@ -104,8 +104,8 @@ class FlickerEvidence:
 
 
 def _spread(flicker: Array) -> float:
-    """The standard deviation that flicker with B = 1 causes in the observations, computed from their changes (n, r). It is taken
-    about the mean of the observations, or about zero for a single observation."""
+    """Returns the standard deviation that flicker with B = 1 causes in the observations, computed from their changes (n, r). It is
+    taken about the mean of the observations, or about zero for a single observation."""
     n = len(flicker)
     about = flicker - flicker.mean(axis=0) if n > 1 else flicker
     return float(np.sqrt(np.sum(about**2) / max(n - 1, 1)))
@@ -122,6 +122,6 @@ class UnstatedFlicker:
     evidence: FlickerEvidence | None
 
     def through(self, gradient: Array) -> UnstatedFlicker:
-        """The flicker with its influence on q quantities that are computed from the coefficients. `gradient`: array of shape (q,
-        m), ∂quantity/∂coefficient."""
+        """Returns the flicker with its influence on q quantities that are computed from the coefficients. `gradient`: array of
+        shape (q, m), ∂quantity/∂coefficient."""
         return UnstatedFlicker(self.channel, self.influence.through(gradient), self.evidence)

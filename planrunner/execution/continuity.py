@@ -25,7 +25,7 @@ class Continuity:
         self._resumable = {name: item for name, item in bench.instruments.items() if isinstance(item, Resumable)}
 
     def states(self) -> JsonObject:
-        """The states of the simulated instruments and of the executor as JSON data; empty on a real bench."""
+        """Returns the states of the simulated instruments and of the executor as JSON data; empty on a real bench."""
         if not self._resumable:
             return {}
         reaching, attitude = self._reaching, self._reaching.attitude
@@ -43,7 +43,7 @@ class Continuity:
         }
 
     def states_if_known(self) -> JsonObject:
-        """The states as in `states` after a failure; empty if a driver that has failed does not know its state."""
+        """Returns the states as in `states` after a failure; empty if a driver that has failed does not know its state."""
         self._reaching.forget()
         try:
             return self.states()

@@ -148,7 +148,7 @@ class _Execution:
         return index < self.start_at or self.writer.acknowledged(index)
 
     def _complete(self) -> bool:
-        """Whether all segments of the run are recorded, including those before `start_at`."""
+        """Returns True if all segments of the run are recorded, including those before `start_at`."""
         return self.through and all(self.writer.acknowledged(index) for index in range(self.start_at))
 
     def _prepare(self) -> None:
@@ -233,7 +233,8 @@ class _Execution:
             return
 
     def _in_mode(self, segment: Segment) -> dict[str, float]:
-        """The time [s] for which the sensor had been in the segment's mode when the record began, as a reading for the journal."""
+        """Returns the time [s] for which the sensor had been in the segment's mode when the record began, as a reading for the
+        journal."""
         since = self.reaching.mode_since
         return {} if segment.mode is None or since is None else {IN_MODE: self.clock.now() - since}
 
@@ -300,7 +301,7 @@ class _Execution:
         return self.doing if self.segment is None else f"segment '{self.segment.label}', {self.activity}"
 
     def _on_tick(self) -> bool:
-        """A callback that a clock of real time calls while it sleeps; ends the sleep if the run must stop at once."""
+        """Returns a callback that a clock of real time calls while it sleeps; ends the sleep if the run must stop at once."""
         self.meter.advance(self.clock.now(), self.activity)
         return self.lookout.tick()
 

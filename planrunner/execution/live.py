@@ -58,14 +58,14 @@ class _Moments:
 
     @classmethod
     def of(cls, samples: NDArray[np.float64]) -> _Moments:
-        """The moments of samples. `samples`: array of shape (channels, n), n > 0."""
+        """Returns the moments of samples. `samples`: array of shape (channels, n), n > 0."""
         mean = samples.mean(axis=1)
         squares = np.square(samples - mean[:, None]).sum(axis=1)
         return cls(samples.shape[1], mean, squares, samples.min(axis=1), samples.max(axis=1))
 
     def joined(self, other: _Moments) -> _Moments:
-        """The moments of two sets of samples together (Chan, Golub and LeVeque, Updating formulae and a pairwise algorithm for
-        computing sample variances, 1979, equation 2.1)."""
+        """Returns the moments of two sets of samples together (Chan, Golub and LeVeque, Updating formulae and a pairwise algorithm
+        for computing sample variances, 1979, equation 2.1)."""
         m, n = self.count, other.count
         delta = other.mean - self.mean
         return _Moments(

@@ -52,7 +52,7 @@ class Lookout:
 
     @property
     def sees(self) -> bool:
-        """Whether at least one instrument has live readings."""
+        """Returns True if at least one instrument has live readings."""
         return bool(self._watched)
 
     def pause(self, seconds: float) -> None:
@@ -114,7 +114,8 @@ class Lookout:
                 self._notice(name, text)
 
     def tick(self) -> bool:
-        """A callback that a clock of real time calls while it sleeps, even within a driver; returns whether the sleep must end."""
+        """Returns a callback that a clock of real time calls while it sleeps, even within a driver; returns whether the sleep must
+        end."""
         try:
             self._sign_of_life()
         except InstrumentError as error:

@@ -52,8 +52,8 @@ ProgressCallback = Callable[[ProgressEvent], None]
 
 
 def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
-    """The schedule with a stated dwell for each segment that lasts as long as its recording, if the sensor knows the length of the
-    recording."""
+    """Returns the schedule with a stated dwell for each segment that lasts as long as its recording, if the sensor knows the length
+    of the recording."""
     if not isinstance(sensor, KnowsLength):
         return schedule
     segments = (replace(one, dwell=sensor.length_of(one)) if one.dwell is None else one for one in schedule.segments)
@@ -107,7 +107,7 @@ class Meter:
             self._tell(SegmentFinished(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
     def _pace(self, behind: float) -> tuple[float, float | None]:
-        """The completed fraction of the planned time, and the expected remaining time [s]."""
+        """Returns the completed fraction of the planned time, and the expected remaining time [s]."""
         total = float(self._segments) if self._by_count else self._total
         fraction = min(1.0, behind / total) if total else 1.0
         done = behind - self._first

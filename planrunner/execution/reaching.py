@@ -212,7 +212,7 @@ class Reaching:
 
 
 def _heater(chamber: Instrument) -> HoldsTemperature:
-    """The chamber as an instrument that can set a temperature. Raises `InstrumentError` if it cannot."""
+    """Returns the chamber as an instrument that can set a temperature. Raises `InstrumentError` if it cannot."""
     if not isinstance(chamber, HoldsTemperature):
         raise InstrumentError(
             "the chamber's driver cannot set a temperature: use another driver or leave temperature out"
@@ -271,8 +271,8 @@ class Readings:
         return found
 
     def _drift(self, name: str, now: float, kelvin: float) -> float | None:
-        """The drift |dT/dt| [K/s] from a straight line fitted to the temperatures of the last `over` seconds; None before that time
-        has passed."""
+        """Returns the drift |dT/dt| [K/s] from a straight line fitted to the temperatures of the last `over` seconds; None before
+        that time has passed."""
         course = self._courses.setdefault(name, deque())
         course.append((now, kelvin))
         while course and now - course[0][0] > self.over * (1 + 1e-9) and now - course[1][0] >= self.over:
@@ -285,8 +285,8 @@ class Readings:
 
 
 def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Readings:
-    """The readings that apply to the state of a segment. If the temperature follows a profile, its deviation from a setpoint and
-    its drift are not read."""
+    """Returns the readings that apply to the state of a segment. If the temperature follows a profile, its deviation from a
+    setpoint and its drift are not read."""
     if segment.ramp_to is not None:
         return Readings(over)
     names = {id(item): name for name, item in bench.instruments.items()}
@@ -295,7 +295,7 @@ def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Reading
 
 
 def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[str]:
-    """A text for each reading that exceeds its limit; limits without a known reading are omitted."""
+    """Returns a text for each reading that exceeds its limit; limits without a known reading are omitted."""
     return [
         f"{_shown(name, values[name])} is more than the {_amount(name, limit)} that the plan allows"
         for name, limit in limits.items()
@@ -304,12 +304,13 @@ def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[st
 
 
 def unread(limits: Mapping[str, float], values: Iterable[str]) -> list[str]:
-    """A text for each limit whose quantity no instrument has reported."""
+    """Returns a text for each limit whose quantity no instrument has reported."""
     return [f"no instrument reports the {name.replace('_', ' ')}" for name in limits if name not in values]
 
 
 def frames_outside(watch: Watch, counts: FrameCounts) -> list[str]:
-    """A text for each fraction of lost or corrupt frames that exceeds its limit. Frames dropped by the computer count as lost."""
+    """Returns a text for each fraction of lost or corrupt frames that exceeds its limit. Frames dropped by the computer count as
+    lost."""
     whole = counts.received + counts.lost + counts.corrupt + counts.overflowed
     shares = {
         "lost": (watch.lost, counts.lost + counts.overflowed),
@@ -386,7 +387,7 @@ class Holding:
         return None if self._counts is None else self._counts()
 
     def unjudged(self) -> list[str]:
-        """A text for each limit whose quantity had no reading during the dwell; empty on a bench without readings."""
+        """Returns a text for each limit whose quantity had no reading during the dwell; empty on a bench without readings."""
         if not self._looks or self._moves:
             return []
         return unread(self._watch.limits, self._seen)

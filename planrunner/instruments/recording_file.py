@@ -31,8 +31,8 @@ HELD = 1_000_000
 
 
 def beneath(root: Path | None, name: str) -> Path:
-    """The path of the file `name` inside the data folder `root`. Raises `InstrumentError` if there is no such file, or if it is
-    outside the folder, also through a link."""
+    """Returns the path of the file `name` inside the data folder `root`. Raises `InstrumentError` if there is no such file, or if
+    it is outside the folder, also through a link."""
     if root is None:
         raise InstrumentError(f"'{name}' is relative to a data folder, but no data folder is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
@@ -125,8 +125,8 @@ class _Joined:
         return tuple(f"{file.name}: {remark}" for file in self.files for remark in file.remarks)
 
     def _shift(self, file: AnyFile, last: float, first: float) -> float:
-        """The time [s] that is added to the times of a file. `last`: time of the last row of the previous file. `first`: first time
-        in this file."""
+        """Returns the time [s] that is added to the times of a file. `last`: time of the last row of the previous file. `first`:
+        first time in this file."""
         period = 0.0 if math.isnan(self.interval) else self.interval
         if self.counted:
             return last + period - first
@@ -274,9 +274,9 @@ class _Spooled:
         return ()
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """The rows in a span, as described in `RecordingFile.rows`."""
+        """Returns the rows in a span, as described in `RecordingFile.rows`."""
         return self.file.rows(span)
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """All rows, as described in `RecordingFile.all_rows`."""
+        """Returns all rows, as described in `RecordingFile.all_rows`."""
         return self.file.all_rows()

@@ -117,7 +117,7 @@ class WindowLevels:
 
     @property
     def rates(self) -> Array:
-        """The sample rate (n,) in each window, Hz."""
+        """Returns the sample rate in each window, Hz, shape (n,)."""
         return self.size / (self.end - self.begin)
 
 
@@ -171,7 +171,8 @@ class Look:
         return tuple(span for span in inner if span.seconds >= _LEAST_DWELL)
 
     def _turns_at_rates(self, gyro: LikelyChannel) -> bool:
-        """True if the mean of a gyro changes between the intervals without acceleration, and not within them, as a drift would."""
+        """Returns True if the mean of a gyro changes between the intervals without acceleration, and not within them, as a drift
+        would."""
         if len(self.still) < 2 or not gyro.noise > 0:
             return False
         means = [_at_rest(self.windows, (span,), self.windows.mean[gyro.column]) / gyro.per_unit for span in self.still]
@@ -292,13 +293,13 @@ class _Clock:
 
     @property
     def counts_rows(self) -> bool:
-        """True if the time of a row is its number divided by the sample rate."""
+        """Returns True if the time of a row is its number divided by the sample rate."""
         return self._stamp is None
 
     @property
     def stamp(self) -> LikelyTime | None:
-        """The column of the time, with the value at which its counter returns to zero; None if the time of some rows does not
-        increase."""
+        """Returns the column of the time, with the value at which its counter returns to zero; None if the time of some rows does
+        not increase."""
         return None if self._stamp is None or self.backwards else replace(self._stamp, wraps=self._wraps)
 
     def unwrapped(self, times: Array) -> Array:
@@ -366,14 +367,14 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
 
 
 def _of_counts(level: float) -> bool:
-    """True if 1 g may be `level` counts: a power of two from 256, as in the registers of most accelerometers, or mg."""
+    """Returns True if 1 g may be `level` counts: a power of two from 256, as in the registers of most accelerometers, or mg."""
     return any(
         abs(math.log(max(level, 1e-9) / one_g)) < GRAVITY_ALIKE for one_g in (1000.0, *(2.0**k for k in range(8, 17)))
     )
 
 
 def _turns_with_the_sensor(first: Mapping[str, Array], three: Sequence[Guess]) -> bool:
-    """True if three columns form a vector of constant length whose direction changes, as a magnetometer measures it."""
+    """Returns True if three columns form a vector of constant length whose direction changes, as a magnetometer measures it."""
     table = np.column_stack([first[one.column] for one in three])
     table = table[np.isfinite(table).all(axis=1)]
     if not len(table):
@@ -383,7 +384,7 @@ def _turns_with_the_sensor(first: Mapping[str, Array], three: Sequence[Guess]) -
 
 
 def _axes(sensed: str, three: Sequence[Guess]) -> dict[str, tuple[str, str]]:
-    """The sensed quantity and the axis of three columns, by name of the column.
+    """Returns the sensed quantity and the axis of three columns, by name of the column.
 
     If the names do not state the axes x, y and z, the columns are x, y and z in their order."""
     named = {one.axis for one in three} == set("xyz")
@@ -391,7 +392,7 @@ def _axes(sensed: str, three: Sequence[Guess]) -> dict[str, tuple[str, str]]:
 
 
 def _median(values: Array) -> float:
-    """The median of the finite values; 0 if there are none."""
+    """Returns the median of the finite values; 0 if there are none."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else 0.0
 
@@ -452,7 +453,7 @@ def _levels(table: Array) -> tuple[Array, Array]:
 
 
 def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
-    """The same windows, with times that are computed from row numbers.
+    """Returns the same windows, with times that are computed from row numbers.
 
     `rate`: sample rate, Hz."""
     begin = np.arange(float(len(windows.begin))) * (windows.size / rate)
@@ -488,7 +489,7 @@ def _course(mean: Array) -> Array:
 
 
 def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Array:
-    """The values of the windows in the still spans; of all windows if there are no still spans."""
+    """Returns the values of the windows in the still spans; of all windows if there are no still spans."""
     chosen = np.zeros(len(windows.begin), bool)
     for span in still:
         chosen |= (windows.begin >= span.start - 1e-9) & (windows.begin < span.end - 1e-9)
@@ -576,7 +577,7 @@ def _integrated(one: Guess, period: float) -> float:
 
 
 def _large(mean: Array) -> float:
-    """A high quantile of the absolute means of a gyro, which is insensitive to single outliers."""
+    """Returns a high quantile of the absolute means of a gyro, which is insensitive to single outliers."""
     known = np.abs(mean[np.isfinite(mean)])
     return float(np.quantile(known, _LARGE)) if len(known) else 0.0
 

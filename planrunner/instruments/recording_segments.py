@@ -107,8 +107,8 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
 
 
 def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, unit: str, trim: float) -> Span:
-    """The interval that a row states. `columns`: names of the columns with the start time and the end time. `unit`: unit of these
-    times."""
+    """Returns the interval that a row states. `columns`: names of the columns with the start time and the end time. `unit`: unit of
+    these times."""
     times = []
     for column in columns:
         try:

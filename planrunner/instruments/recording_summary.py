@@ -145,8 +145,8 @@ def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) 
 
 
 def _columns(parameters: RecordingParameters, columns: RowColumns) -> list[str]:
-    """The columns that the table must have, first the column of the labels. Raises `InstrumentError` if a channel does not have
-    exactly one column for its scatter."""
+    """Returns the columns that the table must have, first the column of the labels. Raises `InstrumentError` if a channel does not
+    have exactly one column for its scatter."""
     wanted = [columns.label, columns.count, *([] if columns.start is None else [columns.start])]
     for name, channel in parameters.channels.items():
         stated = [key for key in (channel.standard_deviation, channel.standard_error) if key is not None]
@@ -187,7 +187,7 @@ def _row_of(
 
 
 def _start(cells: LabelledRow, column: str, unit: str, where: str) -> float:
-    """The start time [s] that a row states. `unit`: unit of the column."""
+    """Returns the start time [s] that a row states. `unit`: unit of the column."""
     if unit not in WRITTEN:
         return _number(cells, column, where) * SECONDS[unit]
     return seconds_in_unit(cells[column] or "", unit, f"{where}, column '{column}'")

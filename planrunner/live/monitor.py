@@ -132,7 +132,7 @@ class Monitor:
     # -- looking -----------------------------------------------------------------------------------------------------
 
     def look(self) -> Activity:
-        """The runs at present, in progress and recent. A folder that cannot be read is omitted."""
+        """Returns the runs at present, in progress and recent. A folder that cannot be read is omitted."""
         with self._lock:
             names = self._names()
             running = [one for name in names if self._has_live(name) and (one := self._running(name)) is not None]
@@ -152,7 +152,7 @@ class Monitor:
         return sorted(names, reverse=True)
 
     def _has_live(self, name: str) -> bool:
-        """Whether a folder seems to have a live state. This is a quick check; the file itself is opened later, with all
+        """Returns True if a folder seems to have a live state. This is a quick check; the file itself is opened later, with all
         precautions."""
         return os.path.lexists(self.path / name / NAME)
 

@@ -160,7 +160,7 @@ class LiveServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """The address to open, with the token in its fragment."""
+        """Returns the address to open, with the token in its fragment."""
         return f"http://{LOOPBACK}:{self.port}/#{self.token}"
 
     def shutdown(self) -> None:

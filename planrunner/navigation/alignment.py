@@ -56,13 +56,13 @@ class Alignment:
 
     @property
     def tilt_covariance(self) -> Array:
-        """The covariance (3, 3) of the tilt and azimuth errors, rad²."""
+        """Returns the covariance (3, 3) of the tilt and azimuth errors, rad²."""
         return self.covariance[TILT, TILT]
 
 
 def coarse(rate: Array, force: Array) -> Array:
-    """The body axes (3, 3) as columns in East-North-Up. `rate`, `force`: arrays of shape (3,), mean rate and mean specific force in
-    body axes."""
+    """Returns the body axes (3, 3) as columns in East-North-Up. `rate`, `force`: arrays of shape (3,), mean rate and mean specific
+    force in body axes."""
     up = force / np.linalg.norm(force)
     east = np.cross(rate, up)
     east /= np.linalg.norm(east)
@@ -112,7 +112,7 @@ class FineAlignment:
                 self._update(found, transition)
 
     def _transitions(self, rotations: Array, turns: Array) -> Array:
-        """The transition matrices (m, 16, 16) of the errors over the time before each knot."""
+        """Returns the transition matrices of the errors over the time before each knot, shape (m, 16, 16)."""
         found = np.repeat(self._transition[None], len(rotations), axis=0)
         by_gyros = self._response[:, :3] @ rotations
         found[:, :SIZE, SIZE : SIZE + 3] = by_gyros

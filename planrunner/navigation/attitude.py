@@ -16,7 +16,7 @@ from planrunner.base.arrays import Array
 
 
 def matrix(quaternion: Array) -> Array:
-    """The body axes (…, 3, 3) as columns in East-North-Up, from quaternions (…, 4)."""
+    """Returns the body axes (…, 3, 3) as columns in East-North-Up, from quaternions (…, 4)."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -27,7 +27,7 @@ def matrix(quaternion: Array) -> Array:
 
 
 def quaternion(rotation: Array) -> Array:
-    """The quaternion (4,), scalar first, of a rotation matrix (3, 3). The largest component is computed first (Shepperd, J.
+    """Returns the quaternion (4,), scalar first, of a rotation matrix (3, 3). The largest component is computed first (Shepperd, J.
     Guidance and Control 1, 1978)."""
     r, trace = rotation, float(np.trace(rotation))
     squares = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
@@ -45,7 +45,7 @@ def quaternion(rotation: Array) -> Array:
 
 
 def small_rotation(vector: Array) -> Array:
-    """The rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
+    """Returns the rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
     angle = float(np.linalg.norm(vector))
     skew = np.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]])
     if angle == 0:
@@ -54,7 +54,8 @@ def small_rotation(vector: Array) -> Array:
 
 
 def turned_about_up(before: Array, after: Array) -> Array:
-    """The angle [rad] of the rotation about the vertical that leads from one attitude to another, both (…, 3, 3); right-handed."""
+    """Returns the angle [rad] of the rotation about the vertical that leads from one attitude to another, both (…, 3, 3);
+    right-handed."""
     change = after @ np.swapaxes(before, -1, -2)
     return np.asarray(np.arctan2(change[..., 1, 0] - change[..., 0, 1], change[..., 0, 0] + change[..., 1, 1]))
 
@@ -68,8 +69,8 @@ def angles(rotation: Array) -> Array:
 
 
 def angle_sensitivities(rotation: Array) -> Array:
-    """The derivatives ∂(heading, pitch, roll)/∂φ (3, 3) if an attitude C is rotated by a small φ [rad] in navigation axes: C → (1 +
-    φ×)·C."""
+    """Returns the derivatives ∂(heading, pitch, roll)/∂φ (3, 3) if an attitude C is rotated by a small φ [rad] in navigation axes:
+    C → (1 + φ×)·C."""
     step = 1e-6
     columns = []
     for axis in range(3):

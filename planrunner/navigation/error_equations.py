@@ -56,14 +56,15 @@ class ErrorEquations:
         return cls(dynamics, inputs)
 
     def step(self, seconds: float) -> tuple[Array, Array]:
-        """The transition matrix (7, 7) over a time, and the response (7, 6) to inputs that are constant during this time."""
+        """Returns the transition matrix (7, 7) over a time, and the response (7, 6) to inputs that are constant during this time."""
         both = np.zeros((SIZE + INPUTS, SIZE + INPUTS))
         both[:SIZE, :SIZE], both[:SIZE, SIZE:] = self.dynamics, self.inputs
         found = exponential(both * seconds)
         return found[:SIZE, :SIZE], found[:SIZE, SIZE:]
 
     def noise(self, density: Array, seconds: float) -> Array:
-        """The covariance (7, 7) that white noise of the inputs adds over a time (Van Loan, IEEE Trans. Automatic Control 23, 1978).
+        """Returns the covariance (7, 7) that white noise of the inputs adds over a time (Van Loan, IEEE Trans. Automatic Control
+        23, 1978).
 
         `density`: array of shape (6, 6), variance per second of the integrated inputs, in rad²/s and (m/s)²/s."""
         both = np.zeros((2 * SIZE, 2 * SIZE))
@@ -84,8 +85,8 @@ class ErrorEquations:
             yield covariance
 
     def responses(self, start: Array, inputs: Array, seconds: float) -> Array:
-        """The states (n, 7, k) after each of n intervals of `seconds`. `start`: array of shape (7, k), initial states. `inputs`:
-        array of shape (n, 6, k), averaged over each interval."""
+        """Returns the states (n, 7, k) after each of n intervals of `seconds`. `start`: array of shape (7, k), initial states.
+        `inputs`: array of shape (n, 6, k), averaged over each interval."""
         transition, response = self.step(seconds)
         found = np.empty((len(inputs), *start.shape))
         state = start
@@ -95,8 +96,8 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """The tilt (3, 6) after an alignment at rest, for a constant error of 1 rad/s or 1 m/s² in each input. It is the tilt of
-        the stationary solution.
+        """Returns the tilt (3, 6) after an alignment at rest, for a constant error of 1 rad/s or 1 m/s² in each input. It is the
+        tilt of the stationary solution.
 
         For the errors ε and ∇: φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), which is the limit of
         gyrocompassing.
@@ -109,8 +110,8 @@ class ErrorEquations:
 
 
 def exponential(matrix: Array) -> Array:
-    """The matrix exponential, computed from its series by scaling and squaring. It is meant for the small, well-scaled matrices of
-    this module."""
+    """Returns the matrix exponential, computed from its series by scaling and squaring. It is meant for the small, well-scaled
+    matrices of this module."""
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, math.ceil(math.log2(norm)) + 1) if norm > 0 else 0
     scaled = matrix / 2.0**halvings

@@ -105,7 +105,7 @@ class Navigator:
 
     @property
     def rotation(self) -> Array:
-        """The body axes (3, 3) as columns in East-North-Up."""
+        """Returns the body axes (3, 3) as columns in East-North-Up."""
         return attitude.matrix(self.state[:4])
 
     @property
@@ -120,5 +120,5 @@ class Navigator:
 
     @property
     def last(self) -> Array:
-        """The most recent increments, (6,)."""
+        """Returns the most recent increments, (6,)."""
         return self.state[self._kernel.LAST_ANGLE : self._kernel.STEPS].copy()

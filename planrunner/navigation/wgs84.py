@@ -22,8 +22,8 @@ ROTATION_RATIO = 0.00344978650684  # ω²·a²·b/GM
 
 
 def radii(latitude: ArrayLike) -> tuple[Array, Array]:
-    """The radii of curvature [m] at a latitude [rad]: in the meridian (for motion to the north) and in the prime vertical (for
-    motion to the east)."""
+    """Returns the radii of curvature [m] at a latitude [rad]: in the meridian (for motion to the north) and in the prime vertical
+    (for motion to the east)."""
     w = 1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
     prime_vertical = SEMI_MAJOR_AXIS / np.sqrt(w)
     return np.asarray(prime_vertical * (1 - ECCENTRICITY_SQUARED) / w), np.asarray(prime_vertical)

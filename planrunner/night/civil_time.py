@@ -24,7 +24,8 @@ class Opening:
 
 
 def zone_of(name: str | None, mark: Mark) -> tzinfo | None:
-    """The time zone with this name, or the zone of the computer if the name is None. Raises `InputError` if the zone is unknown."""
+    """Returns the time zone with this name, or the zone of the computer if the name is None. Raises `InputError` if the zone is
+    unknown."""
     if name is None:
         return None
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError

@@ -57,7 +57,7 @@ class PlannedTest:
 
     @property
     def values(self) -> dict[str, str]:
-        """The values that distinguish the test from other tests of its plan with this device on this bench."""
+        """Returns the values that distinguish the test from other tests of its plan with this device on this bench."""
         return {**self.matrix, **self.parameter_values}
 
     @property
@@ -66,8 +66,8 @@ class PlannedTest:
 
     @property
     def measurement(self) -> Measurement:
-        """A key that is equal for tests with the same plan file, bench and parameter values, so that the data they share are
-        checked only once."""
+        """Returns a key that is equal for tests with the same plan file, bench and parameter values, so that the data they share
+        are checked only once."""
         return self.file, self.bench, tuple(self.parameter_values.items())
 
 
@@ -130,7 +130,7 @@ def expand_suite(
 
 
 def _of_standard(suite: Suite, index: int, bench: str, about: StandardFirst) -> PlannedTest:
-    """The test that measures the check standard of a bench."""
+    """Returns the test that measures the check standard of a bench."""
     plan, mark = SuitePlan(plan=about.file.name), suite.benches[bench].at("check_standard_first")
     information = {**suite.set, **dict.fromkeys(DEVICE, about.device)}
     name = f"{CHECK_STANDARD}/{about.device}/{bench}"
@@ -204,9 +204,9 @@ def _combinations(choices: Mapping[str, Sequence[_Value]]) -> Iterator[dict[str,
 def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
-    """The tests of other plans for which a test waits. For each of these plans, the test waits for the tests with the same device
-    and bench; if there are none, for the tests with the same device; otherwise for all tests of the plan. `groups`: maps (plan,),
-    (plan, device) and (plan, device, bench) to the tests with these properties."""
+    """Returns the tests of other plans for which a test waits. For each of these plans, the test waits for the tests with the same
+    device and bench; if there are none, for the tests with the same device; otherwise for all tests of the plan. `groups`: maps
+    (plan,), (plan, device) and (plan, device, bench) to the tests with these properties."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
         here, of_device = groups.get((entry, test.device, test.bench)), groups.get((entry, test.device))
@@ -298,8 +298,8 @@ def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
 
 
 def known_failure(test: str, failures: Sequence[KnownFailure], kind: str, today: date) -> KnownFailure | None:
-    """The known failure in the suite that applies if a test fails in this way (`limit` or `fault`) on this day; None if there is
-    none."""
+    """Returns the known failure in the suite that applies if a test fails in this way (`limit` or `fault`) on this day; None if
+    there is none."""
     for entry in failures:
         covered = any(fnmatchcase(test, pattern) for pattern in entry.tests)
         if covered and kind in entry.of and today <= date.fromisoformat(entry.until):

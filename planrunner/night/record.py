@@ -28,8 +28,8 @@ FORMAT = 1
 
 
 def holds_nights(folder: Path) -> bool:
-    """Whether a folder is the one in which an archive keeps the records of its nights. An archive keeps this folder next to the run
-    folders, so the pattern `runs/*` matches it too."""
+    """Returns True if a folder is the one in which an archive keeps the records of its nights. An archive keeps this folder next to
+    the run folders, so the pattern `runs/*` matches it too."""
     return folder.name == FOLDER and folder.is_dir() and not (folder / RUN).exists()
 
 
@@ -135,7 +135,7 @@ class NightRecord:
         test.limits, test.analysis = event["limits"], event["analysis"]
 
     def verdict(self) -> int:
-        """The exit code of the night: 3 if a test gave no result, otherwise 1 if a test failed, otherwise 0."""
+        """Returns the exit code of the night: 3 if a test gave no result, otherwise 1 if a test failed, otherwise 0."""
         states = {test.state for test in self.tests}
         if states & {*BAD, "waiting", "running"}:
             return FAULT
@@ -152,7 +152,7 @@ class NightRecord:
         return None if instant is None else civil(instant, self.zone).isoformat(timespec="seconds")
 
     def to_json(self) -> JsonObject:
-        """The content of night.json."""
+        """Returns the content of night.json."""
         ends = [attempt.ends for test in self.tests for attempt in test.attempts if attempt.ends is not None]
         return {
             "planrunner_night": FORMAT,

@@ -22,7 +22,7 @@ Write a time as a number with its unit, for example `45 min`.
 
 
 def suite_reference() -> str:
-    """The text of `docs/suite-keys.md`."""
+    """Returns the text of `docs/suite-keys.md`."""
     parts = [section(title, about or first_line(record), keys_of(record)) for title, about, record in SECTIONS]
     return "\n".join([_HEAD, *parts])
 

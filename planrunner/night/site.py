@@ -122,7 +122,8 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
 
 
 def _night(runs: Sequence[RunRow]) -> str:
-    """The moment from which on the wall display shows runs: a fixed time before the newest run. `runs`: all runs, the newest first."""
+    """Returns the moment from which on the wall display shows runs: a fixed time before the newest run. `runs`: all runs, the
+    newest first."""
     if not runs:
         return ""
     return (datetime.fromisoformat(runs[0].created) - NIGHT).isoformat(timespec="microseconds")
@@ -201,8 +202,8 @@ def _reports(archive: Path, run: RunRow) -> Iterator[str]:
 
 
 def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs: Sequence[RunRow]) -> Json:
-    """A coefficient of a device over time, the oldest run first, with the limits of the plans, the control charts and the changes.
-    Missing values and uncertainties are None, as are control limits that do not exist."""
+    """Returns a coefficient of a device over time, the oldest run first, with the limits of the plans, the control charts and the
+    changes. Missing values and uncertainties are None, as are control limits that do not exist."""
     ordered = list(reversed(found))
     held = trend(device, quantity, [HistoryPoint(runs[point.run], point.row, point.limits) for point in ordered])
     usable = {point.run.folder for point in held.points}
@@ -240,8 +241,8 @@ def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs
 
 
 def _change(one: ChangePoint, places: Sequence[int]) -> Json:
-    """A change of level as JSON data. `before`, `after`: positions, in the series, of the last value before the change and of the
-    first value after it."""
+    """Returns a change of level as JSON data. `before`, `after`: positions, in the series, of the last value before the change and
+    of the first value after it."""
     return {
         "before": places[one.index - 1],
         "after": places[one.index],
@@ -274,14 +275,14 @@ def _finite(value: float) -> float | None:
 
 
 def _script(name: str, value: Json) -> bytes:
-    """A script that passes data to the page: a function call whose argument is JSON in ASCII, which JavaScript reads in the same
-    way."""
+    """Returns a script that passes data to the page: a function call whose argument is JSON in ASCII, which JavaScript reads in the
+    same way."""
     text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return f"planrunnerData({json.dumps(name)},{text});\n".encode("ascii")
 
 
 def _archive_link(archive: Path, out: Path) -> str | None:
-    """The path from the site to the archive, as a link; None if there is none, for example between two drives of Windows."""
+    """Returns the path from the site to the archive, as a link; None if there is none, for example between two drives of Windows."""
     try:
         way = os.path.relpath(archive.absolute(), out.absolute())
     except ValueError:

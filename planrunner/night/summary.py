@@ -29,7 +29,7 @@ def headline(night: JsonObject) -> str:
 
 
 def summary(night: JsonObject) -> str:
-    """The summary of the night as Markdown. Tests that did not pass come first."""
+    """Returns the summary of the night as Markdown. Tests that did not pass come first."""
     lines = [f"# {_cell(headline(night))}", ""]
     lines += [f"- Begin: {night['begins']}", f"- End: {night['ends'] or '–'} (foreseen {night['foreseen_end']})"]
     lines += [

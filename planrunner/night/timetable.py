@@ -283,8 +283,8 @@ class NightCourse:
     # -- what comes next -------------------------------------------------------------------------------------------------
 
     def next(self, now: float) -> Begin | WarmUp | None:
-        """The next action at this instant; None if there is none. The caller confirms the action with `begun` or `warming` and asks
-        again."""
+        """Returns the next action at this instant; None if there is none. The caller confirms the action with `begun` or `warming`
+        and asks again."""
         self._resume(now)
         busy = {device for index in self.running if (device := self.tests[index].device) is not None}
         for name, bench in self._benches.items():
@@ -307,7 +307,7 @@ class NightCourse:
                 yield index, reason
 
     def wakes(self, now: float) -> float:
-        """The next instant at which a test or warm-up may begin even if no running test ends; inf if there is none."""
+        """Returns the next instant at which a test or warm-up may begin even if no running test ends; inf if there is none."""
         self._resume(now)
         moments = [bench.warm_at for bench in self._benches.values() if bench.warm_at is not None]
         moments += [since for since, _ in self._paused[:1]]
@@ -328,13 +328,13 @@ class NightCourse:
         return self._tests[test].attempts
 
     def _open(self, bench: str, now: float) -> bool:
-        """Whether an instant lies in the hours of a bench."""
+        """Returns True if an instant lies in the hours of a bench."""
         openings_ = self.hours.benches[bench].openings
         within = openings_ is None or any(opening.opens <= now <= opening.closes for opening in openings_)
         return within and self.hours.begins <= now < self.hours.closes
 
     def _first(self, bench: _Bench, busy: Collection[str], now: float) -> int | None:
-        """The first ready test of a bench whose device is free and that could begin now and end within the hours."""
+        """Returns the first ready test of a bench whose device is free and that could begin now and end within the hours."""
         found: int | None = None
         looked_at: list[int] = []
         too_long: set[tuple[bool, float | None]] = set()
@@ -372,7 +372,7 @@ class NightCourse:
                 heappop(heap)
 
     def _obstacle(self, test: PlannedTest, now: float) -> str:
-        """The reason why a waiting test can no longer run; empty if it can still run."""
+        """Returns the reason why a waiting test can no longer run; empty if it can still run."""
         stopped = self.stopped or self._benches[test.bench].stopped or self._devices.get(test.device or "", "")
         if stopped:
             return stopped
@@ -401,8 +401,8 @@ class NightCourse:
         )
 
     def _starts(self, index: int, now: float, *, soonest: bool = False) -> float | None:
-        """The first instant, from now on, at which the hours permit a test to begin; None if the test no longer fits. `soonest`:
-        True to ignore the waiting time before a repetition of the test."""
+        """Returns the first instant, from now on, at which the hours permit a test to begin; None if the test no longer fits.
+        `soonest`: True to ignore the waiting time before a repetition of the test."""
         test, state = self.tests[index], self._tests[index]
         limits, bench = self.hours.benches[test.bench], self._benches[test.bench]
         earliest = max(now, self.hours.begins, -math.inf if soonest else state.since, bench.warm_at or -math.inf)
@@ -424,8 +424,8 @@ class NightCourse:
 
 
 def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
-    """The hours of the night that begins at or after an instant. The night begins at the instant itself if the window is open,
-    otherwise when the window opens next."""
+    """Returns the hours of the night that begins at or after an instant. The night begins at the instant itself if the window is
+    open, otherwise when the window opens next."""
     closes = math.inf
     if suite.window is not None:
         opening = next(openings(suite.window, begins, zone))
@@ -467,7 +467,7 @@ class NightForecast:
 
     @property
     def ends(self) -> float:
-        """The predicted end of the night; if no test runs, the beginning of the night."""
+        """Returns the predicted end of the night; if no test runs, the beginning of the night."""
         return max((slot.ends for slot in self.slots), default=self.hours.begins)
 
     @property

@@ -97,7 +97,8 @@ class AngleSpikes:
         self.parts, self.held, self.begun = [(values[kept].copy(), rows[kept], time[kept])], min(n, 2 * _CONTEXT), True
 
     def _spikes(self, values: Array, low: int, high: int) -> list[tuple[int, float, float]]:
-        """The row number, the deviation and the noise of each spike with an index from `low` up to but not including `high`."""
+        """Returns the row number, the deviation and the noise of each spike with an index from `low` up to but not including
+        `high`."""
         turn = 2 * math.pi * self.radian
         x = np.unwrap(values, period=turn) if np.ptp(values) > turn / 2 else values
         off = np.zeros(len(x))
@@ -146,7 +147,7 @@ class AngleSpikes:
         return [(k, off, scale / _FACTOR)]
 
     def _seen_counts(self, x: Array, k: int) -> float:
-        """The smallest deviation that cannot come from rounding, judged from the steps between the other samples."""
+        """Returns the smallest deviation that cannot come from rounding, judged from the steps between the other samples."""
         bends = np.abs(np.diff(x, 2))
         bends[max(k - 2, 0) : k + 1] = 0.0
         bends = bends[bends > _ROUNDED * self.radian]
@@ -168,15 +169,15 @@ class AngleSpikes:
 
 
 def _off_course(x: Array) -> Array:
-    """The deviations (n − 6,) of samples from the interpolation through their six neighbours, three on each side."""
+    """Returns the deviations of samples from the interpolation through their six neighbours, three on each side, shape (n − 6,)."""
     return np.correlate(x, _WEIGHTS, "valid")
 
 
 def _off_parabola(x: Array) -> Array:
-    """The deviations (n − 3,) of samples from the parabola through the next three samples."""
+    """Returns the deviations of samples from the parabola through the next three samples, shape (n − 3,)."""
     return np.correlate(x, _PARABOLA, "valid")
 
 
 def _after_fit(x: Array, pattern: Array) -> float:
-    """The sum of squares of x that remains after `pattern` has been fitted to x."""
+    """Returns the sum of squares of x that remains after `pattern` has been fitted to x."""
     return float(x @ x - (x @ pattern) ** 2 / (pattern @ pattern))

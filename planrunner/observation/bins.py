@@ -68,7 +68,7 @@ def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
 
 
 def _most(item: RecordedSegment) -> int:
-    """The largest bin size that still resolves the motion of a segment."""
+    """Returns the largest bin size that still resolves the motion of a segment."""
     known = item.statistics
     most = known.count // FEWEST
     period = period_of(item.segment.motion)

@@ -173,8 +173,9 @@ def _courses(
     names: Sequence[str],
     by_evidence: bool,
 ) -> list[DriftCourse]:
-    """The drift functions whose names are among `names`. Drift functions of the temperature are included only if the temperature is
-    known and changes between the given rows. `start`, `end`, `seconds` and `kelvin` have the shape (n,), as in `in_time`."""
+    """Returns the drift functions whose names are among `names`. Drift functions of the temperature are included only if the
+    temperature is known and changes between the given rows. `start`, `end`, `seconds` and `kelvin` have the shape (n,), as in
+    `in_time`."""
     courses = list(in_time(start, end, seconds))
     if kelvin is not None:
         changed = float(np.ptp(kelvin[rows]))
@@ -198,9 +199,9 @@ def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)
 
 
 def _with_temperature(middle: Array, kelvin: Array, seconds: Array, names: Sequence[str]) -> tuple[DriftCourse, ...]:
-    """The drift functions of the temperature whose names are among `names`. `middle`: array of shape (n,), middle times of the
-    segments, s. `kelvin`: array of shape (n,), temperatures of the segments, K. The rate of change of the temperature is computed
-    from the temperatures of the neighbouring segments."""
+    """Returns the drift functions of the temperature whose names are among `names`. `middle`: array of shape (n,), middle times of
+    the segments, s. `kelvin`: array of shape (n,), temperatures of the segments, K. The rate of change of the temperature is
+    computed from the temperatures of the neighbouring segments."""
     if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
         return ()
     by_level, by_rate = WITH_TEMPERATURE
@@ -254,7 +255,7 @@ def _is_temperature(text: str) -> bool:
 
 
 def _common(segments: Sequence[RecordedSegment]) -> dict[str, str]:
-    """The units of those channels that every segment has."""
+    """Returns the units of those channels that every segment has."""
     if not segments:
         return {}
     shared = set.intersection(*(set(one.statistics.channels) for one in segments))
@@ -262,7 +263,7 @@ def _common(segments: Sequence[RecordedSegment]) -> dict[str, str]:
 
 
 def _temperatures(segments: Sequence[RecordedSegment], channel: str) -> Array:
-    """The mean temperatures (n,) of the segments, K."""
+    """Returns the mean temperatures of the segments, K, shape (n,)."""
     means = np.array([one.statistics.mean[one.statistics.of(channel)] for one in segments])
     scales = [unit(one.units[channel]) for one in segments]
     return np.asarray(means * [one.factor for one in scales] + [one.offset for one in scales])

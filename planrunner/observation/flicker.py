@@ -51,7 +51,7 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
 def _effects(
     observations: Observations, stated: Mapping[int, InputQuantity], span: float
 ) -> tuple[CorrelatedError, ...]:
-    """The flicker of those outputs whose bias instability is given, by the index of the output."""
+    """Returns the flicker of those outputs whose bias instability is given, by the index of the output."""
     if not stated:
         return ()
     root = _root(mean_covariance(observations.start, observations.end, span))
@@ -63,9 +63,9 @@ def _effects(
 
 
 def _root(covariance: Array) -> Array:
-    """A matrix L for which L·Lᵀ is the covariance (n, n). A Cholesky factor is used if possible, because it takes a tenth of the
-    time of eigenvectors. Eigenvectors are needed only if the covariance is singular, for example for a test without gaps that fills
-    the whole span."""
+    """Returns a matrix L for which L·Lᵀ is the covariance (n, n). A Cholesky factor is used if possible, because it takes a tenth
+    of the time of eigenvectors. Eigenvectors are needed only if the covariance is singular, for example for a test without gaps
+    that fills the whole span."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -129,12 +129,12 @@ def weighted_covariance(weights: Array, step: float, span: float) -> Array:
 
 
 def _mean_logarithm(low: Array, high: Array) -> Array:
-    """The average of ln|t − t′| over t in one interval and t′ in another, for all pairs of n intervals, (n, n)."""
+    """Returns the average of ln|t − t′| over t in one interval and t′ in another, for all pairs of n intervals, (n, n)."""
     return _between(low, high, low, high)
 
 
 def _between(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
-    """The average of ln|t − t′| over t in one of n intervals and t′ in one of m other intervals, (n, m).
+    """Returns the average of ln|t − t′| over t in one of n intervals and t′ in one of m other intervals, (n, m).
 
     It is computed from the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends. If the lengths a and b of
     the intervals are small compared with their distance d, these differences cancel. The average is then computed as ln d − (a² +

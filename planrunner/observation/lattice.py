@@ -59,7 +59,7 @@ def undeclared_step(values: Array) -> float:
 
 
 def seen_levels(values: Array, step: float) -> Array:
-    """The levels of the values (N,). They are collected piece by piece, until further values cannot change the result."""
+    """Returns the levels of the values (N,). They are collected piece by piece, until further values cannot change the result."""
     levels = np.empty(0)
     for first in range(0, len(values), _PIECE):
         levels = np.union1d(levels, levels_of(values[first : first + _PIECE], step))

@@ -102,5 +102,5 @@ def supposed_course(time: Array, site: Site) -> MotionShown:
 
 
 def _stacked(names: tuple[str, ...], shown: Mapping[str, Array]) -> Array | None:
-    """The named channels as columns (n, k); None if no channels are named."""
+    """Returns the named channels as columns (n, k); None if no channels are named."""
     return np.column_stack([shown[name] for name in names]) if names else None

@@ -58,7 +58,7 @@ class Observations:
 
     @property
     def of_means(self) -> Observations:
-        """The observations without the contrasts within segments."""
+        """Returns the observations without the contrasts within segments."""
         if not self.within:
             return self
         n = len(self.labels) - self.within
@@ -188,7 +188,7 @@ def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Arra
 
 
 def _correlation(scatter: Array) -> Array:
-    """The correlation (k, k), computed from sums of products of deviations."""
+    """Returns the correlation (k, k), computed from sums of products of deviations."""
     size = np.sqrt(scatter.diagonal())
     sizes = size[:, None] * size
     correlation = np.where(sizes > 0, scatter / np.where(sizes > 0, sizes, 1.0), 0.0)
@@ -197,9 +197,10 @@ def _correlation(scatter: Array) -> Array:
 
 
 def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], channels: Sequence[str]) -> Array:
-    """The correlation (k, k) between the means of the channels. It is the correlation of the samples, which is the most certain,
-    unless the correlation of the batch means differs significantly from it (Fisher's z, with Bonferroni's bound over the pairs).
-    The two correlations differ if the samples of several channels have a common part that averages out, such as a vibration.
+    """Returns the correlation between the means of the channels, shape (k, k). It is the correlation of the samples, which is the
+    most certain, unless the correlation of the batch means differs significantly from it (Fisher's z, with Bonferroni's bound over
+    the pairs). The two correlations differ if the samples of several channels have a common part that averages out, such as a
+    vibration.
 
     Fisher's transform of a correlation coefficient r with ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
     k, scatter, freedom = len(channels), np.zeros((len(channels),) * 2), 0.0
@@ -218,8 +219,8 @@ def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], c
 
 
 def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
-    """The start and end times [s] of the recorded segments. If segments overlap, their recorded times do not come from one clock;
-    the planned start times are then used."""
+    """Returns the start and end times [s] of the recorded segments. If segments overlap, their recorded times do not come from one
+    clock; the planned start times are then used."""
     start = np.array([recorded.statistics.start for recorded in segments])
     length = np.array([max(recorded.statistics.duration, 1e-9) for recorded in segments])
     order = np.argsort(start)
@@ -271,8 +272,8 @@ def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentN
 
 
 def _left(variance: Array, explained: Array | float) -> Array:
-    """The standard uncertainties (n,) after the explained part of the variance has been subtracted, but at least one hundredth of
-    the observed ones."""
+    """Returns the standard uncertainties (n,) after the explained part of the variance has been subtracted, but at least one
+    hundredth of the observed ones."""
     return np.sqrt(np.maximum(variance - explained, _LEAST**2 * variance))
 
 
@@ -298,8 +299,8 @@ def _noise(sensor: SensorModel, channel: str) -> NoiseModel:
 
 
 def _rounding(sensor: SensorModel, channel: str, variances: Array) -> Array:
-    """The contribution (n,) of rounding to the uncertainty of each mean: resolution/√12 if the noise is too small to dither the
-    rounding, otherwise zero."""
+    """Returns the contribution (n,) of rounding to the uncertainty of each mean: resolution/√12 if the noise is too small to dither
+    the rounding, otherwise zero."""
     noise = _noise(sensor, channel)
     return np.where(noise.dithers(variances), 0.0, noise.resolution / math.sqrt(12))
 

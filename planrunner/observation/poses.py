@@ -182,7 +182,7 @@ def _changed(step: Array, nominal: Sequence[str]) -> tuple[Array, Array]:
 
 
 def _attitude(up: Array) -> Array:
-    """An attitude (3, 3) whose vertical has the direction `up` in sensor axes; its azimuth is arbitrary."""
+    """Returns an attitude (3, 3) whose vertical has the direction `up` in sensor axes; its azimuth is arbitrary."""
     helper = np.eye(3)[int(np.argmin(np.abs(up)))]
     east = np.cross(helper, up)
     east /= np.linalg.norm(east)

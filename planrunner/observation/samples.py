@@ -186,7 +186,7 @@ def _start_angle(
     values: Array,
     free_angle: bool,
 ) -> float:
-    """The angle [rad] of a table without encoder at the first sample. If gravity shows this angle, it is found from the
+    """Returns the angle [rad] of a table without encoder at the first sample. If gravity shows this angle, it is found from the
     accelerometers. Otherwise it is found from all channels if `free_angle` is True, and is zero if not."""
     accelerometers = [channel.axis for channel in channels if channel.kind == "accel"]
     by_gravity = angle_from(motion, attitude, site, accelerometers) is AngleFrom.GRAVITY

@@ -110,7 +110,7 @@ _STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])
 
 
 def varies(output: OutputModel) -> bool:
-    """True if an output always shows noise. Thermometers and encoders may keep one value, so they are excluded."""
+    """Returns True if an output always shows noise. Thermometers and encoders may keep one value, so they are excluded."""
     return not output.constant and unit(output.unit).dimension not in _STANDING
 
 
@@ -136,7 +136,7 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
 
 
 def _angle(name: str) -> float | None:
-    """The size of a unit of angle in rad; None if the unit is unknown or belongs to another quantity."""
+    """Returns the size of a unit of angle in rad; None if the unit is unknown or belongs to another quantity."""
     try:
         found = unit(name)
     except UnknownUnitError:
@@ -285,7 +285,7 @@ class _Runs:
             self._hold(values, rows, times, -1, len(values) - 1, self.length)
 
     def stuck(self) -> list[_Run]:
-        """The runs that are longer than the counts and the noise of the channel explain."""
+        """Returns the runs that are longer than the counts and the noise of the channel explain."""
         runs = int(self.lengths.sum())
         usual = int(np.searchsorted(np.cumsum(self.lengths), 0.99 * runs))
         longer = [one for one in self.long if one.length > RUN * max(usual, 1)]
@@ -526,7 +526,7 @@ class Screening:
         self._level(k, level)
 
     def _count(self, k: int) -> float:
-        """The count of the channel, either declared or detected; 0 if there is neither."""
+        """Returns the count of the channel, either declared or detected; 0 if there is neither."""
         seen = self.runs[k].count
         return max(float(self.counts[k]), seen if math.isfinite(seen) else 0.0)
 
@@ -585,11 +585,11 @@ class Screening:
             self._note(k, window, int(group[0]), int(group[-1]) + 1)
 
     def _changes_around(self, x: Array, changes: Array, places: RowNumbers, noise: float) -> Array:
-        """The mean change from sample to sample around each of the samples x[places]. In a segment of turns and stops, the mean is
-        taken over a short time. A change to a sample and back again is subtracted, because it is not part of a turn. Changes on one
-        side of a sample do not count if they belong to a turn: the samples on the other side and the next two samples on this side
-        then lie on one level. `x`: array of shape (n,). `changes`: array of shape (n - 1,), absolute differences of x. `noise`:
-        a distance from the level that noise does not exceed."""
+        """Returns the mean change from sample to sample around each of the samples x[places]. In a segment of turns and stops, the
+        mean is taken over a short time. A change to a sample and back again is subtracted, because it is not part of a turn.
+        Changes on one side of a sample do not count if they belong to a turn: the samples on the other side and the next two
+        samples on this side then lie on one level. `x`: array of shape (n,). `changes`: array of shape (n - 1,), absolute
+        differences of x. `noise`: a distance from the level that noise does not exceed."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
             return np.asarray(_mean_around(padded, _FAR)[places])
@@ -630,7 +630,7 @@ class Screening:
         )
 
     def _of_channel(self, k: int) -> list[Find]:
-        """The findings of one channel, after the whole segment has been read."""
+        """Returns the findings of one channel, after the whole segment has been read."""
         stuck = [self._stretch(k, one) for one in self.runs[k].stuck()][:_KEPT]
         if not self.steady and (len(stuck) > _MANY or 2 * sum(one.rows for one in stuck) > self.done):
             stuck = _as_one(stuck)  # a sensor that moves now and then, with coarse counts or without noise at rest
@@ -756,21 +756,21 @@ class Screening:
                     self.in_time.append(Find(kind, "", row, 1, float(time[at]), self.interval, 1.0))
 
     def _of_time(self) -> list[Find]:
-        """The findings about time; deviations that the jitter of the clock explains are left out."""
+        """Returns the findings about time; deviations that the jitter of the clock explains are left out."""
         if self.pauses <= _JITTER * max(self.done, 1):
             return self.in_time
         return [one for one in self.in_time if one.kind is FindKind.LOST and one.seconds > _LONG_PAUSE * self.interval]
 
 
 def _widened(steps: tuple[float, float], others: tuple[float, float]) -> tuple[float, float]:
-    """The smallest range that contains two ranges; NaN if one of them is NaN."""
+    """Returns the smallest range that contains two ranges; NaN if one of them is NaN."""
     low, high = np.minimum(steps[0], others[0]), np.maximum(steps[1], others[1])
     return float(low), float(high)
 
 
 def _stands_out(window: _Window) -> bool:
-    """True if a sample next to one of a few large changes lies far from the samples around it. A large change alone proves nothing,
-    because two opposite deviations of ordinary size can cause it."""
+    """Returns True if a sample next to one of a few large changes lies far from the samples around it. A large change alone proves
+    nothing, because two opposite deviations of ordinary size can cause it."""
     if len(window.places) > _FEW:
         return True
     for place in window.places:
@@ -782,9 +782,9 @@ def _stands_out(window: _Window) -> bool:
 
 
 def _changes_before(x: Array, size: int, places: RowNumbers, noise: float) -> Array:
-    """The largest change from sample to sample among the `size` samples before each of the samples x[places], if these samples and
-    the next two lie within the distance `noise` of one level; otherwise, and near the ends, infinity. The ripple of a filter beside
-    a turn does not keep a level. `x`: array of shape (n,)."""
+    """Returns the largest change from sample to sample among the `size` samples before each of the samples x[places], if these
+    samples and the next two lie within the distance `noise` of one level; otherwise, and near the ends, infinity. The ripple of a
+    filter beside a turn does not keep a level. `x`: array of shape (n,)."""
     found = np.full(len(places), np.inf)
     inner = np.flatnonzero((places >= size) & (places < len(x) - 2))
     others = x[places[inner, None] + np.append(np.arange(-size, 0), (1, 2))]
@@ -807,9 +807,9 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
-    """The distances of selected values from the medians of the `size` values around each of them. Beyond the ends, the values (n,)
-    are continued by their mirror image about the straight line at the end. A slow change of the values therefore does not count as
-    a distance."""
+    """Returns the distances of selected values from the medians of the `size` values around each of them. Beyond the ends, the
+    values (n,) are continued by their mirror image about the straight line at the end. A slow change of the values therefore does
+    not count as a distance."""
     half = size // 2
     wide = np.pad(values, half, mode="reflect")
     if half >= _SLOPE_FROM:
@@ -823,13 +823,13 @@ def _off(values: Array, size: int, places: RowNumbers) -> Array:
 
 
 def _mean_around(values: Array, size: int) -> Array:
-    """The mean of the `size` values around each of n values."""
+    """Returns the mean of the `size` values around each of n values."""
     sums = np.concatenate(([0.0], np.cumsum(np.pad(values, size // 2, mode="reflect"))))
     return np.asarray((sums[size:] - sums[:-size]) / size)
 
 
 def _trimmed(sizes: Array) -> float:
-    """The mean of the smallest 95 % of n absolute values."""
+    """Returns the mean of the smallest 95 % of n absolute values."""
     return float(np.sort(sizes)[: max(1, int(0.95 * len(sizes)))].mean())
 
 
@@ -866,8 +866,9 @@ def rows_of(finds: Iterable[Find]) -> int:
 
 
 def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) -> tuple[Statistics, float]:
-    """The statistics of each channel from those of its rows that are good. Covariances between channels are computed only from rows
-    that are good in all channels. The function also returns the fraction of good rows in the channel that has the fewest good rows."""
+    """Returns the statistics of each channel from those of its rows that are good. Covariances between channels are computed only
+    from rows that are good in all channels. The function also returns the fraction of good rows in the channel that has the fewest
+    good rows."""
     raw = recorded.statistics
     rows = raw.count + raw.rejected
     sets: dict[frozenset[tuple[int, int]], list[str]] = {}

@@ -63,14 +63,14 @@ def _steady(item: RecordedSegment) -> bool:
 
 
 def _range(item: RecordedSegment, name: str) -> float:
-    """The largest minus the smallest sample of a channel; NaN if there are no samples."""
+    """Returns the largest minus the smallest sample of a channel; NaN if there are no samples."""
     place = item.statistics.of(name)
     return float(item.statistics.maximum[place] - item.statistics.minimum[place])
 
 
 def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name: str, chance: float) -> bool:
-    """True if the noise of the channel in other segments would have changed its value in this segment. The noise is taken from the
-    nearest segments in which the channel changes."""
+    """Returns True if the noise of the channel in other segments would have changed its value in this segment. The noise is taken
+    from the nearest segments in which the channel changes."""
     still = isinstance(item.segment.motion, Rest)
     alike = [one for one in changing if not still or isinstance(one.segment.motion, Rest)]
     nearest = sorted(alike, key=lambda one: abs(one.statistics.start - item.statistics.start))[:_COMPARED]
@@ -78,7 +78,7 @@ def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name:
 
 
 def _samples(item: RecordedSegment, name: str) -> Array:
-    """The first samples of a channel; missing numbers are left out."""
+    """Returns the first samples of a channel; missing numbers are left out."""
     parts, count = [], 0
     for block in item.blocks((name,)):
         values = np.asarray(block.channels[name], dtype=float)[: _READ - count]
@@ -90,7 +90,7 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
-    """True if noise like that of the values (n,) would change the value at least once within `samples` samples."""
+    """Returns True if noise like that of the values (n,) would change the value at least once within `samples` samples."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
@@ -114,7 +114,7 @@ def leaves_count(noise: float, count: float, samples: int, chance: float) -> boo
 
 
 def _by_declaration(item: RecordedSegment, output: OutputModel | None, rate: float, chance: float) -> bool:
-    """True if the noise that the bench file declares for single samples would have moved the channel."""
+    """Returns True if the noise that the bench file declares for single samples would have moved the channel."""
     if output is None or not output.noise.white > 0 or output.noise.counted:
         return False
     noise = output.noise.white * math.sqrt(item.segment.sample_rate or rate)

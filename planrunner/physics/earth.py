@@ -40,15 +40,15 @@ class Site:
 
     @property
     def on_ellipsoid(self) -> Site:
-        """A copy whose latitude is the geodetic latitude, for navigation on the ellipsoid."""
+        """Returns a copy whose latitude is the geodetic latitude, for navigation on the ellipsoid."""
         return self if self.geodetic_latitude is None else replace(self, latitude=self.geodetic_latitude)
 
     @property
     def earth_rate_enu(self) -> NDArray[np.float64]:
-        """The Earth's rotation rate (3,) in East-North-Up, rad/s."""
+        """Returns the Earth's rotation rate (3,) in East-North-Up, rad/s."""
         return self.earth_rate * np.array([0.0, math.cos(self.latitude), math.sin(self.latitude)])
 
     @property
     def specific_force_enu(self) -> NDArray[np.float64]:
-        """The specific force (3,) at rest in East-North-Up, m/s^2; an axis that points up reads +g."""
+        """Returns the specific force at rest in East-North-Up, m/s^2, shape (3,); an axis that points up reads +g."""
         return np.array([0.0, 0.0, self.gravity])

@@ -57,7 +57,7 @@ class TableAxis:
 
 
 def rotation_about(axis: Sequence[float], angle: float) -> Array:
-    """The right-handed rotation matrix (3, 3) by `angle` [rad] about the unit vector `axis`, by Rodrigues' formula."""
+    """Returns the right-handed rotation matrix by `angle` [rad] about the unit vector `axis`, by Rodrigues' formula, shape (3, 3)."""
     x, y, z = axis
     c, s = math.cos(angle), math.sin(angle)
     v = 1.0 - c
@@ -71,15 +71,15 @@ def rotation_about(axis: Sequence[float], angle: float) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """The cross product a × b, shape (3,). `numpy.cross` is designed for many vectors and takes ten times as long for a single
-    pair."""
+    """Returns the cross product a × b, shape (3,). `numpy.cross` is designed for many vectors and takes ten times as long for a
+    single pair."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """The sensor's axes (3, 3) as rows in East-North-Up. `angles`: array of shape (n,) in rad, joint angles. `azimuth`: azimuth of
-    the site, rad."""
+    """Returns the sensor's axes (3, 3) as rows in East-North-Up. `angles`: array of shape (n,) in rad, joint angles. `azimuth`:
+    azimuth of the site, rad."""
     platform = rotation_about((0.0, 0.0, 1.0), -azimuth)
     for axis, angle in zip(axes, angles, strict=True):
         platform = platform @ rotation_about(axis.direction, angle)
@@ -89,8 +89,8 @@ def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth
 def joint_angles(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> Array:
-    """The joint angles (n,) [rad] for an attitude (3, 3): the solution within the limits that the table reaches fastest from the
-    joint angles `near`.
+    """Returns the joint angles (n,) [rad] for an attitude (3, 3): the solution within the limits that the table reaches fastest
+    from the joint angles `near`.
 
     The angle of a limited axis counts in full turns, so that cables unwind if necessary. A continuous axis turns the shorter way.
     Among equally fast solutions, the one is chosen whose limited axes are nearest to zero; if this does not decide, the one that
@@ -102,16 +102,16 @@ def joint_angles(
 def quickest_move(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> tuple[Array, float]:
-    """The joint angles as in `joint_angles`, and the time [s] that the move takes. Raises `Unreachable`, which states the reason,
-    if the attitude cannot be reached."""
+    """Returns the joint angles as in `joint_angles`, and the time [s] that the move takes. Raises `Unreachable`, which states the
+    reason, if the attitude cannot be reached."""
     start = np.asarray(near, dtype=float).tobytes()
     angles, seconds = _quickest_move(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth)
     return np.array(angles), seconds
 
 
 def quickest_ends(axes: Sequence[TableAxis], target: Array, starts: Array, azimuth: float = 0.0) -> Array:
-    """The joint angles (n, joints) that `quickest_move` gives from each of n starts (n, joints). Do not modify the result: it is
-    cached."""
+    """Returns the joint angles (n, joints) that `quickest_move` gives from each of n starts (n, joints). Do not modify the result:
+    it is cached."""
     return _quickest_ends(tuple(axes), np.asarray(target, dtype=float).tobytes(), starts.tobytes(), azimuth)
 
 
@@ -145,9 +145,9 @@ def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azi
 
 @lru_cache(maxsize=8192)
 def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, azimuth: float) -> tuple[Angles, ...]:
-    """The joint angles for an attitude, without regard to the present position of the table. In gimbal lock, one angle is free. It
-    is chosen with the help of the joint angles `near`; if `near` is None, the result is empty. Raises `Unreachable` if the geometry
-    of the axes does not allow the attitude."""
+    """Returns the joint angles for an attitude, without regard to the present position of the table. In gimbal lock, one angle is
+    free. It is chosen with the help of the joint angles `near`; if `near` is None, the result is empty. Raises `Unreachable` if the
+    geometry of the axes does not allow the attitude."""
     wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
     candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
     off = _misalignment(axes, candidates[0], wanted) if candidates else 0.0
@@ -176,14 +176,14 @@ def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> A
 
 
 def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
-    """The moves with the smallest value. Moves whose value is larger by so little that rounding, or the end of a previous motion,
-    could decide between them are included."""
+    """Returns the moves with the smallest value. Moves whose value is larger by so little that rounding, or the end of a previous
+    motion, could decide between them are included."""
     most = min(values) * (1 + AS_QUICK) + ALIKE
     return [way for way, value in zip(ways, values, strict=True) if value <= most]
 
 
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
-    """The time [s] of a move from rest to rest with a trapezoidal rate profile.
+    """Returns the time [s] of a move from rest to rest with a trapezoidal rate profile.
 
     With the rate w and the acceleration a, the table reaches w after the time w/a, when it has turned by w²/2a. A move with |angle|
     < w²/a therefore does not reach w. Its rate profile is then a triangle, and it takes the time 2·√(|angle|/a).
@@ -195,20 +195,20 @@ def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
 
 
 def transition_time(axes: Sequence[TableAxis], start: Sequence[float] | Array, end: Sequence[float] | Array) -> float:
-    """The time [s] of a move from rest to rest between two sets of joint angles [rad]. All axes move at the same time, so the
-    slowest one determines the time."""
+    """Returns the time [s] of a move from rest to rest between two sets of joint angles [rad]. All axes move at the same time, so
+    the slowest one determines the time."""
     moves = zip(axes, start, end, strict=True)
     return max(move_time(stop - begin, axis.max_rate, axis.max_acceleration) for axis, begin, stop in moves)
 
 
 def spin_up_time(axis: TableAxis, rate: float) -> float:
-    """The time [s] to accelerate from rest to `rate` [rad/s], or to brake to rest."""
+    """Returns the time [s] to accelerate from rest to `rate` [rad/s], or to brake to rest."""
     return abs(rate) / axis.max_acceleration
 
 
 def joint_directions(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """The directions (n, 3) of all axes at these joint angles, as unit vectors in East-North-Up. Do not modify the result: it is
-    cached."""
+    """Returns the directions of all axes at these joint angles, as unit vectors in East-North-Up, shape (n, 3). Do not modify the
+    result: it is cached."""
     return _joint_directions(tuple(axes), np.asarray(angles, dtype=float).tobytes(), azimuth)
 
 
@@ -227,7 +227,7 @@ def _joint_directions(axes: tuple[TableAxis, ...], angles: bytes, azimuth: float
 def spin_axis(
     axes: Sequence[TableAxis], angles: Sequence[float] | Array, about: Sequence[float], azimuth: float = 0.0
 ) -> int:
-    """The index of the axis that, at these joint angles, is parallel or antiparallel to the site direction `about`.
+    """Returns the index of the axis that, at these joint angles, is parallel or antiparallel to the site direction `about`.
 
     If there are several such axes, the outermost is chosen, because it carries the others. Raises `Unreachable` if there is none;
     the message states the angles between the axes and this direction.
@@ -271,7 +271,8 @@ def _two_axes(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> 
 
 
 def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> list[Angles]:
-    """All solutions for three axes: two, or a selection from a one-parameter family if the outer and the inner axis are parallel.
+    """Returns all solutions for three axes: two, or a selection from a one-parameter family if the outer and the inner axis are
+    parallel.
 
     Let R_1·R_2·R_3 = W and W·a_3 = b. Then a_1·(R_2 a_3) = a_1·b determines q_2 up to a sign; q_1 is the angle that turns R_2·a_3
     into b; and q_3 follows. The sine is computed directly, as |a_1 × b|, because an arc cosine would lose half of the digits near
@@ -301,8 +302,8 @@ def _inner(axes: Sequence[TableAxis], outer: float, middle: float, wanted: Array
 
 
 def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near: Sequence[float]) -> list[Angles]:
-    """The solutions in gimbal lock. If the outer and the inner axis are parallel, only the sum of their angles matters. In each
-    solution, one of the two axes stays where it is or goes to a limit.
+    """Returns the solutions in gimbal lock. If the outer and the inner axis are parallel, only the sum of their angles matters. In
+    each solution, one of the two axes stays where it is or goes to a limit.
     """
     outer, inner = axes[0], axes[2]
     turned = rotation_about(axes[1].direction, middle) @ np.asarray(inner.direction)
@@ -316,14 +317,14 @@ def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near
 
 
 def _best_turn(axis: Sequence[float], wanted: Array) -> float:
-    """The angle of the rotation R about `axis` that is nearest to the rotation `wanted` (maximal trace of Rᵀ·wanted)."""
+    """Returns the angle of the rotation R about `axis` that is nearest to the rotation `wanted` (maximal trace of Rᵀ·wanted)."""
     unit = np.asarray(axis)
     skew = np.array([wanted[2, 1] - wanted[1, 2], wanted[0, 2] - wanted[2, 0], wanted[1, 0] - wanted[0, 1]])
     return math.atan2(float(unit @ skew), float(np.trace(wanted) - unit @ wanted @ unit))
 
 
 def _angle_between(axis: Array, start: Array, end: Array) -> float | None:
-    """The angle about `axis` that rotates `start` towards `end`; None if one of the vectors is parallel to the axis."""
+    """Returns the angle about `axis` that rotates `start` towards `end`; None if one of the vectors is parallel to the axis."""
     a = start - axis * float(axis @ start)
     b = end - axis * float(axis @ end)
     if min(np.linalg.norm(a), np.linalg.norm(b)) < LOCKED:
@@ -332,15 +333,15 @@ def _angle_between(axis: Array, start: Array, end: Array) -> float | None:
 
 
 def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> float:
-    """The angle [rad] between the rotation of the platform at these joint angles and the rotation `wanted`."""
+    """Returns the angle [rad] between the rotation of the platform at these joint angles and the rotation `wanted`."""
     off = attitude(axes, angles) @ wanted
     skew = np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]])
     return math.atan2(float(np.linalg.norm(skew)), float(np.trace(off)) - 1.0)
 
 
 def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[float, str] | None]:
-    """The angle that differs from `angle` by full turns, lies within the limits, and is nearest to `near`. If no such angle lies
-    within the limits, the result also contains the distance to the limits and a text with the reason.
+    """Returns the angle that differs from `angle` by full turns, lies within the limits, and is nearest to `near`. If no such angle
+    lies within the limits, the result also contains the distance to the limits and a text with the reason.
 
     Two angles that are half a turn away are equally near. A continuous axis then turns in the positive direction. A limited axis
     goes to the angle that is nearer to zero, even if the other one is nearer to `near` by up to `NEARLY`. If both are equally far

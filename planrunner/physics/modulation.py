@@ -19,12 +19,12 @@ MEAN_RADIUS = 6_371_009.0  # m, of the Earth (IUGG)
 
 
 def schuler_rate(site: Site) -> float:
-    """The Schuler rate ω_s [rad/s]; its period is 84.4 min."""
+    """Returns the Schuler rate ω_s [rad/s]; its period is 84.4 min."""
     return math.sqrt(site.gravity / (MEAN_RADIUS + site.height))
 
 
 def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
-    """The factor by which a rotation cycle increases the free Schuler oscillation due to a constant gyro drift: the largest
+    """Returns the factor by which a rotation cycle increases the free Schuler oscillation due to a constant gyro drift: the largest
     amplitude within `seconds`, divided by the amplitude that the same drift causes without rotation. The result is 0 if the cycle
     is so short that none of its harmonics lies near the Schuler rate.
 
@@ -48,8 +48,8 @@ def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
 def forced_velocity(
     cycle: RotationCycle, gyro: complex, accelerometer: complex, site: Site, harmonic: int
 ) -> tuple[complex, complex]:
-    """The velocity errors [m/s], as east + i·north, that are forced at plus and at minus `harmonic` times the frequency of the
-    cycle.
+    """Returns the velocity errors [m/s], as east + i·north, that are forced at plus and at minus `harmonic` times the frequency of
+    the cycle.
 
     `gyro` [rad/s], `accelerometer` [m/s^2]: constant sensor errors, given for the orientation at the first position. A harmonic of
     exp(iθ) that has the coefficient c and the rate ω forces the velocity c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0

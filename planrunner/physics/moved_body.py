@@ -32,11 +32,11 @@ class BodyMotion:
     force: Array
 
     def averaged(self, size: int) -> BodyMotion:
-        """The motion averaged over every `size` consecutive samples."""
+        """Returns the motion averaged over every `size` consecutive samples."""
         return BodyMotion(*(averaged(part, size) for part in self._parts))
 
     def at(self, rows: NDArray[np.bool_]) -> BodyMotion:
-        """The motion at the selected samples. `rows`: array of shape (n,), True for these samples."""
+        """Returns the motion at the selected samples. `rows`: array of shape (n,), True for these samples."""
         return BodyMotion(*(part[rows] for part in self._parts))
 
     @property
@@ -45,13 +45,13 @@ class BodyMotion:
 
 
 def averaged(values: Array, size: int) -> Array:
-    """The means (n // size, …) of every `size` consecutive values (n, …). If the last group is incomplete, it is left out."""
+    """Returns the means (n // size, …) of every `size` consecutive values (n, …). If the last group is incomplete, it is left out."""
     whole = len(values) - len(values) % size
     return np.asarray(values[:whole].reshape(-1, size, *values.shape[1:]).mean(axis=1))
 
 
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
-    """The motion, computed from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to
+    """Returns the motion, computed from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to
     East-North-Up. `force`: array of shape (n, 3), measured specific force; by default, the specific force of a sensor that only
     rotates."""
     from scipy.spatial.transform import Rotation
@@ -64,9 +64,9 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 
 
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
-    """The motion, computed from measured angular rates (n, 3) relative to inertial space. `start`: array of shape (3, 3), attitude
-    at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, the specific
-    force of a sensor that only rotates. If the attitude is unknown, the specific force is zero unless `force` is given."""
+    """Returns the motion, computed from measured angular rates (n, 3) relative to inertial space. `start`: array of shape (3, 3),
+    attitude at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, the
+    specific force of a sensor that only rotates. If the attitude is unknown, the specific force is zero unless `force` is given."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))
@@ -80,13 +80,14 @@ def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: 
 
 
 def by_force(force: Array) -> BodyMotion:
-    """The motion, of which only the measured specific force (n, 3) is known; all other quantities are zero."""
+    """Returns the motion, of which only the measured specific force (n, 3) is known; all other quantities are zero."""
     n = len(force)
     return BodyMotion(np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), force)
 
 
 def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
-    """The attitudes (n, 3, 3) of a body that starts at the attitude `start` and rotates at the rate omega (n, 3) in its own axes.
+    """Returns the attitudes (n, 3, 3) of a body that starts at the attitude `start` and rotates at the rate omega (n, 3) in its own
+    axes.
 
     Between two samples, the body rotates at the mean of the two rates. The attitude relative to inertial space is the product of
     these rotations. Meanwhile, the site turns at the Earth's rate. All partial products are computed in about log₂ n steps, each of
@@ -106,8 +107,8 @@ def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
 
 
 def rates_of(time: Array, attitude: Array) -> Array:
-    """The angular rates (n, 3) in the body's axes, as differences between the two neighbours of each sample. `attitude`: array of
-    shape (n, 3, 3), transforms vectors to the body's axes."""
+    """Returns the angular rates in the body's axes, as differences between the two neighbours of each sample, shape (n, 3).
+    `attitude`: array of shape (n, 3, 3), transforms vectors to the body's axes."""
     from scipy.spatial.transform import Rotation
 
     before, after = np.r_[0, np.arange(len(time) - 1)], np.r_[np.arange(1, len(time)), len(time) - 1]
@@ -116,5 +117,5 @@ def rates_of(time: Array, attitude: Array) -> Array:
 
 
 def slope(time: Array, values: Array) -> Array:
-    """The time derivative (n, …) of values (n, …), computed from the neighbours of each sample (`numpy.gradient`)."""
+    """Returns the time derivative (n, …) of values (n, …), computed from the neighbours of each sample (`numpy.gradient`)."""
     return np.asarray(np.gradient(values, time, axis=0))

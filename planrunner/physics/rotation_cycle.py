@@ -53,7 +53,7 @@ class RotationCycle:
 
     @cached_property
     def stops(self) -> Array:
-        """The angle (n,) of every stop, measured from the first stop; full turns are included, rad."""
+        """Returns the angle of every stop, measured from the first stop, shape (n,); full turns are included, rad."""
         return np.concatenate(([0.0], np.cumsum(self.turns)[:-1]))
 
     @property
@@ -63,17 +63,17 @@ class RotationCycle:
 
     @property
     def net_turn(self) -> float:
-        """The angle [rad] by which one cycle winds up the cables."""
+        """Returns the angle [rad] by which one cycle winds up the cables."""
         return math.fsum(self.turns)
 
     @property
     def reach(self) -> tuple[float, float]:
-        """The lowest and the highest angle, measured from the first position, rad."""
+        """Returns the lowest and the highest angle, measured from the first position, rad."""
         reached = np.append(self.stops, self.net_turn)
         return float(reached.min()), float(reached.max())
 
     def angle(self, times: Array) -> Array:
-        """The angle (n,) from the first position [rad] at `times` [s since the start of a cycle]."""
+        """Returns the angle from the first position [rad] at `times` [s since the start of a cycle], shape (n,)."""
         begins, lasting, angles, rates, slopes, _ = self._pieces
         cycles, within = np.divmod(np.asarray(times, dtype=float), self.period)
         index = np.clip(np.searchsorted(begins, within, side="right") - 1, 0, len(begins) - 1)
@@ -82,7 +82,7 @@ class RotationCycle:
         return np.asarray(cycles * self.net_turn + turned)
 
     def turning_rate(self, time: float) -> float:
-        """The rate [rad/s] at `time` [s since the start of a cycle]."""
+        """Returns the rate [rad/s] at `time` [s since the start of a cycle]."""
         begins, lasting, _, rates, slopes, _ = self._pieces
         within = math.fmod(time, self.period)
         index = max(0, int(np.searchsorted(begins, within, side="right")) - 1)
@@ -91,8 +91,8 @@ class RotationCycle:
 
     @property
     def mean_angle(self) -> float:
-        """The mean over time of the angle from the first position, rad. Multiplied by the scale factor error of a gyro, it is the
-        mean heading error."""
+        """Returns the mean over time of the angle from the first position, rad. Multiplied by the scale factor error of a gyro, it
+        is the mean heading error."""
         _, lasting, angles, rates, slopes, _ = self._pieces
         integral = angles * lasting + rates * lasting**2 / 2 + slopes * lasting**3 / 6
         return math.fsum(integral) / self.period
@@ -100,7 +100,8 @@ class RotationCycle:
     # -- the residual -------------------------------------------------------------------------------------------------
 
     def integral(self, frequency: float = 0.0) -> tuple[complex, complex]:
-        """The integrals ∫ exp(i(θ − ωt)) dt [s] over the stops and over the turns of one cycle, where ω is `frequency` [rad/s].
+        """Returns the integrals ∫ exp(i(θ − ωt)) dt [s] over the stops and over the turns of one cycle, where ω is `frequency`
+        [rad/s].
 
         For ω = 0, the sum of the two is the residual of the cycle. For ω = k·2π/period, the sum divided by the period is the k-th
         Fourier coefficient.
@@ -115,22 +116,22 @@ class RotationCycle:
 
     @cached_property
     def residual(self) -> complex:
-        """The residual of one cycle [s], over the stops and the turns."""
+        """Returns the residual of one cycle [s], over the stops and the turns."""
         stops, turns = self.integral()
         return stops + turns
 
     @property
     def balanced(self) -> bool:
-        """True if the residual is negligible."""
+        """Returns True if the residual is negligible."""
         return abs(self.residual) <= NOTHING * self.period
 
     # -- pieces in which the rate is constant or changes evenly --------------------------------------------------------
 
     @cached_property
     def _pieces(self) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]:
-        """The pieces of the cycle: start [s], length [s], angle [rad] and rate [rad/s] at the start, acceleration [rad/s^2], and
-        whether the axis turns; each of the shape (4·n,). There are four pieces for each turn: a stop and the three parts of the
-        turn. A part that does not exist has the length zero."""
+        """Returns the pieces of the cycle: start [s], length [s], angle [rad] and rate [rad/s] at the start, acceleration
+        [rad/s^2], and whether the axis turns; each of the shape (4·n,). There are four pieces for each turn: a stop and the three
+        parts of the turn. A part that does not exist has the length zero."""
         turns = np.array(self.turns)
         size, sign = np.abs(turns), np.sign(turns)
         peak = np.where(size > 0, self.rate, 0.0)
@@ -152,13 +153,13 @@ class RotationCycle:
 
 @cache
 def _gauss_legendre() -> tuple[Array, Array]:
-    """The ten nodes of the Gauss–Legendre quadrature, and their weights. They are cached, because numpy must load its polynomials
-    to compute them, and few plans need them."""
+    """Returns the ten nodes of the Gauss–Legendre quadrature, and their weights. They are cached, because numpy must load its
+    polynomials to compute them, and few plans need them."""
     return np.polynomial.legendre.leggauss(10)
 
 
 def _ramps(begins: Array, lasting: Array, angles: Array, rates: Array, slopes: Array, frequency: float) -> Array:
-    """The integrals (n,) of exp(i(θ − ωt)) over n ramps [s], by quadrature on panels."""
+    """Returns the integrals (n,) of exp(i(θ − ωt)) over n ramps [s], by quadrature on panels."""
     nodes, weights = _gauss_legendre()
     span = (np.maximum(np.abs(rates), np.abs(rates + slopes * lasting)) + abs(frequency)) * lasting
     panels = np.maximum(1, np.ceil(span)).astype(int)

@@ -39,7 +39,7 @@ class AngleFrom(StrEnum):
 def motion_at(
     motion: Motion, since: Array, encoder: Array | None, left: float = 1.0, start: float = 0.0
 ) -> dict[str, Array]:
-    """The angle, rate and acceleration of the table at the times `since` [s] after the first sample of a segment.
+    """Returns the angle, rate and acceleration of the table at the times `since` [s] after the first sample of a segment.
 
     `left`: factor by which averaging over a bin reduces the rate and the angle of a rocking table (see `fading`). The rate is then
     the mean over the bin, while the angle and the acceleration belong to its middle. With an encoder, the planned form of the
@@ -69,7 +69,7 @@ def motion_at(
 
 
 def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
-    """The part of a site vector that changes once per turn, seen in sensor axes: complex amplitudes (3,).
+    """Returns the part of a site vector that changes once per turn, seen in sensor axes: complex amplitudes (3,).
 
     At the angle θ of the table, the sensor sees the vector A·(p + q·cos θ − (a × q)·sin θ). Here A is the attitude of the sensor, a
     is the axis of the table, p is the part of the vector along this axis, and q is the other part. The part that changes is the
@@ -81,7 +81,8 @@ def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 
 def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
-    """The part of a site vector along the axis of the table, seen in sensor axes (3,). It does not change while the table turns."""
+    """Returns the part of a site vector along the axis of the table, seen in sensor axes (3,). It does not change while the table
+    turns."""
     about = np.asarray(motion.about, dtype=float)
     return np.asarray(attitude @ ((about @ vector) * about))
 
@@ -95,7 +96,7 @@ def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequ
 
 
 def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offset: float) -> float:
-    """The angle [rad] of a turning table at its first sample with which the outputs agree best with the expected input.
+    """Returns the angle [rad] of a turning table at its first sample with which the outputs agree best with the expected input.
 
     `values`: array of shape (n, K) in SI units, outputs after the expected input along the axis of the table has been subtracted.
     `expected`: array of shape (K,), complex, result of `once_per_turn`. `offset`: standard deviation of the constant error of a
@@ -119,15 +120,15 @@ def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offs
 
 
 def period_of(motion: Motion) -> float:
-    """The duration of one turn or of one period of rocking, s; infinite at rest."""
+    """Returns the duration of one turn or of one period of rocking, s; infinite at rest."""
     if isinstance(motion, Spin):
         return 2 * np.pi / abs(motion.rate) if motion.rate else np.inf
     return 1 / motion.frequency if isinstance(motion, Rock) else np.inf
 
 
 def fading(motion: Motion, size: int, rate: float) -> float:
-    """The factor by which averaging over a bin of `size` samples reduces the rate of a rocking table. It is Dirichlet's kernel
-    sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. `rate`: number of samples per
+    """Returns the factor by which averaging over a bin of `size` samples reduces the rate of a rocking table. It is Dirichlet's
+    kernel sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. `rate`: number of samples per
     second."""
     if size == 1 or not isinstance(motion, Rock):
         return 1.0
@@ -136,5 +137,5 @@ def fading(motion: Motion, size: int, rate: float) -> float:
 
 
 def turned_by(motion: Motion, since: Array) -> Array:
-    """The planned angle of a table at the times `since` [s], rad; zero unless the table turns continuously."""
+    """Returns the planned angle of a table at the times `since` [s], rad; zero unless the table turns continuously."""
     return motion.rate * since if isinstance(motion, Spin) else np.zeros(len(since))

@@ -47,7 +47,7 @@ class Stimulus:
 
 
 def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[float | None] | None = None) -> Stimulus:
-    """The mean stimulus over the dwell of each segment.
+    """Returns the mean stimulus over the dwell of each segment.
 
     `durations`: recorded durations of the dwells, s; by default the planned dwells. A segment with a spin starts at its planned
     attitude. Its mean is taken over the angle that it covers or, if its duration is unknown, over whole turns. Raises
@@ -100,17 +100,17 @@ class Poses:
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """All arrays in the order of the attributes."""
+        """Returns all arrays in the order of the attributes."""
         return self.attitude, self.mean, self.spin, self.table_rate, self.table_angle, self.temperature, self.time
 
     @property
     def timeless(self) -> Poses:
-        """The same poses without temperature and time."""
+        """Returns the same poses without temperature and time."""
         unknown = np.full(len(self.time), np.nan)
         return Poses(self.attitude, self.mean, self.spin, self.table_rate, self.table_angle, unknown, unknown)
 
     def felt(self, site: Site) -> Stimulus:
-        """The mean stimulus of each segment at a site."""
+        """Returns the mean stimulus of each segment at a site."""
         return Stimulus(
             self.mean @ site.earth_rate_enu + self.spin,
             self.mean @ site.specific_force_enu,
@@ -123,8 +123,8 @@ class Poses:
 
 
 def mean_while_turning(axis: Array, turned: float | None) -> Array:
-    """The matrix (3, 3) that transforms a vector fixed at the site to its mean in axes that rotate with the table, about the unit
-    vector `axis` by the angle `turned` [rad].
+    """Returns the matrix that transforms a vector fixed at the site to its mean in axes that rotate with the table, about the unit
+    vector `axis` by the angle `turned` [rad], shape (3, 3).
 
     Let p be the part of the vector along the axis, q the other part, and r = axis × vector. At the angle θ, the vector in these
     axes is p + q·cos θ − r·sin θ; its mean over 0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns, for which `turned` is
@@ -151,7 +151,7 @@ def _attitude(segment: Segment) -> Array:
 
 
 def _temperature(segment: Segment) -> float:
-    """The planned temperature of a segment [K]: for a ramp its mean; NaN if it is unknown."""
+    """Returns the planned temperature of a segment [K]: for a ramp its mean; NaN if it is unknown."""
     kelvin, ramp_to = segment.temperature, segment.ramp_to
     if kelvin is None:
         return math.nan

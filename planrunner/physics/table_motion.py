@@ -54,16 +54,16 @@ class SpinCourse:
         return cls(index, math.copysign(1.0, along) * motion.rate, ramp)
 
     def travel(self, seconds: float) -> float:
-        """The angle [rad] that the axis covers from rest to rest if the rate is held for `seconds`. Each ramp covers half of the
-        angle that turning at the full rate would cover in the same time."""
+        """Returns the angle [rad] that the axis covers from rest to rest if the rate is held for `seconds`. Each ramp covers half
+        of the angle that turning at the full rate would cover in the same time."""
         return self.rate * (seconds + self.ramp)
 
 
 def spin_excess(
     axes: Sequence[TableAxis], joints: Sequence[float] | Array, course: SpinCourse, seconds: float | None
 ) -> list[Excess]:
-    """The requirements of a spin that exceed the limits of the axis; the spin starts at the joint angles `joints` [rad]. `seconds`:
-    time for which the rate is held; None if unknown."""
+    """Returns the requirements of a spin that exceed the limits of the axis; the spin starts at the joint angles `joints` [rad].
+    `seconds`: time for which the rate is held; None if unknown."""
     axis = axes[course.joint]
     found = _beyond(axis, "spinning", abs(course.rate))
     if not found and seconds is not None and not axis.continuous:
@@ -81,8 +81,8 @@ def spin_excess(
 
 
 def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | None, motion: Rock) -> list[Excess]:
-    """The requirements of a rocking motion that exceed the limits of the axes. `joints`: the joint angles about which the axes
-    rock, rad; None if unknown."""
+    """Returns the requirements of a rocking motion that exceed the limits of the axes. `joints`: the joint angles about which the
+    axes rock, rad; None if unknown."""
     found: list[Excess] = []
     if len(motion.phases) > len(axes):
         found.append(Excess("rings", f"{len(motion.phases)} rings are planned to rock, but the table has {len(axes)}"))
@@ -103,8 +103,8 @@ def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | Non
 
 
 def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Excess]:
-    """The requirements of a cycle that exceed the limits of the axis. `start`: joint angle at the start of the cycle, rad; None if
-    unknown."""
+    """Returns the requirements of a cycle that exceed the limits of the axis. `start`: joint angle at the start of the cycle, rad;
+    None if unknown."""
     found = _beyond(axis, "turning", motion.rate)
     low, high = RotationCycle.of(motion, axis.max_acceleration).reach
     if high - low > axis.highest - axis.lowest + SLACK:
@@ -122,7 +122,7 @@ def about_one_axis(motion: Motion) -> bool:
 
 
 def _beyond(axis: TableAxis, what: str, rate: float, acceleration: float = 0.0) -> list[Excess]:
-    """The requirements that exceed the largest rate or the largest acceleration of an axis. `rate`: required rate, rad/s.
+    """Returns the requirements that exceed the largest rate or the largest acceleration of an axis. `rate`: required rate, rad/s.
     `acceleration`: required acceleration, rad/s²."""
     found = []
     if rate > axis.max_rate * _GRANTED:

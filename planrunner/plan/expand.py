@@ -70,7 +70,7 @@ UNREADABLE = object()
 
 
 def _stated(state: StateValues) -> tuple[State, bool]:
-    """The part of a state that could be read; and True if this part is enough to check a segment."""
+    """Returns the part of a state that could be read; and True if this part is enough to check a segment."""
     readable = {name: value for name, value in state.items() if value is not UNREADABLE}
     sound = len(readable) == len(state) or not any(state.get(name) is UNREADABLE for name in _DECISIVE)
     return State(**readable), sound
@@ -198,7 +198,7 @@ def _filled(
     used: set[str],
     log: Findings,
 ) -> str:
-    """The text of `key` after its {placeholders} have been replaced; adds the names of the placeholders to `used`."""
+    """Returns the text of `key` after its {placeholders} have been replaced; adds the names of the placeholders to `used`."""
 
     def fill(match: re.Match[str]) -> str:
         name = match[1]

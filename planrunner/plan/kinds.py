@@ -389,7 +389,7 @@ class Origin:
         self.meant = meant
 
     def __getstate__(self) -> dict[str, object]:
-        """The state for pickling. It lacks the nodes, because the marks of the parser in them cannot be pickled."""
+        """Returns the state for pickling. It lacks the nodes, because the marks of the parser in them cannot be pickled."""
         return {"_node": None, "broken": self.broken, "meant": dict(self.meant), "mark": self.mark, "keys": self.keys}
 
     @cached_property
@@ -589,8 +589,8 @@ def inline(example: Any) -> str:
 
 
 def _used(key: source.Scalar, value: source.Node) -> Mark:
-    """The position at which a value is used. The value of an alias has the position of its anchor, which is before the key; in that
-    case the position of the key is returned."""
+    """Returns the position at which a value is used. The value of an alias has the position of its anchor, which is before the key;
+    in that case the position of the key is returned."""
     return key.mark if value.precedes(key) else value.mark
 
 

@@ -188,7 +188,7 @@ def check_channels(parameters: Record, outputs: Collection[str] | None, log: Fin
 
 
 def channels_of(parameters: Record) -> tuple[str, ...]:
-    """The channels named in parameters, including defaults."""
+    """Returns the channels named in parameters, including defaults."""
     return tuple(dict.fromkeys(channel for _, _, channel in _named(parameters)))
 
 
@@ -208,7 +208,8 @@ def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
 
 
 def _naming(parameters: type[Record]) -> tuple[tuple[str, str, Kind], ...]:
-    """The keys whose values name channels: a tuple of the key, the name of its field in the record, and the kind of its value."""
+    """Returns the keys whose values name channels: a tuple of the key, the name of its field in the record, and the kind of its
+    value."""
     if parameters not in _NAMING:
         kinds = [(key, item.name, item.metadata["kind"]) for key, item in keys_of(parameters).items()]
         _NAMING[parameters] = tuple(

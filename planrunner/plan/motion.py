@@ -206,6 +206,6 @@ def _degrees(angle: float) -> str:
 
 
 def _turns(positions: Mapping[str, float], move: Move) -> str:
-    """The two rotations that lead to the end position of a move, in words: the short way and the long way."""
+    """Returns the two rotations that lead to the end position of a move, in words: the short way and the long way."""
     short = round(math.degrees(math.remainder(positions[move.end] - positions[move.start], TURN)), 6)
     return f"{short:+g} or {short - math.copysign(360, short):+g} deg"

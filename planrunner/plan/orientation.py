@@ -182,7 +182,7 @@ _TURNED = ("from", "rotate")
 
 @lru_cache(maxsize=1024)
 def _sound(words: tuple[tuple[str, object], ...]) -> Orientation | None:
-    """The orientation that these words describe; None after adding a finding that they describe no valid orientation."""
+    """Returns the orientation that these words describe; None after adding a finding that they describe no valid orientation."""
     nowhere = Written("")
     entries = [(Scalar(key, key, nowhere), Scalar(str(word), str(word), nowhere)) for key, word in words]
     return _read_words(Mapping(tuple(entries), nowhere), Findings())
@@ -251,8 +251,8 @@ def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[fl
 
 
 def _repairs(matrix: Matrix) -> list[str]:
-    """The right-handed orientations, in words, that result from a left-handed `matrix` by exchanging two axes or reversing one
-    axis."""
+    """Returns the right-handed orientations, in words, that result from a left-handed `matrix` by exchanging two axes or reversing
+    one axis."""
     repairs = []
     for i, j in ((1, 2), (0, 1), (0, 2)):
         swapped = matrix.copy()

@@ -119,8 +119,8 @@ def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
 
 
 def _written(value: str, *, quoted: bool) -> str:
-    """A value as YAML text. Quotes are omitted if `quoted` is False and YAML reads the same text without quotes, wherever the value
-    stands."""
+    """Returns a value as YAML text. Quotes are omitted if `quoted` is False and YAML reads the same text without quotes, wherever
+    the value stands."""
     return value if not quoted and _is_plain(value) else json.dumps(value, ensure_ascii=False)
 
 
@@ -139,7 +139,7 @@ def _is_plain(value: str) -> bool:
 
 
 def _anchored(text: str, file: str, log: Findings) -> dict[str, _Anchored]:
-    """The values with an anchor, by the name of the anchor. A name that belongs to two values causes a finding."""
+    """Returns the values with an anchor, by the name of the anchor. A name that belongs to two values causes a finding."""
     found: dict[str, _Anchored] = {}
     for event, is_key in _nodes(text):
         if event.anchor is None:

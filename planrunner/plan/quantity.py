@@ -169,14 +169,14 @@ def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
 
 
 def is_symmetric(text: str) -> bool:
-    """Whether a text has the form `SYMMETRIC`, whatever its unit is."""
+    """Returns True if a text has the form `SYMMETRIC`, whatever its unit is."""
     signed = _SIGNED.fullmatch(text)
     parts = _parts(signed[2]) if signed else None
     return parts is not None and parts[3] is None
 
 
 def is_signed(text: str) -> bool:
-    """Whether a text begins with ±."""
+    """Returns True if a text begins with ±."""
     return _SIGNED.fullmatch(text) is not None
 
 
@@ -195,13 +195,13 @@ def _parts(text: str) -> re.Match[str] | None:
 
 @cache
 def _grammar(latin: bool) -> re.Pattern[str]:
-    """The regular expression that `_parts` uses. `latin`: True for a text of Latin-1 characters only, which is the usual case. A
-    smaller expression is then enough; compiling the full one takes milliseconds."""
+    """Returns the regular expression that `_parts` uses. `latin`: True for a text of Latin-1 characters only, which is the usual
+    case. A smaller expression is then enough; compiling the full one takes milliseconds."""
     return re.compile(re.sub(r"\\u(?!00)[0-9a-f]{4}|[^\x00-\xff]", "", _PARTS) if latin else _PARTS)
 
 
 def _has_unit(parts: re.Match[str]) -> bool:
-    """Whether the value or its uncertainty has a unit, which then applies to both."""
+    """Returns True if the value or its uncertainty has a unit, which then applies to both."""
     return parts[2] is not None or parts[4] is not None
 
 
@@ -301,7 +301,7 @@ def _plainly(text: str, elsewhere: str) -> str:
 
 
 def without_uncertainty(text: str, dimension: str | None = None) -> Quantity:
-    """The quantity in `text`, like `parse_quantity`. Also raises `QuantityError` for an uncertainty that is not used."""
+    """Returns the quantity in `text`, like `parse_quantity`. Also raises `QuantityError` for an uncertainty that is not used."""
     if states_uncertainty(text):
         raise QuantityError("form-uncertainty-unused", _UNUSED, _plainly(text, ""))
     return parse_quantity(text, dimension)
@@ -380,8 +380,8 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
 def _width(
     node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
 ) -> tuple[Quantity | None, str]:
-    """The stated standard uncertainty or half-width of a quantity, and its distribution. `misspelt`: positions of unknown keys, one
-    of which may be a misspelling of the missing key `half_width`."""
+    """Returns the stated standard uncertainty or half-width of a quantity, and its distribution. `misspelt`: positions of unknown
+    keys, one of which may be a misspelling of the missing key `half_width`."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:

@@ -76,7 +76,7 @@ def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
 
 
 def _degrees(angle: float, decimals: int) -> str:
-    """An angle with at least two decimals, and with more only if they are not zero."""
+    """Returns an angle with at least two decimals, and with more only if they are not zero."""
     text = f"{round(angle, decimals):.{decimals}f}"
     return text[: len(text) - decimals + DECIMALS] + text[len(text) - decimals + DECIMALS :].rstrip("0")
 
@@ -195,7 +195,7 @@ def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, d
 
 
 def _changed(text: str, begin: int, end: int, changes: Sequence[tuple[yaml.Node, str]]) -> str:
-    """The part of the text from `begin` to `end`, with the nodes in `changes` replaced."""
+    """Returns the part of the text from `begin` to `end`, with the nodes in `changes` replaced."""
     part = text[begin:end]
     for node, new in sorted(changes, key=lambda change: -change[0].start_mark.index):
         first, last = node.start_mark.index - begin, node.end_mark.index - begin
@@ -205,7 +205,7 @@ def _changed(text: str, begin: int, end: int, changes: Sequence[tuple[yaml.Node,
 
 
 def _with_key(part: str, entry: str, item: yaml.Node) -> str:
-    """The text of a mapping after one more key has been added."""
+    """Returns the text of a mapping after one more key has been added."""
     if isinstance(item, yaml.MappingNode) and item.flow_style:
         return part.rstrip().removesuffix("}").rstrip() + f", {entry}}}"
     return part + "\n" + " " * item.start_mark.column + entry

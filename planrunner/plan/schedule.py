@@ -45,7 +45,7 @@ class Rock:
 
     @property
     def period(self) -> float:
-        """The period of the rocking [s]."""
+        """Returns the period of the rocking [s]."""
         return 1 / self.frequency
 
     @property
@@ -105,7 +105,7 @@ class RecordedMotion:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """All channels that show the motion."""
+        """Returns all channels that show the motion."""
         return (*([self.angle] if self.angle else []), *self.attitude, *self.rates, *self.forces)
 
 

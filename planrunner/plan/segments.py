@@ -55,7 +55,7 @@ class Tolerated(Record):
     )
 
     def stated(self) -> dict[str, Quantity]:
-        """The stated limits for the given readings: reading → largest value."""
+        """Returns the stated limits for the given readings: reading → largest value."""
         return {name: getattr(self, name) for name in READINGS if getattr(self, name) is not None}
 
 

@@ -53,8 +53,8 @@ class SelectionKind:
 
 
 def matches(label: str, pattern: str) -> bool:
-    """Whether a label matches a pattern. A pattern with '/' is compared with the whole label; any other pattern is compared with
-    each part of the label."""
+    """Returns True if a label matches a pattern. A pattern with '/' is compared with the whole label; any other pattern is compared
+    with each part of the label."""
     if "/" in pattern:
         return fnmatchcase(label, pattern)
     return any(fnmatchcase(part, pattern) for part in label.split("/"))

@@ -84,7 +84,7 @@ class _Placed:
         return Mark(written.file, begin.line + 1, begin.column + 1, (end.line + 1, end.column + 1), written.text)
 
     def precedes(self, other: Node) -> bool:
-        """Whether this part begins on an earlier line than another part of the same text."""
+        """Returns True if this part begins on an earlier line than another part of the same text."""
         return self._begin is not None and other._begin is not None and self._begin.line < other._begin.line
 
 
@@ -152,7 +152,7 @@ def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> 
 
 
 def refused_input(refused: RefusedFileError, name: str) -> InputError:
-    """The finding about a file that is refused. `name`: file name that the finding states."""
+    """Returns the finding about a file that is refused. `name`: file name that the finding states."""
     mark, message, hint = Mark(name), str(refused), refused.hint
     match refused.kind:
         case "missing":
@@ -182,7 +182,7 @@ def decode(data: bytes, name: str) -> str:
 
 
 def read_text(path: Path, shown: str | None = None) -> str:
-    """The text of a file (see `read_bytes` and `decode`)."""
+    """Returns the text of a file (see `read_bytes` and `decode`)."""
     return decode(read_bytes(path, shown), shown or str(path))
 
 
@@ -227,7 +227,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
 
 
 def _forbidden(text: str) -> re.Match[str] | None:
-    """The first character in the text that a file must not contain, directly or as an escape; None if there is none."""
+    """Returns the first character in the text that a file must not contain, directly or as an escape; None if there is none."""
     return _FORBIDDEN.search(text) or MISLEADING.search(text)
 
 
@@ -398,7 +398,7 @@ class _Builder:
         self._items.append(node)
 
     def _entries(self, items: list[Node]) -> tuple[tuple[Scalar, Node], ...]:
-        """The entries of a mapping, made from a list in which keys and values alternate."""
+        """Returns the entries of a mapping, made from a list in which keys and values alternate."""
         pairs = tuple(zip(items[::2], items[1::2], strict=True))
         if _sound(pairs):
             return pairs

@@ -245,8 +245,8 @@ def _values(key: SweptKey, node: source.Node, log: Findings) -> tuple[SweepValue
 
 
 def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[object, Mark]]:
-    """The values that one entry of a list gives. An entry that is a quantity with both signs gives two values; an entry with a
-    finding gives none."""
+    """Returns the values that one entry of a list gives. An entry that is a quantity with both signs gives two values; an entry
+    with a finding gives none."""
     if (
         key.quantity is not None
         and isinstance(item, source.Scalar)
@@ -266,15 +266,15 @@ def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[object
 
 
 def _quantity_kind(kind: Kind) -> QuantityOf | None:
-    """The kind of quantity in the kind of a swept key; None if the values are not quantities."""
+    """Returns the kind of quantity in the kind of a swept key; None if the values are not quantities."""
     scalar = kind.other if isinstance(kind, WordOr) else kind
     inner = scalar.scalar if isinstance(scalar, ByShape) else scalar
     return inner if isinstance(inner, QuantityOf) else None
 
 
 def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Findings) -> bool:
-    """Whether a sweep has no value with an uncertainty. If a value states one, a finding is added, because the uncertainty would
-    not be used."""
+    """Returns True if a sweep has no value with an uncertainty. If a value states one, a finding is added, because the uncertainty
+    would not be used."""
     piece = uncertain_piece(text)
     if piece is not None:
         refuse_uncertainty(piece, quantity.elsewhere, node.mark, log)
@@ -284,8 +284,8 @@ def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Finding
 def _check_signs(
     key: SweptKey, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
-    """The values with labels, if the swept key accepts their signs; None after a finding was added. For example, a dwell cannot be
-    negative."""
+    """Returns the values with labels, if the swept key accepts their signs; None after a finding was added. For example, a dwell
+    cannot be negative."""
     sign: Sign = "any" if key.quantity is None else key.quantity.sign
     if not all(has_sign(quantity, sign, node.mark, log, key.name) for quantity in quantities):
         return None
@@ -312,7 +312,7 @@ def _named(kind: Kind, node: source.Mapping, log: Findings) -> tuple[SweepValue,
 
 
 def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepValue, ...]:
-    """The values with labels made from their numbers and units. The labels of repeated values get numbers."""
+    """Returns the values with labels made from their numbers and units. The labels of repeated values get numbers."""
     rows: list[SweepValue] = []
     for index, (value, mark) in enumerate(values, start=1):
         if isinstance(value, Quantity):
@@ -330,7 +330,8 @@ def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepVa
 
 
 def _figure(key: SweptKey, quantity: Quantity) -> str:
-    """The number of a swept quantity for its label, in the unit as written. The module's docstring gives the rule for signs."""
+    """Returns the number of a swept quantity for its label, in the unit as written. The module's docstring gives the rule for
+    signs."""
     figure = f"{quantity.unit.from_si(quantity.value):.9g}"
     if float(figure) == 0:
         return "0"

@@ -36,7 +36,7 @@ class Advice:
 
 
 def advice(effect: Effect, fitted: Sequence[ParameterEstimate]) -> Advice:
-    """The advice about an effect. `fitted`: the estimates of all effects that the diagnosis names."""
+    """Returns the advice about an effect. `fitted`: the estimates of all effects that the diagnosis names."""
     own = [one for one in fitted if one.effect == effect.id]
     shape_name = effect.shape_name if isinstance(effect, HasShape) else None
     shape = next((one for one in own if one.name == shape_name), None)
@@ -51,7 +51,7 @@ def advice(effect: Effect, fitted: Sequence[ParameterEstimate]) -> Advice:
 
 
 def found(own: Sequence[ParameterEstimate], shape_name: str | None = None) -> str:
-    """The estimates of an effect in words: first its shape, then its most significant amplitudes."""
+    """Returns the estimates of an effect in words: first its shape, then its most significant amplitudes."""
     shape = [one for one in own if one.name == shape_name]
     amplitudes = sorted((one for one in own if one.name != shape_name), key=_clearness, reverse=True)
     clear = [one for one in amplitudes if _clearness(one) >= CLEAR] or amplitudes[:1]

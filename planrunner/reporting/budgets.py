@@ -13,7 +13,7 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 
 
 def budget_views(estimate: Estimate) -> list[JsonObject]:
-    """The budgets that contain more than the contribution of the data; budgets of the headline coefficients come first.
+    """Returns the budgets that contain more than the contribution of the data; budgets of the headline coefficients come first.
 
     Each budget has the keys {coefficient, unit, headline, lines, standard, freedom, factor, expanded}; each of its lines has
     {quantity, kind, value, standard, unit, distribution, freedom, sensitivity, contribution, share, source, added}. All values
@@ -61,12 +61,12 @@ def _line(line: BudgetLine, variance: float) -> JsonObject:
 
 
 def shown_unit(unit: str) -> str:
-    """The unit as text that follows a number; empty for pure numbers."""
+    """Returns the unit as text that follows a number; empty for pure numbers."""
     return "" if unit == "1" else unit
 
 
 def two_digits(uncertainty: float) -> str:
-    """An uncertainty with two significant digits."""
+    """Returns an uncertainty with two significant digits."""
     if not math.isfinite(uncertainty) or uncertainty == 0:
         return words.number(uncertainty)
     own = rounded(uncertainty, abs(uncertainty))

@@ -24,9 +24,9 @@ from planrunner.uncertainty.decision import coverage_factor
 
 
 def certificate_view(context: ReportContext) -> JsonObject:
-    """The data for the template of a certificate, with these keys: number, number_css (a CSS string), laboratory, told, corrected,
-    references, conditions, events, performed, issued, plan_digest, approvals, run, analysis, duration, before_run, simulated,
-    replayed, results, has_before, rules, conformity, warnings."""
+    """Returns the data for the template of a certificate, with these keys: number, number_css (a CSS string), laboratory, told,
+    corrected, references, conditions, events, performed, issued, plan_digest, approvals, run, analysis, duration, before_run,
+    simulated, replayed, results, has_before, rules, conformity, warnings."""
     facts = context.certificate
     if facts is None:
         facts = CertificateFacts("")
@@ -66,7 +66,7 @@ def certificate_view(context: ReportContext) -> JsonObject:
 
 
 def named_in(told: Mapping[str, str], name: str) -> set[str]:
-    """The names in a list of run information, such as `drift, residual`."""
+    """Returns the names in a list of run information, such as `drift, residual`."""
     return {part.strip() for part in told.get(name, "").split(",")} - {""}
 
 
@@ -125,7 +125,7 @@ def _factor(item: Coefficient, probability: float) -> str:
 
 
 def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
-    """The decision rules that were used, each listed once.
+    """Returns the decision rules that were used, each listed once.
 
     Each rule has the keys factor, percent and risk. `factor` is the factor r of the guard band r·U, `percent` is the coverage
     probability of U, and `risk` is, for r ≥ 1, an upper bound, in percent, of the probability that an accepted value lies beyond
@@ -168,5 +168,5 @@ def _conformity(limit: LimitVerdict) -> dict[str, str]:
 
 
 def css_string(text: str) -> str:
-    """A text as a safe CSS string: all characters except letters and digits are escaped."""
+    """Returns a text as a safe CSS string: all characters except letters and digits are escaped."""
     return "".join(char if char.isascii() and char.isalnum() else f"\\{ord(char):06x}" for char in text)

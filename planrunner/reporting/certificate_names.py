@@ -36,13 +36,14 @@ _BY_NAME = {str(name): name for name in _ESTIMATORS}
 
 
 def of_room(condition: str) -> Said:
-    """The translated name of a condition of the room, such as `pressure`. A laboratory can state other conditions, which are not
-    translated."""
+    """Returns the translated name of a condition of the room, such as `pressure`. A laboratory can state other conditions, which
+    are not translated."""
     return _ROOM.get(condition) or said("Ambient {condition}", condition=condition.replace("_", " "))
 
 
 def of_reference(name: str, role: str) -> Said:
-    """The name that the bench file gives the site or an instrument. The name is translated if it is only the role, such as `table`."""
+    """Returns the name that the bench file gives the site or an instrument. The name is translated if it is only the role, such as
+    `table`."""
     return _ROLES[role] if name == role and role in _ROLES else Said(name)
 
 

@@ -29,7 +29,8 @@ class Reference:
 
 
 def references(bench: Bench) -> tuple[Reference, ...]:
-    """The site and the instruments in the order of the bench file. The sensor is left out, because it is the device under test."""
+    """Returns the site and the instruments in the order of the bench file. The sensor is left out, because it is the device under
+    test."""
     instruments = [
         Reference(name, driver_of(entry).role, entry.asset or "", entry.calibration)
         for name, entry in bench.instruments.items()
@@ -103,20 +104,20 @@ class Lack:
 
 
 def is_certificate(report: str) -> bool:
-    """Whether a report is a certificate in any language."""
+    """Returns True if a report is a certificate in any language."""
     return report.partition(".")[0] == "certificate"
 
 
 def room_condition(information: str) -> str | None:
-    """The condition of the room that an item of run information states, such as `pressure` for `ambient_pressure`; None if the item
-    states no condition."""
+    """Returns the condition of the room that an item of run information states, such as `pressure` for `ambient_pressure`; None if
+    the item states no condition."""
     head, _, condition = information.partition("_")
     return condition if head == "ambient" and condition else None
 
 
 def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
-    """The required information that the bench file lacks. `known`: names of the run information that is given, or that the plan
-    asks for. `holds_temperature`: True if the plan holds a temperature."""
+    """Returns the required information that the bench file lacks. `known`: names of the run information that is given, or that the
+    plan asks for. `holds_temperature`: True if the plan holds a temperature."""
     found = []
     if bench.laboratory is None:
         remedy = "add laboratory: {name: …, address: …} to the bench file"
@@ -132,8 +133,8 @@ def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool
 
 
 def lacks_of_information(known: Collection[str], remedy: str) -> list[Lack]:
-    """The required run information that is not among the `known` names. `remedy`: a text in which {name} stands for the name of the
-    missing item."""
+    """Returns the required run information that is not among the `known` names. `remedy`: a text in which {name} stands for the
+    name of the missing item."""
     return [
         Lack(item.clause, f"'{item.name}': {item.about}", remedy.format(name=item.name))
         for item in ASKED

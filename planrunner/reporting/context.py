@@ -131,7 +131,7 @@ class ReportContext:
 
     @property
     def headline(self) -> Headline:
-        """The verdict with the number of warnings about the run and its estimates."""
+        """Returns the verdict with the number of warnings about the run and its estimates."""
         warnings = len(self.warnings) + sum(len(estimate.warnings) for estimate in self.estimates)
         return headline(self.limits, self.failures, warnings)
 

@@ -93,8 +93,8 @@ def _rounds(found: FoundCycles) -> Table:
 
 
 def vector(left: complex) -> str:
-    """The residual of a sensor error as text, in seconds: its component along the sensor error and, if not zero, its component
-    perpendicular to the sensor error."""
+    """Returns the residual of a sensor error as text, in seconds: its component along the sensor error and, if not zero, its
+    component perpendicular to the sensor error."""
     along, across = (f"{part:+.2f}" if abs(part) >= 5e-3 else "0" for part in (left.real, left.imag))
     return f"{along} s" if across == "0" else f"{along} s, {across} s across"
 
@@ -144,7 +144,8 @@ def plots(found: FoundCycles) -> tuple[Plot, ...]:
 
 
 def _added(cycle: RotationCycle, seconds: float) -> tuple[float, ...]:
-    """The integral ∫ cos θ dt [s] up to each of `POINTS` times, by the trapezoidal rule on a grid of at most a quarter of a second."""
+    """Returns the integral ∫ cos θ dt [s] up to each of `POINTS` times, by the trapezoidal rule on a grid of at most a quarter of a
+    second."""
     fine = max(1, math.ceil(4 * seconds / POINTS))
     times = np.linspace(0, seconds, (POINTS - 1) * fine + 1)
     along = np.cos(cycle.angle(times))

@@ -91,7 +91,7 @@ class Named:
 
 
 def named_effects(found: Data) -> list[Named]:
-    """The named effects in the order of the verdict. Of effects that the plan cannot distinguish, only the most probable is
+    """Returns the named effects in the order of the verdict. Of effects that the plan cannot distinguish, only the most probable is
     included."""
     open_ = "Most likely, but not certain: " if found["verdict"]["kind"] == "indistinguishable" else ""
     return [
@@ -117,7 +117,7 @@ def verdict(found: Data) -> str:
 
 
 def _noise_beside(found: Data) -> list[str]:
-    """A sentence about each effect on the noise that acts in addition to the cause of the gap."""
+    """Returns a sentence about each effect on the noise that acts in addition to the cause of the gap."""
     chances = found.get("noise_effects", {})
     return [
         f"The noise differs from its declaration: {name} ({probability(chances[name])})."
@@ -126,7 +126,7 @@ def _noise_beside(found: Data) -> list[str]:
 
 
 def _noise_declared_wrongly(found: Data) -> list[str]:
-    """A sentence about each channel whose white noise differs from its declaration by more than a factor of two."""
+    """Returns a sentence about each channel whose white noise differs from its declaration by more than a factor of two."""
     factors = {one["channel"]: one["white"] / one["declared"] for one in found.get("noise", ()) if one["declared"]}
     larger = {name: ratio for name, ratio in factors.items() if ratio > WRONG_BY}
     smaller = {name: 1 / ratio for name, ratio in factors.items() if 0 < ratio < 1 / WRONG_BY}
@@ -140,7 +140,7 @@ def _noise_declared_wrongly(found: Data) -> list[str]:
 
 
 def _noise_alone(found: Data) -> float:
-    """The probability that only noise acts, at its declared level or at another level."""
+    """Returns the probability that only noise acts, at its declared level or at another level."""
     levels = {"none", *found.get("noise_effects", ())}
     return min(1.0, float(sum(p for name, p in found["posterior"].items() if levels.issuperset(name.split("+")))))
 
@@ -183,14 +183,15 @@ def _cause(found: Data) -> str:
 
 
 def _open(found: Data) -> bool:
-    """Whether something acts in addition to the named effects; this is judged from the pattern or the size of the residual gap."""
+    """Returns True if something acts in addition to the named effects; this is judged from the pattern or the size of the residual
+    gap."""
     rest = found.get("rest")
     visible = rest is not None and not rest["passes"] and float(rest["share"]) >= SMALL_REST
     return visible or (found["verdict"].get("something_else") is True and not _form(found))
 
 
 def _form(found: Data) -> bool:
-    """Whether the residual gap may arise because the model of a strong effect is idealised."""
+    """Returns True if the residual gap may arise because the model of a strong effect is idealised."""
     residue: str | None = found["verdict"].get("form_residue")
     return residue == "unknown"
 
@@ -212,7 +213,7 @@ def _much(found: Data, nearly: bool) -> str:
 
 
 def _rest(found: Data) -> str:
-    """A sentence about the size of the gap that the named effects leave; empty if this residual gap is only noise."""
+    """Returns a sentence about the size of the gap that the named effects leave; empty if this residual gap is only noise."""
     rest = found.get("rest")
     if rest is None or rest["passes"]:
         return ""
@@ -224,8 +225,8 @@ def _rest(found: Data) -> str:
 
 
 def _remainder(residue: str | None, named: list[str]) -> str:
-    """A sentence about a cause in addition to the named effects, or about how certain the weaker of two effects is; empty if
-    neither applies."""
+    """Returns a sentence about a cause in addition to the named effects, or about how certain the weaker of two effects is; empty
+    if neither applies."""
     if residue is None:
         return ""
     if residue in named:
@@ -305,7 +306,7 @@ def priors_words(found: Data) -> str:
 
 
 def probability(p: float) -> str:
-    """A probability as text with its significant digits, never as 0 or 1."""
+    """Returns a probability as text with its significant digits, never as 0 or 1."""
     if p > 0.999:
         return "P > 0.999"
     return "P < 0.001" if p < 0.001 else f"P = {p:.3f}" if p > 0.99 or p < 0.01 else f"P = {p:.2f}"
@@ -315,7 +316,7 @@ def probability(p: float) -> str:
 
 
 def tables(found: Data) -> dict[str, Table]:
-    """The tables of a diagnosis by name; empty tables are omitted."""
+    """Returns the tables of a diagnosis by name; empty tables are omitted."""
     made = {
         "comparison": comparison(found),
         "unknown_form": _unknown_form(found),
@@ -378,7 +379,7 @@ def _gap(found: Data) -> Table:
 
 
 def _closure(found: Data) -> Table:
-    """A table of the gap without and with the effect, with one row for each channel whose data determine it."""
+    """Returns a table of the gap without and with the effect, with one row for each channel whose data determine it."""
     columns: tuple[Shown[Data], ...] = (
         Shown(TableColumn("Channel"), lambda one: one["channel"]),
         Shown(TableColumn("before [σ]", Role.VALUE), lambda one: _short(one["before"])),
@@ -394,8 +395,8 @@ def _closure(found: Data) -> Table:
 
 
 def comparison(found: Data) -> Table:
-    """A table of the gap in each channel between the recording and the simulation, without and with the effects found; empty if the
-    diagnosis contains no comparison."""
+    """Returns a table of the gap in each channel between the recording and the simulation, without and with the effects found;
+    empty if the diagnosis contains no comparison."""
     channels = (found.get("comparison") or {}).get("channels", {})
     rows = tuple(
         (
@@ -421,7 +422,7 @@ def comparison(found: Data) -> Table:
 
 
 def _noise(found: Data) -> Table:
-    """A table of the channels whose noise is not white, not as declared, or not equal in all segments."""
+    """Returns a table of the channels whose noise is not white, not as declared, or not equal in all segments."""
     rows = tuple(
         (one["channel"], one["unit"], *entries) for one in found.get("noise", ()) if any(entries := _departures(one))
     )
@@ -434,7 +435,7 @@ def _noise(found: Data) -> Table:
 
 
 def _departures(noise: Data) -> tuple[str, str, str, str, str]:
-    """The five values that describe the noise of a channel, as texts. The text of a value that is as expected is empty."""
+    """Returns the five values that describe the noise of a channel, as texts. The text of a value that is as expected is empty."""
     white, declared, count, line = noise["white"], noise["declared"], noise["count"], noise["line"]
     ratio = white / declared if declared else 1.0
     other_count = not math.isclose(count, noise["declared_count"], rel_tol=0.01, abs_tol=1e-300)
@@ -519,8 +520,8 @@ def _change(shrinks_by: float) -> str:
 
 
 def _interval(low: float, high: float) -> str:
-    """The interval of the relative change of a gap as text, with the smaller value first. If the interval includes both reduction
-    and growth, it is in words."""
+    """Returns the interval of the relative change of a gap as text, with the smaller value first. If the interval includes both
+    reduction and growth, it is in words."""
     if low >= 0:
         return f"{_percent(low)} to {_percent(high)}"
     if high <= 0:

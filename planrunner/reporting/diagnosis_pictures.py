@@ -27,7 +27,7 @@ MOST_HYPOTHESES = 12
 
 
 def ranked(found: Data) -> list[tuple[str, float]]:
-    """The hypotheses to show, the most probable first; all other hypotheses are combined as `others`."""
+    """Returns the hypotheses to show, the most probable first; all other hypotheses are combined as `others`."""
     posterior: Mapping[str, float] = found["posterior"]
     order = sorted(posterior.items(), key=lambda pair: -pair[1])
     shown = [(name, p) for name, p in order if p >= SHOWN][:MOST_HYPOTHESES]
@@ -138,8 +138,8 @@ def _spectrum(name: str, one: Data) -> Plot:
 
 
 def heat_svg(heat: Data, key: str) -> str:
-    """A heat map of the gap, with one row for each channel and one column for each segment. White means that there is only noise; a
-    darker field is a larger gap, on a logarithmic scale."""
+    """Returns a heat map of the gap, with one row for each channel and one column for each segment. White means that there is only
+    noise; a darker field is a larger gap, on a logarithmic scale."""
     from matplotlib.colors import LinearSegmentedColormap
 
     channels, segments = list(heat["channels"]), list(heat["segments"])
@@ -180,7 +180,7 @@ def _legend(axes: Axes, colours: Colormap, hottest: float) -> None:
 
 
 def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
-    """A chart with one bar for each hypothesis, labelled with its probability."""
+    """Returns a chart with one bar for each hypothesis, labelled with its probability."""
     with drawing(WIDTH, 0.9 + 0.27 * len(hypotheses)) as (figure, save):
         axes = figure.add_subplot()
         for row, (name, p) in enumerate(hypotheses):
@@ -198,8 +198,8 @@ def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
 
 
 def confusability_svg(alike: Data, key: str) -> str:
-    """A map of the confusability in hundredths. Each row is an effect that causes a signature, and each column is an effect that
-    reproduces this signature."""
+    """Returns a map of the confusability in hundredths. Each row is an effect that causes a signature, and each column is an effect
+    that reproduces this signature."""
     from matplotlib.colors import LinearSegmentedColormap
 
     names = list(alike["effects"])

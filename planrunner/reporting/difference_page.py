@@ -108,8 +108,8 @@ def _attitude(content: object) -> np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 
 def difference_markdown(compared: Compared) -> str:
-    """The difference as a comment in Markdown. Tables that would make the comment too long are omitted, and the comment states
-    this."""
+    """Returns the difference as a comment in Markdown. Tables that would make the comment too long are omitted, and the comment
+    states this."""
     first, second = (code(name) for name in compared.names)
     lines = [f"**{headline(compared)}**", "", f"{first} → {second}", ""]
     size = sum(len(line) + 1 for line in lines)
@@ -144,7 +144,7 @@ _PLAIN = frozenset(" ,+-=()%°±→–−")
 
 
 def code(text: str) -> str:
-    """A text as a code element in Markdown, in which nothing is markup, a link, a mention or the end of a table cell."""
+    """Returns a text as a code element in Markdown, in which nothing is markup, a link, a mention or the end of a table cell."""
     one_line = printable(" ".join(text.split()), keep="")
     dots = "" if "www." in one_line.lower() else "."
     signs = [char if char.isalnum() or char in _PLAIN or char in dots else f"&#{ord(char)};" for char in one_line]

@@ -52,7 +52,7 @@ def _both(item: SegmentChange) -> bool:
 
 
 def difference_tables(compared: Compared) -> list[Table]:
-    """The tables that have rows, the most important first. Values are shown as the files contain them."""
+    """Returns the tables that have rows, the most important first. Values are shown as the files contain them."""
     return [table for table in _tables(compared) if table.rows]
 
 
@@ -96,7 +96,7 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Cell]], n
 
 
 def cut(text: str) -> str:
-    """A text, shortened to fit a cell."""
+    """Returns a text, shortened to fit a cell."""
     return text if len(text) <= MOST_TEXT else f"{text[: MOST_TEXT - 1]}…"
 
 
@@ -104,7 +104,7 @@ def cut(text: str) -> str:
 
 
 def _segments(segments: Sequence[SegmentChange]) -> Table:
-    """A table with one row for each kind of change: segments that change in the same way share a row."""
+    """Returns a table with one row for each kind of change: segments that change in the same way share a row."""
     rows: dict[tuple[str, str, str], list[str]] = {}
     for item in segments:
         name = item.after if item.after is not None else item.before or ""
@@ -133,7 +133,7 @@ def _key(place: Sequence[str]) -> str:
 
 
 def _sides(change: PartChange) -> tuple[str, str]:
-    """The values before and after a change as text. For lists of names, only the removed and the added names are shown."""
+    """Returns the values before and after a change as text. For lists of names, only the removed and the added names are shown."""
     if change.gained or change.lost:
         return cut(", ".join(change.lost)) or "–", cut(", ".join(change.gained)) or "–"
     return cut(change.shown[0]) or "–", cut(change.shown[1]) or "–"
@@ -271,7 +271,7 @@ def _facts(title: str, compared: Compared, *, conditions: bool) -> Table:
 
 
 def difference_json(compared: Compared) -> JsonObject:
-    """The difference according to schemas/difference.schema.json. JSON has no NaN and no infinity: both become null."""
+    """Returns the difference according to schemas/difference.schema.json. JSON has no NaN and no infinity: both become null."""
     found = compared.meaning
     document: JsonObject = {
         "planrunner_difference": FORMAT,

@@ -72,8 +72,8 @@ def identifiers(names: Iterable[str], words: frozenset[str] = frozenset()) -> li
 
 
 def comment(text: str) -> str:
-    """A text in a form that cannot end a comment in any of the four languages: one line, printable, without `*/` and without a
-    trailing backslash."""
+    """Returns a text in a form that cannot end a comment in any of the four languages: one line, printable, without `*/` and
+    without a trailing backslash."""
     line = "".join(char if char.isprintable() else " " for char in text)
     line = " ".join(line.split()).replace("*/", "* /").replace("/*", "/ *").replace("??/", "? ?/")
     return line.rstrip("\\ ")
@@ -86,9 +86,9 @@ def _opening(estimate: Estimate, provenance: Mapping[str, str]) -> list[str]:
 
 
 def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """The CSV text with the columns name, value, unit, standard_uncertainty, degrees_of_freedom, description, period. Comment lines
-    begin with `#`. The column `period` contains the period of a circular quantity in the unit of the quantity; for any other
-    quantity it is empty."""
+    """Returns the CSV text with the columns name, value, unit, standard_uncertainty, degrees_of_freedom, description, period.
+    Comment lines begin with `#`. The column `period` contains the period of a circular quantity in the unit of the quantity; for
+    any other quantity it is empty."""
     out = io.StringIO()
     for line in _opening(estimate, provenance):
         out.write(f"# {line}\n")
@@ -103,14 +103,14 @@ def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _cell(text: str) -> str:
-    """A text on one line, in a form that spreadsheets do not interpret as a formula."""
+    """Returns a text on one line, in a form that spreadsheets do not interpret as a formula."""
     line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
     return f"'{line}" if line[:1] in ("=", "+", "-", "@") else line
 
 
 def _matlab(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """A MATLAB script that sets a struct: value, unit, u and nu of every coefficient, the period of circular quantities, the names,
-    and the covariance matrix."""
+    """Returns a MATLAB script that sets a struct: value, unit, u and nu of every coefficient, the period of circular quantities,
+    the names, and the covariance matrix."""
     root = identifiers([estimate.name], M_WORDS)[0]
     fields = identifiers([item.name for item in estimate.coefficients], M_WORDS)
     lines = [f"% {line}" for line in _opening(estimate, provenance)]
@@ -140,7 +140,7 @@ def _m(value: float) -> str:
 
 
 def _m_text(text: str) -> str:
-    """A character vector of MATLAB. Quotes are doubled; no other character is special."""
+    """Returns a character vector of MATLAB. Quotes are doubled; no other character is special."""
     return "'" + comment(text).replace("'", "''") + "'"
 
 
@@ -184,7 +184,7 @@ class _Exact(float):
 
 
 def yaml_float(value: float) -> str:
-    """A number in full precision with a point and a signed exponent: `1.0e+22`, not `1e22`, which YAML 1.1 reads as text."""
+    """Returns a number in full precision with a point and a signed exponent: `1.0e+22`, not `1e22`, which YAML 1.1 reads as text."""
     if math.isnan(value):
         return ".nan"
     if math.isinf(value):
@@ -196,7 +196,7 @@ def yaml_float(value: float) -> str:
 
 
 def _c(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """A header of constants for C and C++: value and standard uncertainty of every coefficient, and the period of circular
+    """Returns a header of constants for C and C++: value and standard uncertainty of every coefficient, and the period of circular
     quantities."""
     root = identifiers([estimate.name])[0].upper()
     constants = [constant for item in estimate.coefficients for constant in _constants(item)]

@@ -47,13 +47,14 @@ def sentences(found: Data) -> list[str]:
 
 
 def statements(found: Data) -> list[str]:
-    """All sentences except those about terms that the simulation fits, because it is normal that every device has its own bias."""
+    """Returns all sentences except those about terms that the simulation fits, because it is normal that every device has its own
+    bias."""
     beside = [one for one in found["amplitudes"] if one["effect"] not in found["nominal"]]
     return [*news(found), *(text for amplitude in beside for text in _of_amplitude(found, amplitude))]
 
 
 def news(found: Data) -> list[str]:
-    """The sentences about changes and their times, and about properties that the devices of a lot have in common."""
+    """Returns the sentences about changes and their times, and about properties that the devices of a lot have in common."""
     changed = [_of_change(one, change) for one in found["amplitudes"] for change in one["changes"]]
     return [*changed, *map(_of_lot, found["shared"])]
 
@@ -135,7 +136,7 @@ def _who(found: Data, sources: Sequence[str], part: Data) -> str:
 
 
 def _count(sources: Sequence[str], part: Data) -> str:
-    """The number of runs that belong to a part and, if the part is a bench, the number of devices."""
+    """Returns the number of runs that belong to a part and, if the part is a bench, the number of devices."""
     runs = f"{count_of(part['runs'], 'run')}, "
     if list(sources) != ["bench"]:
         return runs
@@ -147,7 +148,8 @@ def _either(sources: Sequence[str]) -> str:
 
 
 def limits(found: Data) -> list[str]:
-    """The sources that the runs cannot distinguish, with the amplitudes concerned and the measurements that would distinguish them."""
+    """Returns the sources that the runs cannot distinguish, with the amplitudes concerned and the measurements that would
+    distinguish them."""
     concerned: dict[tuple[str, ...], list[str]] = {}
     for amplitude in found["amplitudes"]:
         for one in amplitude["contributions"]:
@@ -166,7 +168,7 @@ def limits(found: Data) -> list[str]:
 
 
 def _alone(found: Data, sources: Sequence[str]) -> str:
-    """The reason why some sources cannot be distinguished, such as `One bench only`."""
+    """Returns the reason why some sources cannot be distinguished, such as `One bench only`."""
     if "common" in sources:
         return f"One {' and one '.join(name for name in sources if name != 'common')} only"
     if "occasion" in sources:
@@ -175,7 +177,7 @@ def _alone(found: Data, sources: Sequence[str]) -> str:
 
 
 def tables(found: Data) -> dict[str, Table]:
-    """The tables of the attribution and of the runs."""
+    """Returns the tables of the attribution and of the runs."""
     return {"attribution": _attribution(found), "runs": _runs(found)}
 
 
@@ -202,8 +204,8 @@ def _attribution(found: Data) -> Table:
 
 
 def _share(amplitude: Data, source: str) -> str:
-    """The share of a source in an amplitude, in percent. It is marked as an upper bound if other sources group the runs in the same
-    way."""
+    """Returns the share of a source in an amplitude, in percent. It is marked as an upper bound if other sources group the runs in
+    the same way."""
     one = next(one for one in amplitude["contributions"] if source in one["sources"])
     shown = f"{100 * one['share']:.0f} %"
     return shown if len(one["sources"]) == 1 else f"≤ {shown}"
@@ -257,7 +259,7 @@ def plots(found: Data) -> list[Plot]:
 
 
 def facts(found: Data) -> dict[str, str]:
-    """The numbers that describe the fleet."""
+    """Returns the numbers that describe the fleet."""
     counts = {name: len({run[name] for run in found["runs"]}) for name in ("device", "bench", "occasion")}
     return {
         "Runs": str(len(found["runs"])),

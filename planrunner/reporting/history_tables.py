@@ -40,12 +40,12 @@ def runs_table(runs: Sequence[RunRow]) -> Table:
 
 
 def _made(run: RunRow) -> str:
-    """The time at which a run was made, to the minute."""
+    """Returns the time at which a run was made, to the minute."""
     return run.created[:16].replace("T", " ")
 
 
 def points_table(found: Trend) -> Table:
-    """A table with one row for each value of the coefficient and its result in the control charts."""
+    """Returns a table with one row for each value of the coefficient and its result in the control charts."""
     runs = [point.run for point in found.points]
     columns: tuple[Shown[int], ...] = (
         Shown(TableColumn("made (UTC)"), lambda k: _made(runs[k])),
@@ -78,8 +78,8 @@ def alarms(found: Trend, k: int) -> list[str]:
 
 
 def control_table(state: ControlState) -> Table:
-    """A table of the control of a check standard: for each coefficient, one row for each comparison of the newest value with
-    limits, or a single row if there are no limits."""
+    """Returns a table of the control of a check standard: for each coefficient, one row for each comparison of the newest value
+    with limits, or a single row if there are no limits."""
     titles = (
         "coefficient", "unit", "newest value", "u", "values", "compared with", "centre", "lower limit", "upper limit", "outside"
     )  # fmt: skip
@@ -111,7 +111,7 @@ def agreement_table(title: str, found: Sequence[ParticipantAgreement], unit: str
 
 
 def comparison_table(found: RunComparison) -> Table:
-    """A table with one row for each coefficient and one column for each run."""
+    """Returns a table with one row for each coefficient and one column for each run."""
     columns = [TableColumn("coefficient"), TableColumn("unit")]
     for number in range(1, len(found.runs) + 1):
         columns.append(TableColumn(f"run {number}"))
@@ -126,7 +126,8 @@ def comparison_table(found: RunComparison) -> Table:
 
 
 def gauge_table(found: GaugeStudy, unit: str) -> Table:
-    """A table of the components of variance: their standard deviations with intervals, and their shares of the total variance."""
+    """Returns a table of the components of variance: their standard deviations with intervals, and their shares of the total
+    variance."""
     total = found.components[-1].variance
     columns: tuple[Shown[VarianceComponent], ...] = (
         Shown(TableColumn("component"), lambda one: one.name),
@@ -220,8 +221,8 @@ def _no_drift(found: Trend) -> list[str]:
 
 
 def plot_lines(found: Trend) -> list[str]:
-    """The values over time as a plot of text characters: `●` a value, `○` a value with an alarm, `─` the mean, `┄` the Shewhart
-    limits of the newest value."""
+    """Returns the values over time as a plot of text characters: `●` a value, `○` a value with an alarm, `─` the mean, `┄` the
+    Shewhart limits of the newest value."""
     if len(found.values) < 2:
         return []
     times = [_seconds(point.run) for point in found.points]

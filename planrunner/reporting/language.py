@@ -25,7 +25,7 @@ _PLACE = re.compile(r"%(?:%|\((\w+)\)s)")
 
 
 def languages() -> tuple[str, ...]:
-    """The languages that have a catalogue of translations, in addition to English."""
+    """Returns the languages that have a catalogue of translations, in addition to English."""
     return tuple(sorted(path.stem for path in shipped("locales").glob("*.po")))
 
 
@@ -56,9 +56,9 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
 
 
 def spoken(language: str) -> dict[str, Callable[..., str]]:
-    """The functions that Jinja's i18n extension calls, and the function `term` for texts with a template in the data, such as the
-    description of a coefficient. Text without a template or without a translation stays as it is. The result is escaped like other
-    text."""
+    """Returns the functions that Jinja's i18n extension calls, and the function `term` for texts with a template in the data, such
+    as the description of a coefficient. Text without a template or without a translation stays as it is. The result is escaped like
+    other text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Json) -> str:
@@ -95,7 +95,7 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
 
 @lru_cache(maxsize=8)
 def plural_form(language: str) -> Callable[[int], int]:
-    """The index of the plural form for a number, according to the rule of the language."""
+    """Returns the index of the plural form for a number, according to the rule of the language."""
     from gettext import c2py
 
     from babel.messages.plurals import get_plural
@@ -112,10 +112,11 @@ def _decimal_sign(language: str) -> str:
 
 
 def numeral(text: str, language: str) -> str:
-    """A formatted number with the decimal sign of the language."""
+    """Returns a formatted number with the decimal sign of the language."""
     return text if language == ENGLISH else text.replace(".", _decimal_sign(language))
 
 
 def filled(message: str, values: Mapping[str, Json]) -> str:
-    """A message after each `%(name)s` has been replaced by its value, and `%%` by `%`. Raises KeyError for a name without a value."""
+    """Returns a message after each `%(name)s` has been replaced by its value, and `%%` by `%`. Raises KeyError for a name without a
+    value."""
     return _PLACE.sub(lambda place: "%" if place[1] is None else str(values[place[1]]), message)

@@ -44,7 +44,7 @@ class Timetable:
         return WARM_UP if slot.test is None else self.tests[slot.test].name
 
     def time(self, instant: float) -> str:
-        """The time of day of an instant, preceded by the date if the night began on another date."""
+        """Returns the time of day of an instant, preceded by the date if the night began on another date."""
         local, first = civil(instant, self.zone), civil(self.begins, self.zone)
         return f"{local:%H:%M}" if local.date() == first.date() else f"{local:%m-%d %H:%M}"
 
@@ -69,7 +69,7 @@ def headline(table: Timetable) -> str:
 
 
 def timetable_lines(table: Timetable, width: int = 100) -> list[str]:
-    """One line for each test and warm-up, with a bar, grouped by bench; then the tests that will not run."""
+    """Returns one line for each test and warm-up, with a bar, grouped by bench; then the tests that will not run."""
     night = table.forecast
     lines = [f"  {headline(table)}"]
     names = [table.name(slot) for slot in night.slots]
@@ -138,7 +138,7 @@ def timetable_page(table: Timetable, warnings: Sequence[str]) -> str:
 
 
 def gantt_svg(table: Timetable) -> str:
-    """The night as a chart over local time: below the name of each bench, one row for each of its tests."""
+    """Returns the night as a chart over local time: below the name of each bench, one row for each of its tests."""
     left, right, row, top = 260, 900, 24, 34
     begins, ends = table.begins, max(table.forecast.ends, table.begins + 60)
 

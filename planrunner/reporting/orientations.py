@@ -33,7 +33,7 @@ def project(direction: Array) -> tuple[float, float]:
 
 
 def orientation_svg(attitude: Array | None, name: str = "") -> str:
-    """The picture as an `<svg>` element with a title for screen readers.
+    """Returns the picture as an `<svg>` element with a title for screen readers.
 
     `attitude`: shape (3, 3), whose rows are the sensor's x, y, z axes in East-North-Up; None draws the frame with a question mark.
     """
@@ -74,7 +74,7 @@ def _site_frame() -> list[str]:
 
 
 def _beyond(tip: tuple[float, float], by: float) -> tuple[float, float]:
-    """The point of the picture that lies `by` units beyond the tip of an axis, seen from the centre."""
+    """Returns the point of the picture that lies `by` units beyond the tip of an axis, seen from the centre."""
     right, down = tip[0] - _CENTRE[0], tip[1] - _CENTRE[1]
     scale = 1 + by / math.hypot(right, down)
     return _CENTRE[0] + scale * right, _CENTRE[1] + scale * down

@@ -60,7 +60,7 @@ _STYLE: dict[RcKeyType, object] = {
 
 
 def plot_svg(plot: Plot, key: str) -> str:
-    """One chart: points with error bars (±1 standard uncertainty) over labels, points and lines over numbers, or curves.
+    """Returns one chart: points with error bars (±1 standard uncertainty) over labels, points and lines over numbers, or curves.
 
     `key`: a name unique in the page, of letters, digits and hyphens, with which the ids in the picture begin.
     """
@@ -153,7 +153,7 @@ def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
 
 
 def _labels(x: Sequence[object]) -> list[str]:
-    """The items of x as labels if at least one is a text; otherwise none."""
+    """Returns the items of x as labels if at least one is a text; otherwise none."""
     return [str(item) for item in x] if any(isinstance(item, str) for item in x) else []
 
 
@@ -186,7 +186,7 @@ def correlation(covariance: Array) -> Array:
 
 
 def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
-    """A heat map of the correlations in hundredths: positive values are blue, negative ones orange, and zero is white."""
+    """Returns a heat map of the correlations in hundredths: positive values are blue, negative ones orange, and zero is white."""
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -320,7 +320,8 @@ def _inline(text: str, key: str, title: str, described: str) -> str:
 
 
 def _with_attributes(tag: re.Match[str]) -> str:
-    """A tag in which the style is replaced by attributes, because pages permit no style outside the style sheet in their head."""
+    """Returns a tag in which the style is replaced by attributes, because pages permit no style outside the style sheet in their
+    head."""
     return re.sub(r' style="([^"]*)"', _attributes, tag[0])
 
 

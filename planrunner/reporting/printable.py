@@ -18,14 +18,14 @@ LINES = "\n\t"
 
 
 def escape(char: str) -> str:
-    r"""A character as a code such as `\x1b` or `\u202e`."""
+    r"""Returns a character as a code such as `\x1b` or `\u202e`."""
     number = ord(char)
     return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
 
 
 def printable(text: str, keep: str = "\n", code: Callable[[str], str] = escape) -> str:
-    """A text in which control characters, reading-order marks and other invisible characters are shown as codes. Characters in
-    `keep` and spaces of any width are unchanged."""
+    """Returns a text in which control characters, reading-order marks and other invisible characters are shown as codes. Characters
+    in `keep` and spaces of any width are unchanged."""
     if text.replace("\n", "").isprintable() and ("\n" in keep or "\n" not in text):
         return text
     return "".join(char if char in keep or _shown(char) else code(char) for char in text)
@@ -78,8 +78,8 @@ class PrintableStream(io.TextIOBase):
 
 
 def beneath(stream: TextIO) -> TextIO:
-    """The underlying stream, whose output reaches the terminal unchanged. It is used for colours and for text that is already
-    printable."""
+    """Returns the underlying stream, whose output reaches the terminal unchanged. It is used for colours and for text that is
+    already printable."""
     return stream.stream if isinstance(stream, PrintableStream) else stream
 
 

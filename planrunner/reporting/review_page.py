@@ -95,7 +95,7 @@ def render_review(context: ReviewContext) -> str:
 
 
 def _segments(segments: Sequence[SegmentSummary], files: Sequence[DigestedFile]) -> list[JsonObject]:
-    """One entry for each segment: its anchor in the page, its means, and the anchors of its files."""
+    """Returns one entry for each segment: its anchor in the page, its means, and the anchors of its files."""
     found: list[JsonObject] = []
     for number, item in enumerate(segments, 1):
         statistics = item.statistics

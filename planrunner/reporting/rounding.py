@@ -59,8 +59,8 @@ def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
 
 
 def in_parentheses(value: float, standard_uncertainty: float) -> str:
-    """A value with its standard uncertainty in parentheses, which is in units of the value's last digit: `-1.2346(21)` (JCGM
-    100:2008, 7.2.2). The sign ± is thus used for expanded uncertainties only.
+    """Returns a value with its standard uncertainty in parentheses, which is in units of the value's last digit: `-1.2346(21)`
+    (JCGM 100:2008, 7.2.2). The sign ± is thus used for expanded uncertainties only.
 
     An uncertainty of one or more is written with its decimals: `12.4(1.3)`.
     """
@@ -74,12 +74,12 @@ def in_parentheses(value: float, standard_uncertainty: float) -> str:
 
 
 def _decimal(number: float) -> Decimal:
-    """The number as the shortest decimal that stands for it: 0.1 becomes 0.1, not the nearest binary fraction."""
+    """Returns the number as the shortest decimal that stands for it: 0.1 becomes 0.1, not the nearest binary fraction."""
     return Decimal(repr(float(number)))
 
 
 def _significant(number: Decimal, digits: int) -> Decimal:
-    """A number rounded to `digits` significant digits; 0.0996 to two digits becomes 0.10."""
+    """Returns a number rounded to `digits` significant digits; 0.0996 to two digits becomes 0.10."""
     result = _quantized(number, number.adjusted() - digits + 1)
     return _quantized(result, result.adjusted() - digits + 1)
 
@@ -89,7 +89,7 @@ def _quantized(number: Decimal, last: int) -> Decimal:
 
 
 def _fixed(number: Decimal, exponent: int, last: int) -> str:
-    """A number as text with decimals up to the last significant digit; zero has no sign."""
+    """Returns a number as text with decimals up to the last significant digit; zero has no sign."""
     return f"{number.scaleb(-exponent) or Decimal(0):.{max(0, exponent - last)}f}"
 
 

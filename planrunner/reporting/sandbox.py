@@ -50,8 +50,8 @@ def available(folder: Path | None = None) -> tuple[str, ...]:
 
 
 def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
-    """The template file and the language of a report. For example, `certificate.zh.html` is `certificate.html` in Chinese, unless a
-    template with the name `certificate.zh.html` exists."""
+    """Returns the template file and the language of a report. For example, `certificate.zh.html` is `certificate.html` in Chinese,
+    unless a template with the name `certificate.zh.html` exists."""
     full = name if name.endswith(ENDING) else name + ENDING
     parts = full.split(".")
     if len(parts) == 4 and parts[1] in languages() and not any((root / full).is_file() for root in roots):
@@ -101,7 +101,7 @@ def _reason(error: Exception) -> str:
 
 
 def _place(error: Exception, name: str) -> str:
-    """The position, as `template:line`, of the innermost template line through which the error passed."""
+    """Returns the position, as `template:line`, of the innermost template line through which the error passed."""
     place, trace = name, error.__traceback__
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
@@ -192,7 +192,7 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
 
 
 def digest(text: str) -> str:
-    """The SHA-256 of a style, for the content security policy of a page."""
+    """Returns the SHA-256 of a style, for the content security policy of a page."""
     import hashlib
 
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
@@ -202,6 +202,6 @@ _SPECIAL = re.compile(r"^[#+-](?=\s)|[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
 
 
 def markdown(text: str) -> str:
-    """A text on one line, escaped so that Markdown shows it unchanged."""
+    """Returns a text on one line, escaped so that Markdown shows it unchanged."""
     one_line = " ".join(text.split())
     return _SPECIAL.sub(r"\\\g<0>", one_line).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

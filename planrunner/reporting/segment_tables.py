@@ -19,13 +19,13 @@ _MEANS = "means; the digits in parentheses are the standard uncertainty u in uni
 
 
 def segment_table(segments: Sequence[SegmentSummary]) -> Table:
-    """The table of segments with all its columns; columns that no segment needs are omitted."""
+    """Returns the table of segments with all its columns; columns that no segment needs are omitted."""
     return table_of(f"Segments: {_MEANS}", [*NAMED, *HELD, *_channels(segments), *REMARKS], segments)
 
 
 def segment_tables(segments: Sequence[SegmentSummary]) -> list[Table]:
-    """The content of `segment_table` in one table or, if there are too many channels, in several: first the segments, then the
-    channels. Each table repeats the numbers and labels of the segments."""
+    """Returns the content of `segment_table` in one table or, if there are too many channels, in several: first the segments, then
+    the channels. Each table repeats the numbers and labels of the segments."""
     channels = _channels(segments)
     if len(channels) <= ABREAST:
         return [segment_table(segments)]

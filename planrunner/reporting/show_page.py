@@ -93,8 +93,8 @@ def show_view(context: ShowContext) -> JsonObject:
 
 
 def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> JsonObject:
-    """A schedule and its expected results as plain JSON data. The keys are total_s, segments, and predicted, which has one entry
-    for each estimate. Keys name the units of their values. The value None means that the plan does not specify it."""
+    """Returns a schedule and its expected results as plain JSON data. The keys are total_s, segments, and predicted, which has one
+    entry for each estimate. Keys name the units of their values. The value None means that the plan does not specify it."""
     return {
         "total_s": schedule.total,
         "segments": [_segment_json(item) for item in schedule.segments],
@@ -138,7 +138,7 @@ def predicted_rows(coefficients: Sequence[Coefficient], probability: float) -> l
 
 
 def totals(schedule: Schedule) -> dict[str, str]:
-    """The total times and counts of a schedule."""
+    """Returns the total times and counts of a schedule."""
     segments = schedule.segments
     recorded = sum(item.dwell or 0.0 for item in segments)
     settling = sum(item.waiting for item in segments)
@@ -174,7 +174,7 @@ def orientations(segments: Sequence[Segment]) -> list[list[Segment]]:
 
 
 def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
-    """A list of labels in short form: `P6, T3`, or `P6, P7, P8 and 5 more`."""
+    """Returns a list of labels in short form: `P6, T3`, or `P6, P7, P8 and 5 more`."""
     distinct = list(dict.fromkeys(labels))
     if len(distinct) <= most:
         return ", ".join(distinct)
@@ -182,7 +182,7 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
 
 
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
-    """A table with one row for each segment: start, transition, state, duration. Columns without information are omitted.
+    """Returns a table with one row for each segment: start, transition, state, duration. Columns without information are omitted.
 
     `brief`: True to make the table fit a terminal: soaking and settling share a column, the end time is left out, and so is the
     orientation if there is only one.
@@ -218,8 +218,8 @@ _SOAK_AND_SETTLE: tuple[Shown[Segment], ...] = (
 
 
 def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[Shown[Segment]]:
-    """The columns that show the motion: none if all segments are at rest; numbers if all motions are rates about one direction;
-    otherwise words."""
+    """Returns the columns that show the motion: none if all segments are at rest; numbers if all motions are rates about one
+    direction; otherwise words."""
     moving = [item.motion for item in segments if not isinstance(item.motion, Rest)]
     if not moving:
         return []

@@ -82,7 +82,7 @@ def _watch(name: str, seconds: float) -> None:
 
 
 def _place(frame: FrameType | None) -> str | None:
-    """The position, as `template:line`, in the innermost template in the call stack of a frame, found as in jinja2.debug."""
+    """Returns the position, as `template:line`, in the innermost template in the call stack of a frame, found as in jinja2.debug."""
     while frame is not None:
         template = frame.f_globals.get("__jinja_template__")
         if template is not None:
@@ -93,7 +93,8 @@ def _place(frame: FrameType | None) -> str | None:
 
 
 def _line(frame: FrameType) -> int:
-    """The line of a frame that is executed at present. At the end of a loop, where the jump has no line, it is the line before."""
+    """Returns the line of a frame that is executed at present. At the end of a loop, where the jump has no line, it is the line
+    before."""
     passed = [line for start, _, line in frame.f_code.co_lines() if line is not None and start <= frame.f_lasti]
     return passed[-1] if passed else frame.f_code.co_firstlineno
 

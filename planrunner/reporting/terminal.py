@@ -34,8 +34,8 @@ VERDICT = {"pass": "bold green", "warned": "bold yellow", "fail": "bold red", "n
 
 
 def console(width: int | None = None, file: TextIO | None = None) -> Console:
-    """A rich console for these tables. If the output is not a terminal, the console is wide enough for unbroken rows and has no
-    colour."""
+    """Returns a rich console for these tables. If the output is not a terminal, the console is wide enough for unbroken rows and
+    has no colour."""
     from rich.console import Console
     from rich.segment import Segment
 
@@ -61,14 +61,14 @@ def console(width: int | None = None, file: TextIO | None = None) -> Console:
 
 
 def coefficients_table(estimate: Estimate, only: Sequence[str] | None = None) -> RenderableType:
-    """A table of coefficients with their standard and expanded uncertainties. `only`: names of the coefficients to show, such as
-    `estimate.headline`."""
+    """Returns a table of coefficients with their standard and expanded uncertainties. `only`: names of the coefficients to show,
+    such as `estimate.headline`."""
     shown = [item for item in estimate.coefficients if only is None or item.name in only]
     return _coefficients(f"{estimate.name} ({estimate.estimator})", shown, "value")
 
 
 def predicted_table(name: str, design: Design) -> RenderableType:
-    """A table of the uncertainties that are expected at the declared nominal values."""
+    """Returns a table of the uncertainties that are expected at the declared nominal values."""
     return _coefficients(f"{name}: predicted", design.predicted, "nominal")
 
 
@@ -82,8 +82,8 @@ def _coefficients(title: str, shown: Iterable[Coefficient], value: str) -> Rende
 
 
 def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
-    """A table of limits with their verdicts in words, coloured on a terminal. The column P(false) contains the probability that the
-    verdict is wrong."""
+    """Returns a table of limits with their verdicts in words, coloured on a terminal. The column P(false) contains the probability
+    that the verdict is wrong."""
     titles = ("quantity", "requirement", "value", "± U", "unit", "k", "rule", "P(false)", "verdict")
     keys = ("quantity", "requirement", "value", "expanded", "unit", "factor", "rule_in_words", "false")
     rows, risks = [], []
@@ -99,7 +99,7 @@ def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
 
 
 def data_table(given: Table) -> RenderableType:
-    """A table of an estimate, such as a comparison of two sets of coefficients."""
+    """Returns a table of an estimate, such as a comparison of two sets of coefficients."""
     view = table_view(given)
     columns = [(column["title"], column["numeric"]) for column in view["columns"]]
     rows = [[_text(cell) for cell in row] for row in view["rows"]]
@@ -114,7 +114,7 @@ def print_tables(*tables: Table) -> None:
 
 
 def schedule_table(schedule: Schedule, title: str = "Timeline") -> RenderableType:
-    """A table of the timeline, followed by the totals."""
+    """Returns a table of the timeline, followed by the totals."""
     from rich.console import Group
 
     table = timeline_table(schedule, brief=True)
@@ -153,7 +153,7 @@ class _Columns:
             yield _text(line)
 
     def _parts(self, width: int) -> list[list[int]]:
-        """The indices of the columns in each part. Every part begins with the first column."""
+        """Returns the indices of the columns in each part. Every part begins with the first column."""
         least = [self._least(place, width) + _GAP for place in range(len(self.columns))]
         parts: list[list[int]] = [[]]
         for place, size in enumerate(least):

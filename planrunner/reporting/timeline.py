@@ -29,7 +29,7 @@ class SegmentTimes:
 
 
 def spans(schedule: Schedule) -> list[SegmentTimes]:
-    """The planned times of every segment. A dwell of unknown length counts as zero."""
+    """Returns the planned times of every segment. A dwell of unknown length counts as zero."""
     result = []
     for segment in schedule.segments:
         arrive = segment.start - segment.waiting
@@ -39,7 +39,7 @@ def spans(schedule: Schedule) -> list[SegmentTimes]:
 
 
 def panels_of(schedule: Schedule) -> list[Panel]:
-    """The panels for which this schedule has data."""
+    """Returns the panels for which this schedule has data."""
     panels: list[Panel] = ["segments"]
     if any(item.temperature is not None or item.ramp_to is not None for item in schedule.segments):
         panels.append("temperature")

@@ -67,5 +67,5 @@ _STAMPS = {
 
 
 def stamp(origin: DataOrigin | None) -> Stamp | None:
-    """The stamp for a kind of samples; None for measured samples, and for results that do not state the kind."""
+    """Returns the stamp for a kind of samples; None for measured samples, and for results that do not state the kind."""
     return None if origin is None else _STAMPS.get(origin)

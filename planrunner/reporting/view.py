@@ -88,19 +88,19 @@ def report_view(context: ReportContext) -> JsonObject:
 
 
 def signature_view(one: PrintedSignature) -> JsonObject:
-    """A signature for templates: its time to the second, and the analyses that it covers as text."""
+    """Returns a signature for templates: its time to the second, and the analyses that it covers as text."""
     numbers = ", ".join(map(str, one.analyses))
     return {**asdict(one), "at": one.at[:19].replace("T", " "), "analyses": numbers}
 
 
 def stamped(origin: DataOrigin | None) -> JsonObject:
-    """The stamp for templates; `word` is empty if there is none."""
+    """Returns the stamp for templates; `word` is empty if there is none."""
     return asdict(stamp(origin) or Stamp("", "", False))
 
 
 def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObject:
-    """One estimate as data for templates, with its pictures. `index`: number of the estimate, from which ids that are unique in the
-    page are made."""
+    """Returns one estimate as data for templates, with its pictures. `index`: number of the estimate, from which ids that are
+    unique in the page are made."""
     from planrunner.reporting.plots import correlation, correlation_svg, plot_svg, strong
 
     key = f"e{index + 1}"
@@ -139,7 +139,7 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> JsonObj
 
 
 def coefficient_row(item: Coefficient, probability: float = 0.95) -> dict[str, str]:
-    """A coefficient as texts; its value and its expanded uncertainty are rounded to two digits of the uncertainty."""
+    """Returns a coefficient as texts; its value and its expanded uncertainty are rounded to two digits of the uncertainty."""
     factor = coverage_factor(item.degrees_of_freedom, probability)
     expanded = factor * item.standard_uncertainty
     value, width = format_pair(item.value, expanded)
@@ -180,7 +180,8 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
 
 
 def table_view(table: Table) -> JsonObject:
-    """A table as texts, with a flag for each column of numbers. If there are more than `MAX_ROWS` rows, a note replaces the others."""
+    """Returns a table as texts, with a flag for each column of numbers. If there are more than `MAX_ROWS` rows, a note replaces the
+    others."""
     roles = [column.role for column in table.columns]
     guides = [_guide(roles, index) for index in range(len(roles))]
     rows = [
@@ -197,8 +198,8 @@ def table_view(table: Table) -> JsonObject:
 
 
 def _guide(roles: Sequence[Role], index: int) -> int | None:
-    """The index of the column that determines the rounding of column `index`: the column itself if it contains uncertainties, or
-    the next such column to the right; None if there is none."""
+    """Returns the index of the column that determines the rounding of column `index`: the column itself if it contains
+    uncertainties, or the next such column to the right; None if there is none."""
     if not (roles[index] is Role.VALUE or roles[index].uncertain):
         return None
     return next((place for place in range(index, len(roles)) if roles[place].uncertain), None)
@@ -221,7 +222,7 @@ def _measured(value: Cell) -> TypeGuard[float]:
 
 
 def cell(value: object) -> str:
-    """A cell as text; a number without an uncertainty has five significant digits."""
+    """Returns a cell as text; a number without an uncertainty has five significant digits."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -244,7 +245,7 @@ def setting(value: object) -> str:
 
 
 def named(facts: Mapping[str, Json]) -> list[list[str]]:
-    """The facts that are not empty, as [name, value] pairs with readable names: `device_serial` becomes `Device serial`."""
+    """Returns the facts that are not empty, as [name, value] pairs with readable names: `device_serial` becomes `Device serial`."""
     return [[readable(name), setting(value)] for name, value in facts.items() if value != ""]
 
 
@@ -280,7 +281,8 @@ MODULE = 2
 
 
 def seal_code(digest: str) -> str:
-    """A QR code of a digest as inline SVG, black on white in every colour scheme. It has no alternative text; the page gives it."""
+    """Returns a QR code of a digest as inline SVG, black on white in every colour scheme. It has no alternative text; the page
+    gives it."""
     import segno
 
     code = segno.make(PREFIX + digest, error="m", micro=False)

@@ -15,7 +15,7 @@ AT_REST = "rest"
 
 
 def number(value: float, digits: int = 6) -> str:
-    """A number without uncertainty as text, with at most `digits` significant digits."""
+    """Returns a number without uncertainty as text, with at most `digits` significant digits."""
     if not math.isfinite(value):
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "not a number")
     text = re.sub(r"e([+-])0*(?=\d)", lambda match: "e-" if match[1] == "-" else "e", f"{value:.{digits}g}")
@@ -28,13 +28,13 @@ def listed(names: Sequence[str], word: str = "and") -> str:
 
 
 def behind_number(unit: str) -> str:
-    """The unit with a space before it, to follow a number; empty for pure numbers."""
+    """Returns the unit with a space before it, to follow a number; empty for pure numbers."""
     return "" if unit in ("", "1") else f" {unit}"
 
 
 def rule(name: str, factor: float, coverage: float) -> str:
-    """A decision rule in words. Deviations from the usual rule are added: a guard band other than U, or a coverage probability
-    other than 95 %."""
+    """Returns a decision rule in words. Deviations from the usual rule are added: a guard band other than U, or a coverage
+    probability other than 95 %."""
     if name != "guarded" or math.isnan(factor):
         return name
     band = [] if factor == 1 else [f"w = {number(factor)}·U"]
@@ -43,7 +43,7 @@ def rule(name: str, factor: float, coverage: float) -> str:
 
 
 def probability(value: float) -> str:
-    """A probability in percent; near 0 % and 100 %, it is written as a bound."""
+    """Returns a probability in percent; near 0 % and 100 %, it is written as a bound."""
     if math.isnan(value):
         return "–"
     if value > 0.9995:
@@ -52,8 +52,8 @@ def probability(value: float) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """A duration in words, such as `1 min 35 s` for 95 s. Durations below ten seconds are shown with tenths of a second, and long
-    durations in hours and days."""
+    """Returns a duration in words, such as `1 min 35 s` for 95 s. Durations below ten seconds are shown with tenths of a second,
+    and long durations in hours and days."""
     if seconds is None:
         return "as recorded"
     if not math.isfinite(seconds):
@@ -80,34 +80,34 @@ def celsius(kelvin: float) -> str:
 
 
 def temperature(segment: Segment) -> str:
-    """The temperature of a segment in °C, with the target of a ramp; a dash if the plan holds no temperature."""
+    """Returns the temperature of a segment in °C, with the target of a ramp; a dash if the plan holds no temperature."""
     held = "–" if segment.temperature is None else celsius(segment.temperature)
     return held if segment.ramp_to is None else f"{held} → {celsius(segment.ramp_to)}"
 
 
 def supply(segment: Segment) -> str:
-    """The stated supply voltage in V; a dash if the plan states none."""
+    """Returns the stated supply voltage in V; a dash if the plan states none."""
     return "–" if segment.supply_voltage is None else number(round(segment.supply_voltage, 9))
 
 
 def pressure(segment: Segment) -> str:
-    """The stated ambient pressure in hPa; a dash if the plan states none."""
+    """Returns the stated ambient pressure in hPa; a dash if the plan states none."""
     return "–" if segment.ambient_pressure is None else number(round(segment.ambient_pressure / 100, 9))
 
 
 def rate(segment: Segment) -> str:
-    """The commanded rate in °/s; a dash if the segment is at rest."""
+    """Returns the commanded rate in °/s; a dash if the segment is at rest."""
     return number(round(math.degrees(segment.rate), 9)) if isinstance(segment.motion, Spin) else "–"
 
 
 def direction(about: tuple[float, float, float]) -> str:
-    """A direction at the site, given in East-North-Up, in words."""
+    """Returns a direction at the site, given in East-North-Up, in words."""
     east, north, up = (round(component, 9) + 0.0 for component in about)
     return word_of(about) or f"({east:g} E, {north:g} N, {up:g} U)"
 
 
 def motion(what: Motion) -> str:
-    """The motion of a segment in words."""
+    """Returns the motion of a segment in words."""
     match what:
         case Rest():
             return AT_REST
@@ -127,8 +127,8 @@ def motion(what: Motion) -> str:
 
 
 def orientation(segment: Segment) -> str:
-    """The directions of the sensor's axes in words: as written in the plan or, if the plan does not write them, derived from the
-    attitude."""
+    """Returns the directions of the sensor's axes in words: as written in the plan or, if the plan does not write them, derived
+    from the attitude."""
     if segment.orientation:
         return segment.orientation
     return "unknown" if segment.attitude is None else in_words(segment.attitude)

@@ -49,7 +49,7 @@ FORMAT = 1
 
 
 def approvals_folder(plan: Path) -> Path:
-    """The folder with the approvals of a plan, next to the plan."""
+    """Returns the folder with the approvals of a plan, next to the plan."""
     return plan.with_name(plan.name + ENDING)
 
 
@@ -80,8 +80,8 @@ def _read(folder: GuardedFolder, name: str) -> ApprovalRecord:
 
 
 def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
-    """The text of the plan as it was approved; None if it is not available. The caller must compare the digest of its meaning with
-    the digest in the approval."""
+    """Returns the text of the plan as it was approved; None if it is not available. The caller must compare the digest of its
+    meaning with the digest in the approval."""
     name = approval.file.removesuffix(_ENVELOPE) + _PLAN
     try:
         return GuardedFolder.open(folder).read(name, MOST_GIVEN)
@@ -146,8 +146,8 @@ class KeptApprovals:
         return hashlib.sha256(self.bench.encode()).hexdigest()
 
     def to_bytes(self, runs: Path) -> bytes:
-        """The content of `approvals.json`. `runs`: the folder that contains the run folders. Paths in `approvals.json` are relative
-        to this folder. They therefore name no folder above the lowest one that contains both the runs and the approvals."""
+        """Returns the content of `approvals.json`. `runs`: the folder that contains the run folders. Paths in `approvals.json` are
+        relative to this folder. They therefore name no folder above the lowest one that contains both the runs and the approvals."""
         given = [entry_of(one) for one in self.approvals]
         return to_bytes(
             {
@@ -163,7 +163,7 @@ class KeptApprovals:
 
 
 def _relative(path: str, runs: Path) -> str:
-    """A path relative to the folder of the runs. If the two are on different drives, the result is only the file name."""
+    """Returns a path relative to the folder of the runs. If the two are on different drives, the result is only the file name."""
     try:
         found = os.path.relpath(os.path.realpath(path), os.path.realpath(runs))
     except ValueError:
@@ -172,7 +172,7 @@ def _relative(path: str, runs: Path) -> str:
 
 
 def entry_of(approval: StatedApproval) -> JsonObject:
-    """An approval in the form in which the files of a run contain it."""
+    """Returns an approval in the form in which the files of a run contain it."""
     return {"file": approval.file, "envelope": approval.envelope.to_bytes().decode()}
 
 

@@ -338,8 +338,8 @@ def judged(
 
 
 def unknown_authors(author: Sequence[str], ring: KeyRing) -> tuple[str, ...]:
-    """The authors that are not in the key ring. For these it cannot be determined whether they approved the plan. If the plan
-    states no author, the result is one empty name."""
+    """Returns the authors that are not in the key ring. For these it cannot be determined whether they approved the plan. If the
+    plan states no author, the result is one empty name."""
     return tuple(name for name in author if ring.person(name) is None) if author else ("",)
 
 

@@ -70,7 +70,7 @@ class Demand:
 
     @property
     def newly_reached(self) -> bool:
-        """Whether the second plan reaches the limit of its bench although the first plan does not."""
+        """Returns True if the second plan reaches the limit of its bench although the first plan does not."""
         return self._reached(self.after, self.limits[1]) and not self._reached(self.before, self.limits[0])
 
     def _reached(self, value: float | None, limit: float | None) -> bool:

@@ -249,7 +249,8 @@ def _stated(segment: Segment_, removed: bool) -> Iterator[PartChange]:
 
 
 def _moved(order: Sequence[int]) -> set[int]:
-    """The members of a sequence that are not in its longest increasing subsequence (Fredman, Discrete Mathematics 11, 1975)."""
+    """Returns the members of a sequence that are not in its longest increasing subsequence (Fredman, Discrete Mathematics 11,
+    1975)."""
     tails: list[int] = []
     places: list[int] = []
     previous: list[int] = []
@@ -270,8 +271,8 @@ def _moved(order: Sequence[int]) -> set[int]:
 
 
 def _renamed(content: dict[str, Branch], names: Mapping[str, str], all_labels: Sequence[str]) -> dict[str, Branch]:
-    """The content of a plan in which estimates and diagnosis select renamed segments by their new names. If all segments are
-    selected, this is stated as a selection of all segments."""
+    """Returns the content of a plan in which estimates and diagnosis select renamed segments by their new names. If all segments
+    are selected, this is stated as a selection of all segments."""
     made = dict(content)
     estimates = content["estimates"]
     assert isinstance(estimates, dict)
@@ -335,7 +336,7 @@ def _by_quantity(limits: Sequence[Branch]) -> dict[str, list[dict[str, Branch]]]
 
 
 def _limit_in_words(limit: dict[str, Branch] | None, other: dict[str, Branch] | None) -> str:
-    """The bounds of a limit in words, and those other properties in which it differs from the other limit."""
+    """Returns the bounds of a limit in words, and those other properties in which it differs from the other limit."""
     if limit is None:
         return ""
     low, high = limit["at_least"], limit["at_most"]
@@ -383,7 +384,7 @@ def _sign(before: float, after: float) -> int:
 
 
 def _bound(branch: Branch, absent: float) -> float:
-    """A bound of a limit in SI units."""
+    """Returns a bound of a limit in SI units."""
     if not isinstance(branch, StatedValue) or branch.quantity is None:
         return absent
     return branch.quantity.value
@@ -444,7 +445,7 @@ LARGEST_ROUNDING = 1e-4
 
 
 def equal_to_rounding(a: Quantity | None, b: Quantity | None) -> bool:
-    """Whether two quantities in different units are equal within half a unit of the last written digit of each.
+    """Returns True if two quantities in different units are equal within half a unit of the last written digit of each.
 
     For example, 30 deg/s and 0.5236 rad/s are equal; 30 deg/s and 0.52 rad/s are not (0.7 %). In the same unit, every difference
     counts.
@@ -465,7 +466,7 @@ def _half_digit(quantity: Quantity) -> float:
 
 
 def in_words(branch: Branch) -> str:
-    """A part of a meaning as one line for readers; empty if the part states nothing."""
+    """Returns a part of a meaning as one line for readers; empty if the part states nothing."""
     if isinstance(branch, StatedValue):
         return "" if branch.content is None else branch.shown
     if isinstance(branch, dict):

@@ -73,11 +73,11 @@ class Meaning:
     texts: Mapping[str, str]
 
     def document(self) -> JsonObject:
-        """The meaning as a JSON document."""
+        """Returns the meaning as a JSON document."""
         return {"planrunner_meaning": VERSION, self.kind: plain(self.content)}
 
     def canonical(self) -> bytes:
-        """The document as canonical JSON (RFC 8785)."""
+        """Returns the document as canonical JSON (RFC 8785)."""
         return canonical_json(self.document())
 
     def digest(self) -> str:
@@ -92,7 +92,7 @@ class Meaning:
 
 
 def canonical_json(value: Json) -> bytes:
-    """The canonical form of a JSON value according to RFC 8785: sorted keys, no spaces, shortest numbers."""
+    """Returns the canonical form of a JSON value according to RFC 8785: sorted keys, no spaces, shortest numbers."""
     import rfc8785  # not needed by `check`
 
     return rfc8785.dumps(value)
@@ -113,7 +113,8 @@ def digest_of_bench(bench: Bench) -> str:
 
 
 def meaning_of_plan(plan: Plan, bench: Bench | None = None) -> Meaning:
-    """The meaning of a plan. `bench`: as for `digest_of_plan`. Raises `InputError` with the findings if the plan has errors."""
+    """Returns the meaning of a plan. `bench`: as for `digest_of_plan`. Raises `InputError` with the findings if the plan has
+    errors."""
     log = Findings()
     for name in sorted(plan.origin.broken):
         log.error("review-unread", plan.at(name), f"'{name}' could not be read completely", "correct it first")
@@ -141,7 +142,7 @@ def meaning_of_plan(plan: Plan, bench: Bench | None = None) -> Meaning:
 
 
 def meaning_of_bench(bench: Bench) -> Meaning:
-    """The meaning of a bench. Calibrations and asset numbers are part of it, because results are traceable through them."""
+    """Returns the meaning of a bench. Calibrations and asset numbers are part of it, because results are traceable through them."""
     content = _record(bench)
     for name in ("planrunner_bench", "description"):
         content.pop(name)
@@ -151,21 +152,21 @@ def meaning_of_bench(bench: Bench) -> Meaning:
 
 
 def procedure_of(plan: Plan) -> Meaning:
-    """The meaning of a plan without its bench. An approval covers this meaning, together with the benches named in the approval.
-    Raises `InputError` for a plan with errors."""
+    """Returns the meaning of a plan without its bench. An approval covers this meaning, together with the benches named in the
+    approval. Raises `InputError` for a plan with errors."""
     meaning = meaning_of_plan(plan)
     return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "bench"})
 
 
 def equipment_of(bench: Bench) -> Meaning:
-    """The meaning of a bench, in which the approvals that it requires are left out. An approval therefore stays valid if only these
-    requirements change."""
+    """Returns the meaning of a bench, in which the approvals that it requires are left out. An approval therefore stays valid if
+    only these requirements change."""
     meaning = meaning_of_bench(bench)
     return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "approvals"})
 
 
 def plain(branch: Branch) -> Json:
-    """The canonical content of a part of a meaning, as JSON data."""
+    """Returns the canonical content of a part of a meaning, as JSON data."""
     if isinstance(branch, StatedValue):
         return branch.content
     if isinstance(branch, dict):
@@ -222,7 +223,7 @@ _REST = StatedValue("rest", "rest")
 
 
 def _motion(state: State, marks: Mapping[str, Mark], log: Findings) -> Branch:
-    """The motion as the table executes it. A rate becomes a spin about the vertical, and clockwise angles become negative."""
+    """Returns the motion as the table executes it. A rate becomes a spin about the vertical, and clockwise angles become negative."""
     dwell = state.dwell.value if isinstance(state.dwell, Quantity) else None
     motion = motion_of(state, marks, dwell, log)
     if motion is None or isinstance(motion, Rest):
@@ -285,7 +286,8 @@ def _estimate(spec: EstimateSpec, labels: Labels, names: Sequence[str]) -> dict[
 
 
 def _selecting(spec: EstimateSpec | DiagnosisSpec, labels: Labels, names: Sequence[str]) -> dict[str, Branch]:
-    """The meaning of a record that selects segments. The patterns in the record are replaced by the labels that they select."""
+    """Returns the meaning of a record that selects segments. The patterns in the record are replaced by the labels that they
+    select."""
     parts = _record(spec)
     if isinstance(spec.segments, Detection):
         found = _record(spec.segments)
@@ -304,7 +306,7 @@ def _selected(patterns: Sequence[str], labels: Labels, names: Sequence[str]) -> 
 
 
 def _limit(limit: Limit) -> dict[str, Branch]:
-    """The meaning of a limit with its two bounds. ±x means at least −x and at most x."""
+    """Returns the meaning of a limit with its two bounds. ±x means at least −x and at most x."""
     parts = _record(limit)
     bound = None if limit.within is None else parse_symmetric(limit.within)
     parts.pop("within")
@@ -324,8 +326,8 @@ _NOTHING = StatedValue(None, "none")
 
 
 def _of(value: object) -> Branch:
-    """The meaning of a value that a kind of the language has read. Raises `InputError` for a value of a plug-in if the value has no
-    JSON form."""
+    """Returns the meaning of a value that a kind of the language has read. Raises `InputError` for a value of a plug-in if the
+    value has no JSON form."""
     match value:
         case None:
             return _NOTHING
@@ -360,8 +362,8 @@ def _of(value: object) -> Branch:
 
 
 def _record(record: Record) -> dict[str, Branch]:
-    """The meaning of a record: every key with its value. The keys of a plug-in stand at the same level as the common keys, as they
-    do in the file."""
+    """Returns the meaning of a record: every key with its value. The keys of a plug-in stand at the same level as the common keys,
+    as they do in the file."""
     parts: dict[str, Branch] = {}
     for name, item in keys_of(type(record)).items():
         value = getattr(record, item.name)
@@ -378,7 +380,7 @@ def _record(record: Record) -> dict[str, Branch]:
 
 @lru_cache(maxsize=4096)
 def _stated_quantity(quantity: Quantity) -> StatedValue:
-    """The meaning of a quantity. Results are cached, because plans repeat their quantities."""
+    """Returns the meaning of a quantity. Results are cached, because plans repeat their quantities."""
     return StatedValue(_quantity(quantity), str(quantity), quantity)
 
 
@@ -394,8 +396,8 @@ def _quantity(quantity: Quantity) -> JsonObject:
 
 @lru_cache(maxsize=1024)
 def _matrix(orientation: Orientation) -> Json:
-    """The meaning of an orientation: its matrix, rounded to 12 decimals because components of unit vectors are all on the same
-    scale. Rows are the sensor's axes in East-North-Up."""
+    """Returns the meaning of an orientation: its matrix, rounded to 12 decimals because components of unit vectors are all on the
+    same scale. Rows are the sensor's axes in East-North-Up."""
     if orientation.matrix is None:
         return "unknown"
     return [[round(part, DIGITS) + 0.0 for part in row] for row in orientation.matrix]
@@ -426,7 +428,7 @@ _SYMBOLS = {
 
 @lru_cache(maxsize=256)
 def si_unit(dimension: Dimension) -> str:
-    """The SI-coherent unit of a dimension, such as `rad s^-1`; `1` for a ratio."""
+    """Returns the SI-coherent unit of a dimension, such as `rad s^-1`; `1` for a ratio."""
     parts = [_SYMBOLS.get(name, name) + ("" if power == 1 else f"^{power:g}") for name, power in dimension]
     return " ".join(parts) or "1"
 

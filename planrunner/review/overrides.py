@@ -82,7 +82,7 @@ def read_override(data: bytes) -> StatedOverride | None:
 def objection(
     one: StatedOverride, ring: KeyRing, by: str, what: Overridden, moment: datetime, day: date | None = None
 ) -> str:
-    """The reason why an override does not count; empty if it counts.
+    """Returns the reason why an override does not count; empty if it counts.
 
     `by`: the person who should have given the override, named as in the key ring. `what`: the present bench, check standard and
     reason, which the override must state too; its `until` is ignored. `moment`: time for which the override is checked, with a time
@@ -111,8 +111,8 @@ def objection(
 def kept_objection(
     given: JsonObject, ring: KeyRing, bench: str | None, device: str, moment: datetime, day: date
 ) -> str:
-    """The same as `objection`, for an override that a run folder keeps with its signature. `bench`: digest of the meaning of the
-    bench when the override was used; None if it is not to be compared. `moment`, `day`: time and date at which the override was
+    """Does the same as `objection`, for an override that a run folder keeps with its signature. `bench`: digest of the meaning of
+    the bench when the override was used; None if it is not to be compared. `moment`, `day`: time and date at which the override was
     used."""
     stated = read_override(to_bytes(given["signature"]))
     if stated is None:

@@ -56,8 +56,8 @@ class RunDifference:
 
 
 def run_difference(before: Mapping[str, Estimate], after: Mapping[str, Estimate], same_bench: bool) -> RunDifference:
-    """The differences of all coefficients between two runs. `same_bench`: True if the declared errors of the bench belong to the
-    same instruments in both runs."""
+    """Returns the differences of all coefficients between two runs. `same_bench`: True if the declared errors of the bench belong
+    to the same instruments in both runs."""
     found = []
     only: tuple[list[str], list[str]] = ([], [])
     for name in dict.fromkeys([*before, *after]):
@@ -82,8 +82,8 @@ Lines = Mapping[tuple[object, ...], BudgetLine]
 
 
 def _lines(estimate: Estimate, coefficient: str) -> Lines:
-    """The type B lines of a coefficient's budget that stand for a single input each. A line has the same key in two runs if its
-    input is the same."""
+    """Returns the type B lines of a coefficient's budget that stand for a single input each. A line has the same key in two runs if
+    its input is the same."""
     return {
         (line.quantity, line.value, line.unit, line.standard_uncertainty, line.distribution, line.source): line
         for budget in estimate.budgets

@@ -35,7 +35,7 @@ class BenchKeyError(Exception):
 
 
 def keys_folder() -> Path:
-    """The folder of the signing keys. Raises `BenchKeyError` if this user has no state folder."""
+    """Returns the folder of the signing keys. Raises `BenchKeyError` if this user has no state folder."""
     try:
         return state_folder() / FOLDER
     except OriginUnknownError as error:
@@ -43,8 +43,8 @@ def keys_folder() -> Path:
 
 
 def bench_signer(public: PublicKey) -> Signer:
-    """The private key that belongs to a public key: from the folder of signing keys or, if it is not there, from the ssh-agent.
-    Nothing is signed, and the user is not asked. Raises `BenchKeyError` if neither the folder nor the agent has the key."""
+    """Returns the private key that belongs to a public key: from the folder of signing keys or, if it is not there, from the
+    ssh-agent. Nothing is signed, and the user is not asked. Raises `BenchKeyError` if neither the folder nor the agent has the key."""
     found, why = _of_files(public)
     if found is not None:
         return found
@@ -71,7 +71,8 @@ def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
 
 
 def _of_files(public: PublicKey) -> tuple[PrivateKey | None, str]:
-    """The private key for this public key, from the file next to the `.pub` file; None and the reason if no file can be used."""
+    """Returns the private key for this public key, from the file next to the `.pub` file; None and the reason if no file can be
+    used."""
     folder = keys_folder()
     why = f"it is not in {folder}"
     try:

@@ -8,7 +8,7 @@ from planrunner.plan import source
 
 
 def declared(bench: bytes | None, key: str) -> Json:
-    """The value of a key in the text of a bench file; None if the key is absent or the file cannot be read."""
+    """Returns the value of a key in the text of a bench file; None if the key is absent or the file cannot be read."""
     if bench is None:
         return None
     try:

@@ -20,7 +20,7 @@ class EnvelopeError(ValueError):
 
 
 def pae(kind: str, payload: bytes) -> bytes:
-    """The pre-authentication encoding, which is signed: `DSSEv1 <length> <type> <length> <payload>`."""
+    """Returns the pre-authentication encoding, which is signed: `DSSEv1 <length> <type> <length> <payload>`."""
     name = kind.encode()
     return b"DSSEv1 %d %b %d %b" % (len(name), name, len(payload), payload)
 
@@ -36,11 +36,11 @@ class Envelope:
     signature: bytes
 
     def signed_by(self, key: PublicKey) -> bool:
-        """Whether this key made the signature of the envelope's payload and type."""
+        """Returns True if this key made the signature of the envelope's payload and type."""
         return self.key == key.fingerprint and key.signed(self.signature, pae(self.kind, self.payload))
 
     def to_bytes(self) -> bytes:
-        """The envelope as JSON."""
+        """Returns the envelope as JSON."""
         signature = {"keyid": self.key, "sig": _encoded(self.signature)}
         return to_bytes({"payload": _encoded(self.payload), "payloadType": self.kind, "signatures": [signature]})
 

@@ -75,11 +75,11 @@ class KnownKey:
 
     @property
     def person(self) -> str:
-        """The owner of the key. Several keys may belong to one person."""
+        """Returns the owner of the key. Several keys may belong to one person."""
         return self.owner or self.name
 
     def objection(self, day: date) -> str:
-        """The reason why a signature of this date does not count; empty if it counts.
+        """Returns the reason why a signature of this date does not count; empty if it counts.
 
         The date of a signature comes from the signer's clock. This date cannot prove that a signature was made before the key was
         revoked, so no signature of a revoked key counts.
@@ -103,7 +103,7 @@ class KeyRing:
         return self.keys.get(fingerprint)
 
     def person(self, name: str) -> str | None:
-        """The person who has this name, or whose key has this name; None if the ring has no such person."""
+        """Returns the person who has this name, or whose key has this name; None if the ring has no such person."""
         named = {one.name: one.person for one in self.keys.values()}
         return named.get(name, name if name in named.values() else None)
 
@@ -150,7 +150,7 @@ def _day(entry: KeyEntry, name: str, log: Findings) -> date | None:
 
 
 def entry_text(name: str, public: PublicKey, roles: tuple[str, ...], until: str | None) -> str:
-    """The entry for a key in the form in which the file of a key ring contains it under `keys:`."""
+    """Returns the entry for a key in the form in which the file of a key ring contains it under `keys:`."""
     lines = [f"  {name}:", f"    public: {public.line}"]
     if roles:
         lines.append(f"    roles: [{', '.join(roles)}]")

@@ -36,21 +36,21 @@ class PublicKey:
 
     @property
     def blob(self) -> bytes:
-        """The key in the form in which SSH transmits it (RFC 8709, section 4)."""
+        """Returns the key in the form in which SSH transmits it (RFC 8709, section 4)."""
         return _text(ALGORITHM.encode()) + _text(self.raw)
 
     @property
     def fingerprint(self) -> str:
-        """The fingerprint as `ssh-keygen -l` shows it: SHA-256 of the blob in base64 without padding."""
+        """Returns the fingerprint as `ssh-keygen -l` shows it: SHA-256 of the blob in base64 without padding."""
         return "SHA256:" + base64.b64encode(hashlib.sha256(self.blob).digest()).decode().rstrip("=")
 
     @property
     def line(self) -> str:
-        """The key as a line in OpenSSH format, without a comment."""
+        """Returns the key as a line in OpenSSH format, without a comment."""
         return f"{ALGORITHM} {base64.b64encode(self.blob).decode()}"
 
     def signed(self, signature: bytes, message: bytes) -> bool:
-        """Whether a signature of a message was made with this key."""
+        """Returns True if a signature of a message was made with this key."""
         try:
             Ed25519PublicKey.from_public_bytes(self.raw).verify(signature, message)
         except (InvalidSignature, ValueError):
@@ -84,7 +84,7 @@ class PrivateKey:
         return self._key.sign(message)
 
     def pem(self, passphrase: bytes | None) -> bytes:
-        """The key as PKCS #8 PEM; encrypted if a passphrase is given."""
+        """Returns the key as PKCS #8 PEM; encrypted if a passphrase is given."""
         encryption = (
             serialization.NoEncryption() if passphrase is None else serialization.BestAvailableEncryption(passphrase)
         )
@@ -130,7 +130,7 @@ def _write_new(path: Path, data: bytes) -> None:
 
 
 def is_encrypted(path: Path) -> bool:
-    """Whether the file contains a private key that needs a passphrase. Raises `InputError` if the file cannot be read."""
+    """Returns True if the file contains a private key that needs a passphrase. Raises `InputError` if the file cannot be read."""
     try:
         _load(_read(path), None)
     except TypeError:

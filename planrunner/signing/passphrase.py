@@ -9,6 +9,6 @@ VARIABLE = "PLANRUNNER_PASSPHRASE"
 
 
 def of_environment() -> bytes | None:
-    """The passphrase in the environment variable; None if the variable is not set."""
+    """Returns the passphrase in the environment variable; None if the variable is not set."""
     text = os.environ.get(VARIABLE)
     return None if text is None else text.encode()

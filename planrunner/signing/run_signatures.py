@@ -121,7 +121,7 @@ class RunSignature:
 def statement(
     run: str, subjects: Mapping[str, str], result: TestResult, meaning: SignatureMeaning, name: str, comment: str
 ) -> JsonObject:
-    """The in-toto statement for a signature that is made now. `subjects`: maps each file in the run folder to its SHA-256."""
+    """Returns the in-toto statement for a signature that is made now. `subjects`: maps each file in the run folder to its SHA-256."""
     given = [{"name": file, "digest": {"sha256": subjects[file]}} for file in (PLAN, BENCH)]
     return {
         "_type": STATEMENT,
@@ -172,7 +172,7 @@ def sign_run(
 def signatures_of(
     folder: GuardedFolder, ring: KeyRing | None = None, bench: BenchSigning | None = None
 ) -> tuple[RunSignature, ...]:
-    """All signatures of a run in the order of their numbers, each checked against the key ring and the present files.
+    """Returns all signatures of a run in the order of their numbers, each checked against the key ring and the present files.
 
     `bench`: what the run states about the signatures of its bench; by default, this is read from the run folder. Raises `OSError`
     if a file cannot be read.
@@ -236,8 +236,8 @@ def _examined(folder: GuardedFolder, file: str, ring: KeyRing | None, bench: Ben
 
 
 def _other_signer(claimed: RunSignature, known: KnownKey | None, *, own: bool) -> str:
-    """The reason why this key is not permitted to make a signature of this meaning; empty if it is permitted. `own`: True if the
-    key is the one in the bench file."""
+    """Returns the reason why this key is not permitted to make a signature of this meaning; empty if it is permitted. `own`: True
+    if the key is the one in the bench file."""
     bench = known is not None and BENCH_ROLE in known.roles
     if not claimed.by_bench:
         return "a person must sign it, but the key is that of a bench" if own or bench else ""

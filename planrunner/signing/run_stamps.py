@@ -51,15 +51,15 @@ class RunStamp:
 
 
 def declared_stamps(found: Examined) -> Mapping[str, Json] | None:
-    """The value of the key `time_stamps` in the bench file of a run, without validation; None if there is none, or if the file
-    cannot be read."""
+    """Returns the value of the key `time_stamps` in the bench file of a run, without validation; None if there is none, or if the
+    file cannot be read."""
     told = declared(found.given.get(BENCH), "time_stamps")
     return told if isinstance(told, dict) else None
 
 
 def stamped_seals(folder: GuardedFolder) -> set[str]:
-    """The digests of all seals that, according to the time stamps in a run folder, were stamped. Raises `OSError` if a stamp cannot
-    be read."""
+    """Returns the digests of all seals that, according to the time stamps in a run folder, were stamped. Raises `OSError` if a
+    stamp cannot be read."""
     found = set()
     for name in stamp_names(folder):
         if name.own is not None:
@@ -145,8 +145,8 @@ def _verified(found: Examined, name: StampName, authority: StampAuthority | None
 
 
 def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str, str]:
-    """The fault of a stamp that belongs neither to the present journal nor to a seal of the run, as a code and a message. The code
-    and the message are empty if there is no fault."""
+    """Returns the fault of a stamp that belongs neither to the present journal nor to a seal of the run, as a code and a message.
+    The code and the message are empty if there is no fault."""
     if found.scan is None or found.state is None:
         return "", ""
     if name.events is None:
@@ -161,8 +161,8 @@ def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str,
 
 
 def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str, str]:
-    """The fault of a stamp whose data state a later time than the stamp itself, as a code and a message. The code and the message
-    are empty if there is no fault."""
+    """Returns the fault of a stamp whose data state a later time than the stamp itself, as a code and a message. The code and the
+    message are empty if there is no fault."""
     if found.scan is None:
         return "", ""
     stated = found.scan.times.get(name.events) if name.events is not None else None

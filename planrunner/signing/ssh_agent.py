@@ -28,7 +28,7 @@ class AgentKey:
     public: PublicKey
 
     def sign(self, message: bytes) -> bytes:
-        """The 64 bytes of the signature. Raises `InputError` if the agent cannot be reached or refuses to sign."""
+        """Returns the 64 bytes of the signature. Raises `InputError` if the agent cannot be reached or refuses to sign."""
         reply = _answer(bytes([SIGN_REQUEST]) + _string(self.public.blob) + _string(message) + bytes(4), PATIENCE)
         expected = bytes([SIGN_RESPONSE]) + _string(_string(ALGORITHM.encode()) + _string(bytes(64)))
         signature = reply[-64:]
@@ -39,7 +39,7 @@ class AgentKey:
 
 
 def holds(key: PublicKey) -> bool:
-    """Whether the agent at SSH_AUTH_SOCK has this key in its list (section 3.5). It does not request a signature."""
+    """Returns True if the agent at SSH_AUTH_SOCK has this key in its list (section 3.5). It does not request a signature."""
     try:
         reply = _answer(bytes([LIST_REQUEST]), LISTING)
     except InputError:
@@ -58,8 +58,8 @@ def _listed(data: bytes) -> Iterator[bytes]:
 
 
 def _answer(request: bytes, patience: float) -> bytes:
-    """The reply of the agent, without the length that precedes it; empty if the reply is too long. Raises `InputError` if no agent
-    is running or the agent does not answer. `patience`: the longest time to wait, s."""
+    """Returns the reply of the agent, without the length that precedes it; empty if the reply is too long. Raises `InputError` if
+    no agent is running or the agent does not answer. `patience`: the longest time to wait, s."""
     path = os.environ.get("SSH_AUTH_SOCK", "")
     if not path or sys.platform == "win32":
         hint = "start ssh-agent and add the key with ssh-add"

@@ -15,7 +15,7 @@ MOST_LETTERS = 200
 
 
 def payload_of(value: Json) -> bytes:
-    """The statement as a payload, in canonical JSON (RFC 8785)."""
+    """Returns the statement as a payload, in canonical JSON (RFC 8785)."""
     import rfc8785
 
     return rfc8785.dumps(value)
@@ -34,7 +34,7 @@ def read_statement(payload: bytes, predicate: str) -> JsonObject:
 
 
 def printable_line(text: str) -> bool:
-    """Whether a text can be printed as one line without misleading characters."""
+    """Returns True if a text can be printed as one line without misleading characters."""
     return text.isprintable() and not MISLEADING.search(text)
 
 

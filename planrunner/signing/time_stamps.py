@@ -121,8 +121,8 @@ def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: 
 
 
 def stamp_time(token: bytes, digest: str, authority: StampAuthority) -> datetime:
-    """The time (UTC) at which the authority stamped a SHA-256 digest (64 hexadecimal digits). Raises `StampError` if the reply is
-    no valid stamp of this digest."""
+    """Returns the time (UTC) at which the authority stamped a SHA-256 digest (64 hexadecimal digits). Raises `StampError` if the
+    reply is no valid stamp of this digest."""
     reply = _decoded(token)
     _verify(VerifierBuilder(roots=list(authority.certificates)), reply, digest)
     moment = reply.tst_info.gen_time.astimezone(UTC)
@@ -131,7 +131,7 @@ def stamp_time(token: bytes, digest: str, authority: StampAuthority) -> datetime
 
 
 def stamped_digest(token: bytes) -> str:
-    """The SHA-256 digest that a reply claims to stamp. Raises `StampError` if the reply cannot be read."""
+    """Returns the SHA-256 digest that a reply claims to stamp. Raises `StampError` if the reply cannot be read."""
     imprint = _decoded(token).tst_info.message_imprint
     if imprint.hash_algorithm != SHA256:
         raise StampError("it is not a stamp of a SHA-256 digest")

@@ -45,7 +45,7 @@ def sign_head(log: RunLog, signer: Signer) -> bytes:
 
 
 def signed_head(log: RunLog, ring: KeyRing | None) -> RememberedHead | None:
-    """The signed tree head in a log; None if there is none. Raises `IntegrityError` if the file of the signed tree head was
+    """Returns the signed tree head in a log; None if there is none. Raises `IntegrityError` if the file of the signed tree head was
     changed, and `OSError` if it cannot be read."""
     if log.folder.entry(SIGNED) is None:
         return None

@@ -153,8 +153,8 @@ class Acutrol:
         return bits | (SERVICE if bits else 0)
 
     def _status_word(self, sub: str) -> str:
-        """The status word with this name. `stb` is the status byte. For axis n, `a<n>dyn` describes the motion and `a<n>sft` the
-        software faults."""
+        """Returns the status word with this name. `stb` is the status byte. For axis n, `a<n>dyn` describes the motion and
+        `a<n>sft` the software faults."""
         if sub == "stb":
             return str(self._status())
         found = re.fullmatch(r"a(\d+)(dyn|sft)", sub)
@@ -265,7 +265,8 @@ class Acutrol:
     # -- axes ----------------------------------------------------------------------------------------------------------
 
     def _mode(self, index: int) -> str:
-        """The actual mode of an axis. It can differ from the commanded mode, because an axis that a fault has stopped has no mode."""
+        """Returns the actual mode of an axis. It can differ from the commanded mode, because an axis that a fault has stopped has
+        no mode."""
         axis = self.plant.axes[index]
         if axis.faults:
             return "abort"
@@ -278,7 +279,7 @@ class Acutrol:
         return place
 
     def _axes(self, arguments: list[str]) -> list[int]:
-        """All axes if the argument is `all` or absent, otherwise the axis with this number."""
+        """Returns all axes if the argument is `all` or absent, otherwise the axis with this number."""
         if not arguments or arguments[0].lower() == "all":
             return list(range(len(self.held)))
         return [self._axis(arguments)]

@@ -36,7 +36,7 @@ class ChamberPlant:
         self.overshoot = 0.0
 
     def air(self) -> float:
-        """The measured temperature of the air. The call also checks the limits of the chamber."""
+        """Returns the measured temperature of the air. The call also checks the limits of the chamber."""
         found = float(self.live.world.air(np.array([self.live.now()]))[0])
         slack = self.model.tolerance
         if self.running and not self.lowest - slack <= found <= self.highest + slack:

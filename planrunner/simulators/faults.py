@@ -263,6 +263,7 @@ def _corrupted(frames: Bytes, rows: np.ndarray, draw: np.random.Generator) -> By
 
 
 def _misread(frames: Bytes) -> Bytes:
-    """The frames as a receiver reads them at twice the bit rate: each byte becomes two bytes, in which every bit is doubled."""
+    """Returns the frames as a receiver reads them at twice the bit rate: each byte becomes two bytes, in which every bit is
+    doubled."""
     bits = np.unpackbits(frames, axis=1, bitorder="little")
     return np.packbits(np.repeat(bits, 2, axis=1), axis=1, bitorder="little")

@@ -85,7 +85,7 @@ class Crc:
         return np.array(found, dtype=np.uint64)
 
     def of(self, frames: Bytes) -> NDArray[np.uint64]:
-        """The check values (n,) of frames (n, length)."""
+        """Returns the check values (n,) of frames (n, length)."""
         register = np.full(len(frames), self.start, dtype=np.uint64)
         shift, mask = np.uint64(self.width - 8), np.uint64((1 << self.width) - 1)
         for column in (_REVERSED[frames] if self.reflected else frames).T:
@@ -96,7 +96,7 @@ class Crc:
         return register ^ mask if self.inverted else register
 
     def of_text(self, text: str) -> int:
-        """The check value of one line."""
+        """Returns the check value of one line."""
         return int(self.of(np.frombuffer(text.encode("ascii"), dtype=np.uint8)[None, :])[0])
 
 

@@ -158,7 +158,8 @@ def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, virtual: Instr
 
 
 def _simulated(entry: InstrumentEntry) -> str:
-    """The name of an entry's driver, under which a simulator is installed. Raises `InputError` if there is no such simulator."""
+    """Returns the name of an entry's driver, under which a simulator is installed. Raises `InputError` if there is no such
+    simulator."""
     known = plugins.names(plugins.SIMULATORS)
     if entry.driver not in known:
         message = f"there is no simulated instrument for the driver '{entry.driver}'"

@@ -153,8 +153,8 @@ class Path:
         return path.then(start, (up, level, slow, rest), rest.begin)
 
     def swing(self, now: float, amplitude: float, frequency: float, phase: float, zero: float, about: float) -> Path:
-        """The path that starts a sine about an angle. If the joint already performs the same sine with another amplitude, the
-        amplitude changes gradually. Otherwise the sine starts with amplitude zero."""
+        """Returns the path that starts a sine about an angle. If the joint already performs the same sine with another amplitude,
+        the amplitude changes gradually. Otherwise the sine starts with amplitude zero."""
         piece = self.current(now)
         same = isinstance(piece, Swing) and (piece.frequency, piece.phase, piece.zero) == (frequency, phase, zero)
         before = piece.amplitude if isinstance(piece, Swing) and same else 0.0

@@ -120,7 +120,7 @@ class SensorFeed:
             self.made += length
 
     def take(self) -> list[Block]:
-        """The samples that have been made since the last call."""
+        """Returns the samples that have been made since the last call."""
         self.catch_up(self.live.now())
         taken, self.waiting = self.waiting, []
         return taken

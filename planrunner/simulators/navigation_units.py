@@ -22,7 +22,7 @@ _FINE, _CLIPPED_GYRO_X = 0x3, 1 << 11  # of the status word: self-test passed, f
 
 
 def _vectors(outputs: Outputs, block: Block) -> tuple[Array, Array]:
-    """The rates [rad/s] and the specific forces [m/s^2] of the sensor's axes, (n, 3) each."""
+    """Returns the rates [rad/s] and the specific forces [m/s^2] of the sensor's axes, (n, 3) each."""
     gyro, force = outputs.triad(block, "gyro", 1.0), outputs.triad(block, "accel", 1.0)
     return np.stack(list(gyro.values()), axis=1), np.stack(list(force.values()), axis=1)
 
@@ -91,7 +91,7 @@ class XsensUnit:
 
 
 def _turns(angles: Array) -> Array:
-    """The unit quaternions (n, 4), real part first, that belong to rotation vectors (n, 3)."""
+    """Returns the unit quaternions (n, 4), real part first, that belong to rotation vectors (n, 3)."""
     size = np.linalg.norm(angles, axis=1)
     part = 0.5 * np.sinc(size / (2 * np.pi))  # sin(a/2)/a
     return np.column_stack([np.cos(size / 2), angles * part[:, None]])

@@ -57,8 +57,8 @@ class TablePlant:
     # -- measurements --------------------------------------------------------------------------------------------------
 
     def state(self, index: int) -> tuple[float, float, float]:
-        """The present angle, rate and acceleration of an axis. The call also checks the limits: an axis that exceeds its trip rate
-        is switched off."""
+        """Returns the present angle, rate and acceleration of an axis. The call also checks the limits: an axis that exceeds its
+        trip rate is switched off."""
         found = self.paths.paths[index].state(self.live.now())
         axis = self.axes[index]
         if abs(found[1]) > axis.trip * _GRANTED and not axis.faults:

@@ -83,7 +83,7 @@ def message(identifier: int, payload: Bytes) -> Bytes:
 
 
 def short_message(identifier: int, payload: bytes = b"") -> bytes:
-    """A single message, such as an acknowledgement or an error."""
+    """Returns a single message, such as an acknowledgement or an error."""
     return message(identifier, constant(payload, 1)).tobytes()
 
 

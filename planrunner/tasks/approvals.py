@@ -61,8 +61,8 @@ class RingFile:
 
 
 def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
-    """The key ring that a bench names. Raises `InputError` if the ring cannot be read, or if a person whom the rule's key `by`
-    names is not in it."""
+    """Returns the key ring that a bench names. Raises `InputError` if the ring cannot be read, or if a person whom the rule's key
+    `by` names is not in it."""
     return _ring(rule, bench_file.parent / rule.keys)
 
 
@@ -127,7 +127,7 @@ _REASONS: dict[ApprovalStanding, _Reason] = {
 def required_approvals(
     plan_file: Path, plan_bytes: bytes, plan: Plan, bench: Bench, moment: datetime, log: Findings
 ) -> KeptApprovals | None:
-    """The approval data that the run folder must keep. Returns None if the bench requires no approvals, or if approvals are
+    """Returns the approval data that the run folder must keep. Returns None if the bench requires no approvals, or if approvals are
     missing; in the second case, findings give the reasons.
 
     The approvals are read from the folder of the plan file, and the key ring from the file that the bench file names. `moment`:
@@ -275,8 +275,8 @@ def still_approved(
 def _renewals(
     state: JournalState,
 ) -> list[tuple[datetime, tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]]]:
-    """For each time at which a run was continued with further approvals: the time, these approvals, and the journal entries that
-    are not approvals."""
+    """Returns, for each time at which a run was continued with further approvals: the time, these approvals, and the journal
+    entries that are not approvals."""
     return [(datetime.fromisoformat(at), entries_of(given)) for at, given in state.renewals]
 
 
@@ -384,8 +384,8 @@ def _tell_invalid(
 
 
 def _author(found: Examined, kept: KeptApprovals, bench: Bench) -> tuple[str, ...]:
-    """The authors that the plan in the run folder states. Also checks that this plan and the bench have the meanings that were
-    approved."""
+    """Returns the authors that the plan in the run folder states. Also checks that this plan and the bench have the meanings that
+    were approved."""
     path = found.folder.path
     plan, _ = parse_plan(source.decode(found.given[PLAN], str(path / PLAN)), str(path / PLAN))
     if plan is None:

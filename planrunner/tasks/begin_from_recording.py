@@ -39,7 +39,7 @@ def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
 
 
 def _quoted(text: str) -> str:
-    """A text as a value in YAML, with quotes if it needs them."""
+    """Returns a text as a value in YAML, with quotes if it needs them."""
     return text if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./]*", text) else "'" + text.replace("'", "''") + "'"
 
 
@@ -117,12 +117,12 @@ def bench_of(look: Look, name: str) -> str:
 
 
 def _labelled(look: Look) -> list[tuple[str, Span]]:
-    """The dwells of a recording in which a table turned at different rates, each with its label."""
+    """Returns the dwells of a recording in which a table turned at different rates, each with its label."""
     return [(f"dwell_{number}", span) for number, span in enumerate(look.dwells, start=1)]
 
 
 def _dwell_lines(look: Look) -> list[str]:
-    """The segments of a plan for a recording with different rates. Comments state the means of the gyros."""
+    """Returns the segments of a plan for a recording with different rates. Comments state the means of the gyros."""
     gyros = [one for one in look.channels if one.sensed == "gyro"]
     lines = []
     for label, span in _labelled(look):

@@ -224,8 +224,8 @@ def issued_as(shown: CertificateFacts) -> JsonObject:
 
 
 def _number_of(analysis: StoredAnalysis) -> str | None:
-    """The number of the certificate that was issued with an analysis; None if no number was stored. Raises `IntegrityError` if the
-    stored data were changed."""
+    """Returns the number of the certificate that was issued with an analysis; None if no number was stored. Raises `IntegrityError`
+    if the stored data were changed."""
     if ISSUED not in analysis.files:
         return None
     number = analysis.read_json(ISSUED, "issued", "planrunner_issued", 1).get("certificate_number")

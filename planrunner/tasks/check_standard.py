@@ -257,8 +257,8 @@ def admit_again(
 
 
 def _signature_kept(bench: Bench, run: RunReader, began: JsonObject, bench_file: Path | None) -> JsonObject | None:
-    """The signature of the override with which a run began. Raises `InputError` if the signature was not valid when the run began.
-    Returns None if the bench has no key ring or the override has no signature."""
+    """Returns the signature of the override with which a run began. Raises `InputError` if the signature was not valid when the run
+    began. Returns None if the bench has no key ring or the override has no signature."""
     if bench.approvals is None or run.approvals is None or "signature" not in began:
         return None
     kept, created = kept_approvals(run.approvals, run.path)[0], datetime.fromisoformat(str(run.run["created"]))

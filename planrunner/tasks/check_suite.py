@@ -63,7 +63,7 @@ class CheckedSuite:
 
     @property
     def durations(self) -> tuple[float | None, ...]:
-        """The planned duration of each test, s."""
+        """Returns the planned duration of each test, s."""
         return tuple(self.plans[test.measurement].seconds for test in self.tests)
 
     def sound(self) -> SoundSuite:
@@ -100,7 +100,7 @@ class SoundSuite:
 
 
 def is_suite(file: Path) -> bool:
-    """Whether a file is a suite, that is, has the key `planrunner_suite`. False for a file that cannot be read."""
+    """Returns True if a file is a suite, that is, has the key `planrunner_suite`. False for a file that cannot be read."""
     try:
         data = source.read_bytes(file)
         # The whole text is parsed only if it contains the key.
@@ -276,14 +276,14 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
 
 
 def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
-    """A finding about a plan with the values of the plan's parameters added to its text. They are added because the finding does
-    not occur with other values."""
+    """Returns a finding about a plan with the values of the plan's parameters added to its text. They are added because the finding
+    does not occur with other values."""
     values = ", ".join(f"{name} = {value}" for name, value in test.parameter_values.items())
     return replace(finding, message=f"{finding.message} (with {values})")
 
 
 def _plan_of(test: PlannedTest) -> Mark:
-    """The position at which the suite file names the plan of a test."""
+    """Returns the position at which the suite file names the plan of a test."""
     return test.mark if test.standard else test.plan.at("plan")
 
 

@@ -107,13 +107,13 @@ def comparison(
 
 
 def computed_from_recording(recorded: Recorded, simulation: str | None) -> bool:
-    """Whether simulations are computed for the recorded motion, because the bench plays recordings back and the user names no other
-    bench."""
+    """Returns True if simulations are computed for the recorded motion, because the bench plays recordings back and the user names
+    no other bench."""
     return simulation is None and recorded.sound.models.replays
 
 
 def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: StopRequest) -> tuple[Observed, Observed]:
-    """The samples from two runs of the plan on the virtual bench, one without and one with the effects."""
+    """Returns the samples from two runs of the plan on the virtual bench, one without and one with the effects."""
     base, grounds = _base(made.recorded, simulation), made.diagnosis.grounds
     stated = as_planned(stated, grounds.weighing.observed, base.schedule.segments)
     absent, mark = _absent(grounds.nominal, stated), Mark(made.recorded.where)
@@ -126,9 +126,9 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 
 
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
-    """Two simulations for the recorded motion, one without and one with the effects. Each simulation has its own white noise and is
-    rounded to counts. The noise levels and counts are those of the recording. If an effect changes the noise or the count of a
-    channel, the simulation without effects uses the declared value of the channel instead."""
+    """Returns two simulations for the recorded motion, one without and one with the effects. Each simulation has its own white
+    noise and is rounded to counts. The noise levels and counts are those of the recording. If an effect changes the noise or the
+    count of a channel, the simulation without effects uses the declared value of the channel instead."""
     from planrunner.error_model.added import stuck
     from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
@@ -160,8 +160,8 @@ def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
 
 
 def _of_counts(seen: Observed, values: Array, counts: Array) -> Observed:
-    """The recording `seen` with its samples replaced by other samples (N, K), and the resolution of its channels replaced by the
-    counts (K,)."""
+    """Returns the recording `seen` with its samples replaced by other samples (N, K), and the resolution of its channels replaced
+    by the counts (K,)."""
     channels = zip(seen.channels, counts.tolist(), strict=True)
     return replace(seen, values=values, channels=tuple(replace(one, resolution=count) for one, count in channels))
 
@@ -182,8 +182,8 @@ def _rounded(values: Array, counts: Array) -> Array:
 
 
 def _walk(observed: Observed, triad: str, density: float, draw: np.random.Generator) -> Array:
-    """A random walk (N, K) in each channel of a triad; zero in the other channels. `density`: in the SI unit of the triad, divided
-    by √s."""
+    """Returns a random walk in each channel of a triad, shape (N, K); zero in the other channels. `density`: in the SI unit of the
+    triad, divided by √s."""
     steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]).clip(0.0))
     walk = np.zeros((len(steps), len(observed.channels)))
     own = observed.of_kind(triad)
@@ -261,13 +261,13 @@ def _merged(entered: Stated, further: Stated) -> Stated | None:
 
 
 def _sum(first: str | None, second: str) -> str:
-    """The sum of two values in the same unit, as a text."""
+    """Returns the sum of two values in the same unit, as a text."""
     number, space, unit = second.partition(" ")
     return second if first is None else f"{float(first.partition(' ')[0]) + float(number):.9g}{space}{unit}"
 
 
 def _without(made: Diagnosed, stated: Stated) -> Observed:
-    """The samples of a diagnosis after subtracting the effects, whose contribution is computed for the recorded motion."""
+    """Returns the samples of a diagnosis after subtracting the effects, whose contribution is computed for the recorded motion."""
     weighing = made.diagnosis.grounds.weighing
     fitted = weighing.fitted()
     change = _plus(made, fitted, _additions(made, stated)) - fitted
@@ -275,9 +275,9 @@ def _without(made: Diagnosed, stated: Stated) -> Observed:
 
 
 def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
-    """The effects to add to a simulation, each with all its parameters. Some effects act in every simulated world, but the nominal
-    simulation of the diagnosis may lack them. The diagnosed amplitude of such an effect is then added to the full effect of the
-    world."""
+    """Returns the effects to add to a simulation, each with all its parameters. Some effects act in every simulated world, but the
+    nominal simulation of the diagnosis may lack them. The diagnosed amplitude of such an effect is then added to the full effect of
+    the world."""
     from planrunner.error_model.added import SHARE, addition
     from planrunner.error_model.effects.interface import InEveryWorld
 
@@ -293,7 +293,7 @@ def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
 
 
 def _plus(made: Diagnosed, fitted: Array, additions: Sequence[Addition]) -> Array:
-    """The output (N, K) of the nominal simulation, with the effects added, SI."""
+    """Returns the output of the nominal simulation, with the effects added, SI, shape (N, K)."""
     from planrunner.error_model.added import added
 
     return added(replace(made.diagnosis.grounds.weighing.declared, fitted=fitted), fitted, additions, 0)
@@ -307,7 +307,7 @@ def _on_noise(name: str) -> bool:
 
 
 def _base(recorded: Recorded, simulation: str | None) -> Sound:
-    """The plan of a recording, checked on the virtual bench. Raises `InputError` for a recording whose schedule cannot be
+    """Returns the plan of a recording, checked on the virtual bench. Raises `InputError` for a recording whose schedule cannot be
     simulated."""
     if recorded.several:
         message = "several runs are analysed together, and a comparison simulates one plan"
@@ -332,7 +332,7 @@ def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
 
 
 def _with(base: Sound, stated: Stated, mark: Mark) -> Sound:
-    """The plan, checked on its bench to which the given effects are added."""
+    """Returns the plan, checked on its bench to which the given effects are added."""
     if not stated:
         return base
     shown = base.bench.origin.mark.file
@@ -341,7 +341,7 @@ def _with(base: Sound, stated: Stated, mark: Mark) -> Sound:
 
 
 def _simulated(sound: Sound, folder: Path, seed: int, nominal: Sequence[str], stop: StopRequest) -> Observed:
-    """The samples that a simulation of the plan gives."""
+    """Returns the samples that a simulation of the plan gives."""
     info = gather(sound.plan, [f"{name}=simulated" for name, item in sound.plan.record.items() if item.required], None)
     run, outcome = running.start(
         sound,

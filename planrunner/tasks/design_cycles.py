@@ -28,7 +28,7 @@ ORDERS = {"same": "same order", "free": "free order"}
 
 
 def has_cycle_alone(checked: Checked) -> bool:
-    """Whether a plan has a cycle, but no estimate whose positions could be designed."""
+    """Returns True if a plan has a cycle, but no estimate whose positions could be designed."""
     cycles = checked.schedule is not None and any(isinstance(item.motion, Cycle) for item in checked.schedule.segments)
     return cycles and not any(design.blocks for design in checked.designs.values())
 
@@ -93,7 +93,7 @@ def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:
 
 
 def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: float) -> Cable:
-    """The range of angles that the axis can reach, relative to its angle at the start of the cycle."""
+    """Returns the range of angles that the axis can reach, relative to its angle at the start of the cycle."""
     start = 0.0
     if segment.attitude is not None:
         try:
@@ -104,19 +104,19 @@ def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: fl
 
 
 def _sense(plan: model.Plan, label: str) -> float:
-    """The sign that converts the plan's angles to anticlockwise angles: −1 if the plan counts them clockwise, otherwise 1."""
+    """Returns the sign that converts the plan's angles to anticlockwise angles: −1 if the plan counts them clockwise, otherwise 1."""
     return -1.0 if _motion(plan, label).sense == "clockwise" else 1.0
 
 
 def _motion(plan: model.Plan, label: str) -> model.MotionSpec:
-    """The motion of a segment with a cycle, as the plan states it."""
+    """Returns the motion of a segment with a cycle, as the plan states it."""
     motion = next(item.state.motion for item in expand(plan, Findings()) if item.label == label)
     assert isinstance(motion, model.MotionSpec)
     return motion
 
 
 def _moves(cycle: RotationCycle, motion: Cycle, sign: float) -> tuple[str, ...]:
-    """The moves of a cycle as the plan writes them, with its names of positions and its sense of rotation."""
+    """Returns the moves of a cycle as the plan writes them, with its names of positions and its sense of rotation."""
     first = motion.positions[motion.moves[0].start]
 
     def named(angle: float) -> str:

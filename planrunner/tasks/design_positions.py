@@ -61,7 +61,7 @@ def design_positions(
 
 
 def _rows_of(rows: direction_cosines.RowsAt, axes: tuple[TableAxis, ...], azimuth: float, settings: Array) -> Array:
-    """The design rows for m settings of the table's k axes. `settings`: angles of the axes, shape (m, k)."""
+    """Returns the design rows for m settings of the table's k axes. `settings`: angles of the axes, shape (m, k)."""
     return rows(positions.attitudes(axes, settings, azimuth))
 
 
@@ -204,8 +204,8 @@ class _Designer:
         return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
 
     def _weighting(self, criterion: str) -> Array | None:
-        """The matrix of the linear criterion for the search; None for the criteria D and G. For G, a set found for criterion D is
-        improved afterwards."""
+        """Returns the matrix of the linear criterion for the search; None for the criteria D and G. For G, a set found for
+        criterion D is improved afterwards."""
         if criterion in "DG":
             return None
         return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
@@ -221,7 +221,8 @@ class _Designer:
         return exchange.choose(rows, self.count, weighting, seed=self.asked.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
-        """The indices of the chosen rows. For criterion G, rows are first exchanged for others to reduce the largest variance."""
+        """Returns the indices of the chosen rows. For criterion G, rows are first exchanged for others to reduce the largest
+        variance."""
         if self.asked.criterion != "G":
             return indices
         return worst_variance.exchange(
@@ -240,8 +241,8 @@ class _Designer:
     def _references(
         self, region: optimal.Region, cardinal_rows: Array, free: Array, found: Mapping[str, Sequence[Array]]
     ) -> tuple[dict[str, Merit], dict[str, Bounds]]:
-        """The best sets found and the upper bounds, for cardinal orientations and for all orientations that the table can reach.
-        Each criterion has a separate search."""
+        """Returns the best sets found and the upper bounds, for cardinal orientations and for all orientations that the table can
+        reach. Each criterion has a separate search."""
         merits = [self._merit(self.sight.rows(np.array(attitudes))) for attitudes in found.values()]
         continuous_ones = {}
         for number, criterion in enumerate(_WITH_BOUND):
@@ -324,7 +325,7 @@ class _Designer:
         )  # fmt: skip
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
-        """The dwell at each position within the time budget, and the D-efficiency of equal dwells relative to these."""
+        """Returns the dwell at each position within the time budget, and the D-efficiency of equal dwells relative to these."""
         if self.asked.time is None:
             return (), 1.0
         used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
@@ -346,8 +347,8 @@ class _Designer:
 
 
 def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
-    """The plan with other orientations, which are given as attitudes (3, 3) by their positions in the plan's text. The result
-    contains the schedule of this plan, with the real transition times, and the information for the plan's estimates. Raises
+    """Returns the plan with other orientations, which are given as attitudes (3, 3) by their positions in the plan's text. The
+    result contains the schedule of this plan, with the real transition times, and the information for the plan's estimates. Raises
     `EstimationError` if the bench cannot execute this plan."""
     assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
     new = {
@@ -375,8 +376,8 @@ def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> 
 
 
 def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells: Mapping[_Mark, float]) -> str:
-    """The text of the plan with other orientations and, if they are given, with other dwells [s]. Raises `EstimationError` if an
-    orientation cannot be written to the plan."""
+    """Returns the text of the plan with other orientations and, if they are given, with other dwells [s]. Raises `EstimationError`
+    if an orientation cannot be written to the plan."""
     text = source.decode(checked.plan_bytes, checked.file)
     try:
         if dwells:
@@ -387,7 +388,7 @@ def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells:
 
 
 def _best(merits: Sequence[Merit]) -> Merit:
-    """For each criterion, the best value among the sets."""
+    """Returns, for each criterion, the best value among the sets."""
     one = merits[0]
     return Merit(
         one.observations, one.terms, one.terms, max(m.determinant for m in merits), min(m.trace for m in merits),

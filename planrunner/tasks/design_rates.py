@@ -50,7 +50,7 @@ def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
 
 
 def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
-    """The segments from which an estimate is made."""
+    """Returns the segments from which an estimate is made."""
     assert checked.plan is not None and checked.schedule is not None
     chosen = checked.plan.estimates[name].segments
     patterns = chosen.within if isinstance(chosen, Detection) else chosen
@@ -166,7 +166,7 @@ class _RateDesigner:
     # -- information from a rate ---------------------------------------------------------------------------------------
 
     def _block(self, segments: Sequence[Segment]) -> DesignBlock:
-        """The block of design rows for the output that is studied."""
+        """Returns the block of design rows for the output that is studied."""
         return next(one for one in self._blocks(segments) if one.output == self.output)
 
     def _blocks(self, segments: Sequence[Segment]) -> Sequence[DesignBlock]:
@@ -217,7 +217,7 @@ class _RateDesigner:
         )
 
     def _dwell(self, rate: float) -> float:
-        """The dwell [s] at a rate, which follows from the dwell that the plan states for its largest rate."""
+        """Returns the dwell [s] at a rate, which follows from the dwell that the plan states for its largest rate."""
         stated = self.stated[self.pattern[0].label].dwell
         if isinstance(stated, Turns):
             period = 2 * math.pi / rate
@@ -296,8 +296,8 @@ class _RateDesigner:
         return math.exp((reference - loss) / len(self.terms)) if self.asked.criterion == "D" else reference / loss
 
     def _allotted(self, rates: Sequence[float]) -> tuple[float, ...] | None:
-        """The dwell [s] at each rate within the time budget, as a whole number of turns; None without a budget. `rates`: sorted,
-        the largest first."""
+        """Returns the dwell [s] at each rate within the time budget, as a whole number of turns; None without a budget. `rates`:
+        sorted, the largest first."""
         if self.asked.time is None:
             return None
         assert self.checked.schedule is not None
@@ -338,7 +338,7 @@ class _RateDesigner:
             raise EstimationError(f"{self.checked.file}: {error}") from None
 
     def _with(self, text: str) -> Checked:
-        """The plan with other rates, checked on its bench."""
+        """Returns the plan with other rates, checked on its bench."""
         checked = check_plan(Document(text.encode(), self.checked.file), self.bench)
         if checked.schedule is None or self.sweep.name not in checked.designs:
             raise InputError(checked.findings)

@@ -203,7 +203,7 @@ def _words(one: Contribution) -> tuple[str, ...]:
 
 
 def _plain(one: Contribution, devices: Sequence[str]) -> JsonObject:
-    """A contribution as plain JSON data. `devices`: the device of each of the n runs."""
+    """Returns a contribution as plain JSON data. `devices`: the device of each of the n runs."""
     return {
         "sources": list(_words(one)),
         "probability": one.probability,
@@ -310,7 +310,8 @@ def diagnose_fleet(
 
 
 def _key(origin: RunOrigin, kind: str, asked: Json) -> str:
-    """The key under which the result for a run is stored; empty for a run that is not sealed, because such a run may change."""
+    """Returns the key under which the result for a run is stored; empty for a run that is not sealed, because such a run may
+    change."""
     return key_of(kind, origin.seal, asked) if origin.seal else ""
 
 
@@ -321,9 +322,9 @@ def _from_kept(
     plain: Callable[[T], Json],
     of_plain: Callable[[Json], T],
 ) -> list[T]:
-    """The result for each key: the stored result if there is one; otherwise a computed result, which is then stored. `compute`:
-    computes the results for the given positions in `keys`. `plain`: converts a result to JSON data; it returns null for a result
-    that must not be stored."""
+    """Returns the result for each key: the stored result if there is one; otherwise a computed result, which is then stored.
+    `compute`: computes the results for the given positions in `keys`. `plain`: converts a result to JSON data; it returns null for
+    a result that must not be stored."""
     found: dict[int, T] = {}
     for place, key in enumerate(keys):
         held = kept.get(key) if key else None
@@ -517,8 +518,8 @@ def _stated(path: Path, runs: Sequence[Path], log: Findings) -> dict[Path, dict[
 
 
 def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obstacles:
-    """The result of calling `make` for a run, or the obstacles that it reports. If `skip` is True, a changed run folder is an
-    obstacle; otherwise an error is raised for it."""
+    """Returns the result of calling `make` for a run, or the obstacles that it reports. If `skip` is True, a changed run folder is
+    an obstacle; otherwise an error is raised for it."""
     from planrunner.observation.refusals import ObservationError
 
     try:
@@ -535,7 +536,7 @@ def _attempted(make: Callable[[Path], T], run: Path, *, skip: bool) -> T | Obsta
 
 
 def _verdict(nominal: tuple[str, ...] | None, skip: bool, run: Path) -> RunVerdict | Obstacles:
-    """The verdict on a run, or the obstacles to diagnosing it."""
+    """Returns the verdict on a run, or the obstacles to diagnosing it."""
     return _attempted(partial(_diagnosed, nominal), run, skip=skip)
 
 
@@ -576,7 +577,7 @@ def _shapes(made: Diagnosis) -> dict[str, tuple[float, float]]:
 def _fitted(
     nominal: tuple[str, ...], effects: tuple[tuple[str, float | None], ...], run: Path
 ) -> list[AmplitudeEstimate]:
-    """The amplitudes of the nominal terms and of the given effects, fitted to a run that has already been diagnosed."""
+    """Returns the amplitudes of the nominal terms and of the given effects, fitted to a run that has already been diagnosed."""
     from threadpoolctl import threadpool_limits
 
     from planrunner.error_model.effects.interface import effect_named
@@ -620,8 +621,9 @@ def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings
 
 
 def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
-    """The effects that at least one run names. If the plan of a run cannot distinguish several effects, one of them is used: the
-    effect that another run names with certainty, otherwise the effect with the highest probability over all runs together."""
+    """Returns the effects that at least one run names. If the plan of a run cannot distinguish several effects, one of them is
+    used: the effect that another run names with certainty, otherwise the effect with the highest probability over all runs
+    together."""
     certain = {name for one in verdicts if not one.members for name in one.effects}
     chosen = set(certain)
     for one in verdicts:
@@ -636,7 +638,7 @@ def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
 
 
 def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, str]]:
-    """The effects that have amplitudes, and the other effects with the reason why they are not attributed."""
+    """Returns the effects that have amplitudes, and the other effects with the reason why they are not attributed."""
     from planrunner.error_model.effects.interface import OutsideCoefficients, effect_named
 
     kept, left = [], {}
@@ -651,7 +653,7 @@ def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, s
 
 
 def _shape(name: str, verdicts: Sequence[RunVerdict]) -> float | None:
-    """The shape of an effect, taken from the run with the most evidence for its shape; None for an effect without a shape."""
+    """Returns the shape of an effect, taken from the run with the most evidence for its shape; None for an effect without a shape."""
     found = [one.shapes[name] for one in verdicts if name in one.shapes]
     return max(found, key=lambda item: item[1])[0] if found else None
 
@@ -659,7 +661,7 @@ def _shape(name: str, verdicts: Sequence[RunVerdict]) -> float | None:
 def _attributed(
     fits: Sequence[Sequence[AmplitudeEstimate]], origins: Sequence[RunOrigin], workers: Workers
 ) -> tuple[Attributed, ...]:
-    """All amplitudes that at least two runs determine, with their attribution."""
+    """Returns all amplitudes that at least two runs determine, with their attribution."""
     by_key: dict[AmplitudeKey, list[tuple[int, float, float]]] = {}
     for index, fit in enumerate(fits):
         for one in fit:
@@ -691,7 +693,7 @@ def _one_attributed(
 
 
 def _shared(attributed: Sequence[Attributed], origins: Sequence[RunOrigin]) -> tuple[SharedByLot, ...]:
-    """The amplitudes that the devices of one lot have in common and that no other device has."""
+    """Returns the amplitudes that the devices of one lot have in common and that no other device has."""
     lots = {one.labels[Source.DEVICE]: one.lot for one in origins if one.lot}
     found: list[SharedByLot] = []
     for one in attributed:

@@ -86,7 +86,7 @@ def compare_plans(
 
 
 def kind_of(path: Path) -> ComparedKind:
-    """The kind of a file or folder: plan, bench or run. Raises `InputError` if it cannot be read."""
+    """Returns the kind of a file or folder: plan, bench or run. Raises `InputError` if it cannot be read."""
     if path.is_dir():
         return "run"
     if _is_shipped(path):
@@ -96,8 +96,8 @@ def kind_of(path: Path) -> ComparedKind:
 
 
 def meaning_of_file(path: Path) -> Meaning:
-    """The meaning of a plan or bench file. The meaning of a plan then contains only the name of its bench. Raises `InputError` if
-    the file cannot be read or has errors."""
+    """Returns the meaning of a plan or bench file. The meaning of a plan then contains only the name of its bench. Raises
+    `InputError` if the file cannot be read or has errors."""
     if kind_of(path) == "bench":
         return meaning_of_bench(_bench(path))
     return meaning_of_plan(_plan(source.read_bytes(path), str(path)))

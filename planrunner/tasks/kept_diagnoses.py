@@ -78,7 +78,7 @@ def key_of(kind: str, run: str, asked: Json) -> str:
 
 @cache
 def _program() -> Json:
-    """A text that identifies the versions of the program, of its libraries, and of the packages with plug-ins."""
+    """Returns a text that identifies the versions of the program, of its libraries, and of the packages with plug-ins."""
     found = dict(versions())
     for group in (plugins.EFFECTS, plugins.ESTIMATORS, plugins.INSTRUMENTS):
         for entry in entry_points(group=group):

@@ -57,8 +57,8 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
 
 
 def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object]:
-    """The keys of an estimate that name the channels of supply voltage and ambient pressure, if effects depend on these quantities.
-    The channels are those that the diagnosis used."""
+    """Returns the keys of an estimate that name the channels of supply voltage and ambient pressure, if effects depend on these
+    quantities. The channels are those that the diagnosis used."""
     from planrunner.tasks.diagnose import only_channel
 
     followed = {effect.follows for effect in effects if isinstance(effect, FollowsSurroundings)}
@@ -130,7 +130,7 @@ def _renumbered(name: str, seen: Sequence[tuple[float, ...]], planned: Sequence[
 
 
 def _why_not(effect: Effect, observed: Observed) -> str:
-    """The reason why an estimate cannot contain an effect; empty if it can."""
+    """Returns the reason why an estimate cannot contain an effect; empty if it can."""
     from planrunner.error_model.effects.interface import is_whole
     from planrunner.error_model.segment_columns import estimable
 
@@ -156,7 +156,7 @@ def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, lis
 
 
 def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
-    """The text of the plan with one more estimate after the others, written in the same style."""
+    """Returns the text of the plan with one more estimate after the others, written in the same style."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a plan that was read
     nodes = {key.value: value for key, value in root.value}
@@ -172,7 +172,7 @@ def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
 
 
 def _block(name: str, entry: Mapping[str, object], column: int) -> str:
-    """A mapping as YAML text in block style. Its first line begins at the given column."""
+    """Returns a mapping as YAML text in block style. Its first line begins at the given column."""
     pad = "\n" + " " * (column + 2)
     lines = []
     for key, value in entry.items():

@@ -267,8 +267,8 @@ def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: Nig
 def _unfinished(
     nights: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
 ) -> _Night | None:
-    """The newest night of this suite whose journal has no end; None if no such night can be continued. Other unfinished nights are
-    closed."""
+    """Returns the newest night of this suite whose journal has no end; None if no such night can be continued. Other unfinished
+    nights are closed."""
     found: _Night | None = None
     for name, entry in reversed(nights.entries().items()):
         if entry.kind != "folder":
@@ -356,7 +356,7 @@ class _Night:
     # -- the whole night -------------------------------------------------------------------------------------------------
 
     def can_go_on(self) -> bool:
-        """Whether an interrupted night can still be continued in its time."""
+        """Returns True if an interrupted night can still be continued in its time."""
         now = self._clock.now()
         return now < self._course.hours.closes and (self._sound.virtual or now - self._record.now < CONTINUED_WITHIN)
 
@@ -497,7 +497,7 @@ class _Night:
         self._write_reports()
 
     def _result(self, index: int, now: float, ending: EndOfTest, reason: str) -> tuple[StateOfTest, str]:
-        """The final state of a test, and the reason for it."""
+        """Returns the final state of a test, and the reason for it."""
         name, failures = self._sound.tests[index].name, self._sound.suite.known_failures
         known = known_failure(name, failures, ending.value, civil(now, self._sound.zone).date())
         if known is not None:
@@ -570,8 +570,8 @@ class _Night:
         self._ended.put(index)
 
     def _command(self, test: PlannedTest, before: str | None) -> tuple[str, str, list[str]]:
-        """The id of the run, the kind of process, and the arguments of the command for a test. `before`: id of the run to continue;
-        None to begin a new run."""
+        """Returns the id of the run, the kind of process, and the arguments of the command for a test. `before`: id of the run to
+        continue; None to begin a new run."""
         common = ["--json", "--quiet"]
         data = [] if self._options.data is None else ["--data", str(self._options.data)]
         override = self._sound.suite.benches[test.bench].override_check_standard
@@ -680,7 +680,7 @@ class _Night:
         self._write_reports()
 
     def _judge_standard(self, test: PlannedTest, ending: EndOfTest, reason: str) -> tuple[EndOfTest, str]:
-        """The outcome of a test that measures a check standard: it passed if the check standard is in control now."""
+        """Returns the outcome of a test that measures a check standard: it passed if the check standard is in control now."""
         try:
             state = control_state(read_bench(self._sound.bench_of(test), Path())[0], self._options.runs)
         except InputError as error:

@@ -352,7 +352,7 @@ class _Options:
 
 
 def _stated(text: str) -> list[StatedSegment]:
-    """The segments that the text of a proposed plan contains. Raises `InputError` if this plan has errors."""
+    """Returns the segments that the text of a proposed plan contains. Raises `InputError` if this plan has errors."""
     plan, log = parse_plan(text, "<proposal>")
     stated = [] if plan is None or log.errors else expand(plan, log)
     if log.errors:

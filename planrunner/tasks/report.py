@@ -84,7 +84,7 @@ _PRINTED: dict[SignatureStanding, Literal["valid", "unknown", "invalid"]] = {
 
 
 def _bench(sound: Sound) -> dict[str, str]:
-    """The bench as its file describes it, and the ambient conditions of the room if the file states any."""
+    """Returns the bench as its file describes it, and the ambient conditions of the room if the file states any."""
     bench, room = sound.bench, sound.bench.ambient
     stated = (
         {} if room is None else {"temperature": room.temperature, "pressure": room.pressure, "humidity": room.humidity}
@@ -94,13 +94,13 @@ def _bench(sound: Sound) -> dict[str, str]:
 
 
 def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str]:
-    """The identity of an instrument as it reports it, and its asset number from the bench file."""
+    """Returns the identity of an instrument as it reports it, and its asset number from the bench file."""
     entry = sound.bench.instruments.get(name)
     return {**said, "asset": entry.asset} if entry is not None and entry.asset else dict(said)
 
 
 def _seeded(sound: Sound) -> bool:
-    """Whether the seed of the run had an effect, which is the case if this program simulated an instrument."""
+    """Returns True if the seed of the run had an effect, which is the case if this program simulated an instrument."""
     return sound.models.origin == "simulated" and sound.bench.simulation is None
 
 
@@ -125,12 +125,12 @@ def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str
 
 
 def _approvals(reader: RunReader) -> dict[str, str]:
-    """The approvals under which the plan ran."""
+    """Returns the approvals under which the plan ran."""
     return {f"approval {number} of the plan": text for number, (_, text) in enumerate(approved_by(reader), 1)}
 
 
 def _minute(moment: str, before: str = "") -> str:
-    """A time in ISO 8601 in the form `2026-03-01 08:11`. The date is omitted if the time `before` has the same date."""
+    """Returns a time in ISO 8601 in the form `2026-03-01 08:11`. The date is omitted if the time `before` has the same date."""
     text = moment[:16].replace("T", " ")
     return text[11:] if before[:10] == moment[:10] else text
 

@@ -228,7 +228,7 @@ def resume(
 
 
 def _approved(sound: Sound, runs: Path) -> bytes | None:
-    """The approval data that the new run folder will contain; None if the bench requires no approvals.
+    """Returns the approval data that the new run folder will contain; None if the bench requires no approvals.
 
     Raises `InputError` if approvals are missing. Every run passes this check, however its plan was checked before.
     """
@@ -373,8 +373,8 @@ def _carry_out(
 
 
 def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
-    """The operator who answers the prompts; None on a simulated bench. Raises `InputError` if the plan needs an operator and none
-    is present."""
+    """Returns the operator who answers the prompts; None on a simulated bench. Raises `InputError` if the plan needs an operator
+    and none is present."""
     if runs_on_virtual_clock(sound.bench):
         return None
     if operator is None:
@@ -386,7 +386,7 @@ def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
 
 
 def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
-    """The indices of the recorded segments with these labels."""
+    """Returns the indices of the recorded segments with these labels."""
     known = {item.label: item.index for item in reader.acknowledged()}
     for label in labels:
         if label not in known:
@@ -522,7 +522,7 @@ def keep(made: Evaluated, *, elsewhere: bool = False) -> Analysis:
 
 
 def stored_results(analysis: StoredAnalysis) -> Results:
-    """The results stored in an analysis. Raises `IntegrityError` if the stored results were changed."""
+    """Returns the results stored in an analysis. Raises `IntegrityError` if the stored results were changed."""
     try:
         return Results.from_json(_read_results(analysis), str(analysis.path / RESULTS))
     except (InputError, AttributeError, OverflowError) as error:  # as no version wrote it
@@ -530,8 +530,8 @@ def stored_results(analysis: StoredAnalysis) -> Results:
 
 
 def _read_results(analysis: StoredAnalysis) -> Json:
-    """The stored results of an analysis as JSON data. Results that older versions stored may lack keys that the present schema
-    requires. Raises `IntegrityError` if the results were changed."""
+    """Returns the stored results of an analysis as JSON data. Results that older versions stored may lack keys that the present
+    schema requires. Raises `IntegrityError` if the results were changed."""
     try:
         return from_bytes(analysis.read(RESULTS))
     except ValueError as error:
@@ -579,8 +579,8 @@ class _Made:
 
 
 def _evaluated(reader: RunReader, plan: Document) -> Sound:
-    """The checked plan and bench of a run, where the plan is replaced by a plan with other estimates or limits. Raises `InputError`
-    if this plan differs from the plan of the run in anything else."""
+    """Returns the checked plan and bench of a run, where the plan is replaced by a plan with other estimates or limits. Raises
+    `InputError` if this plan differs from the plan of the run in anything else."""
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     bench = Document(reader.bench_bytes, str(reader.path / "bench.yaml"))
     sound = check_plan(plan, bench, made).sound()

@@ -157,7 +157,7 @@ def _flow(value: object) -> str:
 
 
 def _with_instrument(text: str, name: str, entry: str) -> str:
-    """The text of a bench file with one more instrument after the others, written in the same style."""
+    """Returns the text of a bench file with one more instrument after the others, written in the same style."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a bench file that was read
     nodes = {key.value: value for key, value in root.value}

@@ -61,7 +61,7 @@ class Verification:
 
     @property
     def sealed(self) -> bool:
-        """Whether the run is finished and has a seal."""
+        """Returns True if the run is finished and has a seal."""
         return self.found.seal is not None and self.found.state is not None and self.found.state.finished
 
     def to_json(self) -> JsonObject:
@@ -125,7 +125,7 @@ def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[Evaluatio
 
 
 def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
-    """The signatures of a run, verified. Adds faults to the findings of `found`."""
+    """Returns the signatures of a run, verified. Adds faults to the findings of `found`."""
     path = found.folder.path / SIGNATURES
     try:
         for fault in signature_faults(found.folder):

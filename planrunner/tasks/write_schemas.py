@@ -36,14 +36,15 @@ def bench_schema() -> Schema:
 
 
 def suite_schema() -> Schema:
-    """The schema of suite files."""
+    """Returns the schema of suite files."""
     from planrunner.night.suite import Suite
 
     return _document("planrunner suite", object_schema(keys_of(Suite)), {})
 
 
 def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Schema:
-    """The complete schema of a kind of file. Parts that many keys use, such as a quantity of time, are defined once in `$defs`."""
+    """Returns the complete schema of a kind of file. Parts that many keys use, such as a quantity of time, are defined once in
+    `$defs`."""
     shared = _shared()
     names = {json.dumps(part, sort_keys=True): name for name, part in shared.items()}
     used: set[str] = set()
@@ -76,8 +77,8 @@ def _shared() -> dict[str, Schema]:
 
 
 def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Json:
-    """A copy of `schema` in which references replace all parts that have a name in `names`. Descriptions and examples stay next to
-    the references."""
+    """Returns a copy of `schema` in which references replace all parts that have a name in `names`. Descriptions and examples stay
+    next to the references."""
     if isinstance(schema, list):
         return [_with_references(item, names, used) for item in schema]
     if not isinstance(schema, dict):

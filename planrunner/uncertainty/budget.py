@@ -83,7 +83,7 @@ def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
 
 
 def _added(same: Sequence[Influence]) -> Influence:
-    """The sum of several influences of one input."""
+    """Returns the sum of several influences of one input."""
     if len(same) == 1 and len(set(same[0].parts)) == len(same[0].parts) != 1:
         return same[0]
     held: dict[object, Array] = {}
@@ -97,8 +97,8 @@ def _added(same: Sequence[Influence]) -> Influence:
 
 
 def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_freedom: Sequence[float]) -> float:
-    """The effective degrees of freedom by the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1). They are infinite if nothing
-    contributes, and zero if a contribution has no degrees of freedom."""
+    """Returns the effective degrees of freedom by the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1). They are infinite if
+    nothing contributes, and zero if a contribution has no degrees of freedom."""
     pairs = [(size, freedom) for size, freedom in zip(contributions, degrees_of_freedom, strict=True) if size]
     if any(not freedom > 0 for _, freedom in pairs):
         return 0.0

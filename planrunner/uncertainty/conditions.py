@@ -43,31 +43,31 @@ class StatedCondition(Generic[C]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the parts, in the form that `Influence` requires."""
+        """Returns the names of the parts, in the form that `Influence` requires."""
         return () if tuple(self.parts) == ("",) else tuple(self.parts)
 
     def seen_by(self, view: Callable[[C], D]) -> StatedCondition[D]:
-        """The same input, as a condition of another formula. `view`: function that converts the conditions of this formula to the
-        conditions of the other formula."""
+        """Returns the same input, as a condition of another formula. `view`: function that converts the conditions of this formula
+        to the conditions of the other formula."""
         parts = {name: _after(moved, view) for name, moved in self.parts.items()}
         return StatedCondition(self.quantity, parts, self.in_scatter)
 
     def answers(self, formula: Callable[[C], Array]) -> list[Array]:
-        """For each part of the input, the derivative of the formula's results with respect to this part, in the shape of the
-        results."""
+        """Returns, for each part of the input, the derivative of the formula's results with respect to this part, in the shape of
+        the results."""
         return slopes(formula, self.parts.values(), self.quantity.standard_uncertainty)
 
 
 def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedCondition[C]]) -> tuple[Influence, ...]:
-    """The influences of stated inputs on the m results of a formula."""
+    """Returns the influences of stated inputs on the m results of a formula."""
     return influences_on_several(lambda each: np.stack([formula(one) for one in each]), stated)
 
 
 def influences_on_several(
     formula: Callable[[Sequence[C]], Array], stated: Iterable[StatedCondition[C]]
 ) -> tuple[Influence, ...]:
-    """The influences of stated inputs on the m results of a formula that is evaluated for k conditions in one call; it returns an
-    array (k, m)."""
+    """Returns the influences of stated inputs on the m results of a formula that is evaluated for k conditions in one call; it
+    returns an array (k, m)."""
     inputs = [one for one in stated if one.parts]
     moved: list[C] = []
     for one in inputs:
@@ -86,8 +86,8 @@ def influences_on_several(
 
 
 def slopes(formula: Callable[[C], Array], moved: Iterable[Moved[C]], step: float) -> list[Array]:
-    """The derivatives of a formula with respect to each change of its conditions, in the shape of the formula's results. The
-    formula is evaluated twice for each change."""
+    """Returns the derivatives of a formula with respect to each change of its conditions, in the shape of the formula's results.
+    The formula is evaluated twice for each change."""
     return [central(_after(one, formula), step) for one in moved]
 
 

@@ -30,8 +30,8 @@ class CoefficientRole(StrEnum):
 
 @lru_cache(maxsize=4096)
 def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
-    """The factor k of the expanded uncertainty: the quantile of Student's t for a two-sided interval (JCGM 100:2008, G.3), or of
-    the normal distribution for infinite degrees of freedom. If there are no degrees of freedom, the factor is infinite."""
+    """Returns the factor k of the expanded uncertainty: the quantile of Student's t for a two-sided interval (JCGM 100:2008, G.3),
+    or of the normal distribution for infinite degrees of freedom. If there are no degrees of freedom, the factor is infinite."""
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 + confidence / 2
@@ -45,7 +45,7 @@ def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -
 def expanded_uncertainty(
     standard_uncertainty: float, degrees_of_freedom: float, confidence: float = CONFIDENCE
 ) -> float:
-    """The expanded uncertainty U = k·u; zero if u = 0."""
+    """Returns the expanded uncertainty U = k·u; zero if u = 0."""
     return coverage_factor(degrees_of_freedom, confidence) * standard_uncertainty if standard_uncertainty else 0.0
 
 
@@ -67,7 +67,8 @@ class Decision:
 
     @property
     def false(self) -> float:
-        """The specific risk (JCGM 106, 9.3): the probability of false acceptance for a pass, or of false rejection for a fail."""
+        """Returns the specific risk (JCGM 106, 9.3): the probability of false acceptance for a pass, or of false rejection for a
+        fail."""
         return 1.0 - self.probability if self.verdict == "pass" else self.probability
 
 
@@ -116,7 +117,7 @@ def decide(
 
 
 def guard_band(expanded: float, rule: Rule, factor: float = 1.0) -> float:
-    """The guard band w = r·U for guarded acceptance, where r is `factor`; zero for simple acceptance."""
+    """Returns the guard band w = r·U for guarded acceptance, where r is `factor`; zero for simple acceptance."""
     return factor * expanded if rule == "guarded" and factor else 0.0
 
 
@@ -128,7 +129,7 @@ def conformance_probability(
     upper: float = math.inf,
     role: CoefficientRole = CoefficientRole.LOCATION,
 ) -> float:
-    """The probability that the true value lies in [lower, upper].
+    """Returns the probability that the true value lies in [lower, upper].
 
     If `role` is `LOCATION`, the distribution of the true value is Student's t, centred on `value` and scaled by the uncertainty. If
     `role` is `SCALE`, the value is a measure of scatter s with ν degrees of freedom, and ν·s²/σ² follows χ² (JCGM 106, 7.2, with
@@ -161,8 +162,8 @@ def conformance_probability(
 
 
 def scale_freedom(value: float, standard_uncertainty: float) -> float:
-    """The degrees of freedom ν of a measure of scatter s, from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3). The result is 0 if ν is too
-    small for χ², or so large that the distribution is normal."""
+    """Returns the degrees of freedom ν of a measure of scatter s, from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3). The result is 0 if ν
+    is too small for χ², or so large that the distribution is normal."""
     if not (value > 0 and standard_uncertainty > 0):
         return 0.0
     found = (value / standard_uncertainty) ** 2 / 2
@@ -170,7 +171,7 @@ def scale_freedom(value: float, standard_uncertainty: float) -> float:
 
 
 def _to_bound(bound: float, upper: bool, freedom: float, confidence: float) -> float:
-    """The distance that a scale must keep from a limit, so that its two-sided χ² interval ends at the limit."""
+    """Returns the distance that a scale must keep from a limit, so that its two-sided χ² interval ends at the limit."""
     from scipy.special import chdtri
 
     beyond = (1 + confidence) / 2 if upper else (1 - confidence) / 2  # chdtri takes the probability above

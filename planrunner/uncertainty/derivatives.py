@@ -23,18 +23,18 @@ _STEP = 1e-30
 
 
 def jacobian(formula: Formula, at: Array) -> Array:
-    """The derivative ∂formula/∂x, shape (q, p), at x (p,). Calls the formula once."""
+    """Returns the derivative ∂formula/∂x, shape (q, p), at x (p,). Calls the formula once."""
     return value_and_jacobian(formula, at)[1]
 
 
 def value_and_jacobian(formula: Formula, at: Array) -> tuple[Array, Array]:
-    """The values (q,) of a formula and the derivative ∂formula/∂x, shape (q, p), at x (p,), p > 0. Calls the formula once."""
+    """Returns the values (q,) of a formula and the derivative ∂formula/∂x, shape (q, p), at x (p,), p > 0. Calls the formula once."""
     found = formula(cast(Array, at[:, None] + 1j * _STEP * np.eye(len(at))))
     return found.real[:, 0], np.asarray(found.imag / _STEP)
 
 
 def central(function: Callable[[float], Array], step: float) -> Array:
-    """The derivative ∂function/∂x at x = 0, in the shape of the function's values. Calls the function twice."""
+    """Returns the derivative ∂function/∂x at x = 0, in the shape of the function's values. Calls the function twice."""
     return np.asarray((function(step) - function(-step)) / (2 * step))
 
 
@@ -44,7 +44,7 @@ def length(vector: Array) -> Array:
 
 
 def angle_of(across: Array, along: Array) -> Array:
-    """The angle [rad], in (−π, π], whose sine is proportional to `across` and whose cosine is proportional to `along`."""
+    """Returns the angle [rad], in (−π, π], whose sine is proportional to `across` and whose cosine is proportional to `along`."""
     steep = np.abs(across.real) > np.abs(along.real)
     ratio = np.where(steep, along, across) / np.where(steep, across, along)
     direct = np.arctan(ratio) + np.where(along.real < 0, np.copysign(np.pi, across.real), 0.0)

@@ -42,8 +42,8 @@ def global_risk(
     tolerance: tuple[float, float],
     acceptance: tuple[float, float],
 ) -> GlobalRisk:
-    """The risks R_C of the consumer and R_P of the producer (JCGM 106:2012, equations 17 to 20). `tolerance`: lower and upper
-    limit, infinite if a limit is missing.
+    """Returns the risks R_C of the consumer and R_P of the producer (JCGM 106:2012, equations 17 to 20). `tolerance`: lower and
+    upper limit, infinite if a limit is missing.
 
     `acceptance`: interval of the measured values that are accepted; empty if its lower end is above its upper end. Raises
     ValueError if the standard deviation of the prior is not positive.
@@ -69,7 +69,7 @@ def global_risk(
 
 
 def _accepted(true: Array, u: float, freedom: float, acceptance: tuple[float, float]) -> Array:
-    """The probability, for each true value (n,), that the measured value lies within the acceptance interval."""
+    """Returns the probability, for each true value (n,), that the measured value lies within the acceptance interval."""
     from scipy.special import ndtr, stdtr
 
     low, high = acceptance

@@ -23,7 +23,7 @@ class Aspect(StrEnum):
     RESOLUTION = "resolution"
 
     def of(self, output: str) -> str:
-        """The name of the input quantity for an output."""
+        """Returns the name of the input quantity for an output."""
         return f"{self.value} {output}"
 
 
@@ -70,11 +70,11 @@ class Influence:
 
     @property
     def covariance(self) -> Array:
-        """The contribution (m, m) to the covariance of the coefficients."""
+        """Returns the contribution to the covariance of the coefficients, shape (m, m)."""
         return self.quantity.standard_uncertainty**2 * (self.sensitivities @ self.sensitivities.T)
 
     def through(self, gradient: Array) -> Influence:
-        """The influence on q quantities that are computed from the m coefficients. `gradient`: array of shape (q, m),
+        """Returns the influence on q quantities that are computed from the m coefficients. `gradient`: array of shape (q, m),
         ∂quantity/∂coefficient."""
         return Influence(self.quantity, gradient @ self.sensitivities, self.in_scatter, self.parts)
 

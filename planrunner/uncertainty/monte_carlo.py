@@ -118,13 +118,13 @@ def propagate(
 
 
 def _of_averages(found: Sequence[Array]) -> Array:
-    """The standard deviations of the averages of the results over the blocks."""
+    """Returns the standard deviations of the averages of the results over the blocks."""
     return np.asarray(np.std(found, axis=0, ddof=1) / math.sqrt(len(found)))
 
 
 def _block(draw: Draws, probability: float, seed: int, number: int) -> tuple[Array, Array]:
-    """The draws (m, BLOCK) of one block; and the mean, the standard deviation and the two ends of the interval of each coefficient
-    (4, m). Only one thread computes, because the last digits of matrix products may depend on the number of threads."""
+    """Returns the draws (m, BLOCK) of one block; and the mean, the standard deviation and the two ends of the interval of each
+    coefficient (4, m). Only one thread computes, because the last digits of matrix products may depend on the number of threads."""
     from threadpoolctl import threadpool_limits
 
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
@@ -134,7 +134,8 @@ def _block(draw: Draws, probability: float, seed: int, number: int) -> tuple[Arr
 
 
 def numerical_tolerance(standard_uncertainty: float, digits: int) -> float:
-    """The tolerance δ = ½·10^l for an uncertainty u = c·10^l, where c is an integer with `digits` digits (JCGM 101:2008, 7.9.2)."""
+    """Returns the tolerance δ = ½·10^l for an uncertainty u = c·10^l, where c is an integer with `digits` digits (JCGM 101:2008,
+    7.9.2)."""
     if not (standard_uncertainty > 0 and math.isfinite(standard_uncertainty)):
         return 0.0
     power = math.floor(math.log10(standard_uncertainty)) - digits + 1
@@ -210,12 +211,12 @@ def _about(centre: Array, parts: Sequence[Draws], rng: np.random.Generator, n: i
 
 
 def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:
-    """The factors √(ν/χ²) for n draws. Normal draws follow Student's t after multiplication by these factors."""
+    """Returns the factors √(ν/χ²) for n draws. Normal draws follow Student's t after multiplication by these factors."""
     return np.asarray(np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, n)))
 
 
 def square_root(covariance: Array) -> Array:
-    """A matrix L for which L·Lᵀ is the covariance (m, m), which may be singular. L is computed from the eigenvectors of the
+    """Returns a matrix L for which L·Lᵀ is the covariance (m, m), which may be singular. L is computed from the eigenvectors of the
     correlation matrix, so that the units of the quantities do not matter."""
     size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     size = np.where(size > 0, size, 1.0)
@@ -245,7 +246,7 @@ def _inputs(quantity: InputQuantity, rng: np.random.Generator, r: int, n: int) -
 
 
 def _ends(values: Array, probability: float) -> tuple[Array, Array]:
-    """The ends of the probabilistically symmetric interval in each row (JCGM 101:2008, 7.7.2)."""
+    """Returns the ends of the probabilistically symmetric interval in each row (JCGM 101:2008, 7.7.2)."""
     below, above = _places(values.shape[1], probability)
     parted = np.partition(values, (below, above), axis=1)
     return parted[:, below], parted[:, above]
@@ -258,7 +259,7 @@ def _places(n: int, probability: float) -> tuple[int, int]:
 
 
 def _interval(row: Array, probability: float) -> Interval:
-    """The Monte Carlo result for one coefficient. `row`: array of shape (n,), sorted draws."""
+    """Returns the Monte Carlo result for one coefficient. `row`: array of shape (n,), sorted draws."""
     below, above = _places(len(row), probability)
     width = above - below
     start = int(np.argmin(row[width:] - row[: len(row) - width]))

@@ -27,7 +27,7 @@ TYPICAL_DEVIATION = 5 * ARCSEC
 
 
 def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, MountedAxis]) -> Inputs:
-    """The quantities for which the bench or the plan states an uncertainty; `Inputs` lists their names."""
+    """Returns the quantities for which the bench or the plan states an uncertainty; `Inputs` lists their names."""
     found = [*_site(bench), *_mounting(bench, mounting)]
     for name, entry in bench.instruments.items():
         role, source, day = driver_of(entry).role, _source(name, entry), _day(entry.calibration)

@@ -56,8 +56,8 @@ _BY_STAGE = {"stimulus": Actor.BENCH, "acquisition": Actor.BENCH}
 
 
 def about(effect: Effect) -> About:
-    """The description of an effect. If a plug-in has no `about`, the description consists of the identifier of the effect, the
-    first paragraph of its docstring, and the usual actor for its stage."""
+    """Returns the description of an effect. If a plug-in has no `about`, the description consists of the identifier of the effect,
+    the first paragraph of its docstring, and the usual actor for its stage."""
     if isinstance(effect, TellsAbout):
         return effect.about
     physics = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())

@@ -19,7 +19,7 @@ _SHORT = 1e-6  # s: a delay for which the secant is the tangent
 
 
 def _frequencies(tau: float) -> Mapping[str, str]:
-    """The bandwidth 1/(2πτ) of a first-order lag, and the frequency at which it lags by one degree."""
+    """Returns the bandwidth 1/(2πτ) of a first-order lag, and the frequency at which it lags by one degree."""
     bandwidth = 1 / (2 * np.pi * max(abs(tau), 1e-9))
     return {"bandwidth": f"{bandwidth:.3g} Hz", "slow": f"{bandwidth * np.tan(DEG):.2g} Hz"}
 
@@ -236,8 +236,8 @@ class GyroFoldOver(Shaped):
 def _changed(
     observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
 ) -> Variant:
-    """The variant of an effect that replaces the nominal output of the gyros by a function of this output. `acting`: array of shape
-    (S,), True for the segments in which the function changes the output; None for all segments."""
+    """Returns the variant of an effect that replaces the nominal output of the gyros by a function of this output. `acting`: array
+    of shape (S,), True for the segments in which the function changes the output; None for all segments."""
     nominal = observed.gyro_output
     change = np.zeros_like(nominal)
     for part in [part for index, part in enumerate(observed.segments()) if acting is None or acting[index]]:

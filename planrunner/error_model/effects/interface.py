@@ -101,7 +101,7 @@ class Explained(Effect, Protocol):
 
 
 def effect_named(name: str) -> Effect:
-    """The installed effect with this name. Raises `InputError` if there is no such effect, or if the effect has the stage
+    """Returns the installed effect with this name. Raises `InputError` if there is no such effect, or if the effect has the stage
     covariance and no attribute `outside`."""
     made: Effect = plugins.load(plugins.EFFECTS, name)()
     if made.stage == "covariance" and not isinstance(made, OutsideCoefficients):

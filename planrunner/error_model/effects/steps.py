@@ -31,9 +31,9 @@ def _about(triad: str) -> About:
 
 
 def _moments(observed: Observed) -> Array:
-    """The moments with which a diagnosis starts its search: the starts of all segments but the first, and the middles of the first
-    and the last segment. The diagnosis then also searches between these moments. All intervals between neighbouring moments have
-    the same prior probability, and the evidence is averaged over these intervals."""
+    """Returns the moments with which a diagnosis starts its search: the starts of all segments but the first, and the middles of
+    the first and the last segment. The diagnosis then also searches between these moments. All intervals between neighbouring
+    moments have the same prior probability, and the evidence is averaged over these intervals."""
     bounds = observed.bounds
     middles = observed.time[[bounds[1] // 2, (bounds[-2] + bounds[-1]) // 2]]
     return np.unique(np.maximum([middles[0], *observed.time[bounds[1:-1]], middles[1]], 1e-9))
@@ -98,8 +98,8 @@ class MountShift(Shaped):
 
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
-        """The columns of the shift. `felt`: array of shape (N, 12): angular rate, specific force, the negative angular rate and the
-        negative specific force."""
+        """Returns the columns of the shift. `felt`: array of shape (N, 12): angular rate, specific force, the negative angular rate
+        and the negative specific force."""
         after, acting = _after(observed, value, felt)
         parts: list[dict[int, Array]] = [{}, {}, {}]
         for index, channel in enumerate(observed.channels):
@@ -171,11 +171,11 @@ class SamplesDropped(Shaped):
 
     @staticmethod
     def _last(observed: Observed) -> float:
-        """The end of the last segment in which the rate changes, s since power-on."""
+        """Returns the end of the last segment in which the rate changes, s since power-on."""
         return float(observed.time[observed.bounds[np.flatnonzero(observed.unsteady)[-1] + 1] - 1])
 
     def _shown(self, observed: Observed) -> Array:
-        """The change (N, G) of the outputs of G gyros, divided by the lost time."""
+        """Returns the change of the outputs of G gyros, divided by the lost time, shape (N, G)."""
         later = observed.turn_before(-self.lost) / self.lost if self.lost else observed.swing
         return np.column_stack(list(on_rate(observed, later).values()))
 
@@ -185,9 +185,9 @@ def _both_signs(observed: Observed) -> Array:
 
 
 def _after(observed: Observed, moment: float, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """A copy of a table (N, P) with zeros before a moment, and a mask (S,) that is True for the segments that end after this
-    moment. If no segment contains the moment, the table itself is returned, because columns that come from one table are evaluated
-    together."""
+    """Returns a copy of a table (N, P) with zeros before a moment, and a mask (S,) that is True for the segments that end after
+    this moment. If no segment contains the moment, the table itself is returned, because columns that come from one table are
+    evaluated together."""
     first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
     acting = np.asarray(last >= moment)
     if not (acting & (first < moment)).any():

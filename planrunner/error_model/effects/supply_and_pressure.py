@@ -76,12 +76,13 @@ class _OfSurroundings:
     natural: float
 
     def _excess(self, observed: Observed) -> Array:
-        """The excess (N,) of the supply voltage [V] over its nominal value, or of the pressure [Pa] over the standard atmosphere of
-        1013.25 hPa."""
+        """Returns the excess of the supply voltage [V] over its nominal value, or of the pressure [Pa] over the standard atmosphere
+        of 1013.25 hPa, shape (N,)."""
         return observed.overvoltage if self.follows is Follows.SUPPLY else observed.overpressure
 
     def shown_in(self, observed: Observed) -> bool:
-        """Whether the voltage or the pressure differs between segments by more than it usually varies due to regulation or weather."""
+        """Returns True if the voltage or the pressure differs between segments by more than it usually varies due to regulation or
+        weather."""
         excess = observed.excess_voltage if self.follows is Follows.SUPPLY else observed.excess_pressure
         if excess is None:
             return False

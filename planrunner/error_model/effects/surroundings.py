@@ -60,8 +60,8 @@ class AccelMagneticSensitivity:
 
 
 def _response_to_field(observed: Observed, kind: str, unit: str, factor: float) -> list[Column]:
-    """The columns for the nine elements of a 3×3 matrix of sensitivities to the magnetic field; no columns if the field is not
-    declared. The sensitivities refer to the strength of the field at the site, which counts as 1."""
+    """Returns the columns for the nine elements of a 3×3 matrix of sensitivities to the magnetic field; no columns if the field is
+    not declared. The sensitivities refer to the strength of the field at the site, which counts as 1."""
     if observed.magnetic is None:
         return []
     field = observed.in_sensor_axes(observed.magnetic / np.linalg.norm(observed.magnetic))

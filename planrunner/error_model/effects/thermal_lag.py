@@ -90,9 +90,9 @@ def lag(observed: Observed, tau: float) -> Array:
 
 
 def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind: float, tau: float) -> float:
-    """The lag Tₑ − T [K] at the first instant of a record of temperatures, `course`. `behind`: the lag Tₑ − T [K] at the end of the
-    preceding record, `before`. Between the two records, T = T₁ + D·exp(−t/s). Tₑ − T₁ is then a sum of two terms: its first value,
-    decaying with the time constant τ, and the convolution of D·exp(−t/s) with exp(−t/τ)/τ."""
+    """Returns the lag Tₑ − T [K] at the first instant of a record of temperatures, `course`. `behind`: the lag Tₑ − T [K] at the
+    end of the preceding record, `before`. Between the two records, T = T₁ + D·exp(−t/s). Tₑ − T₁ is then a sum of two terms: its
+    first value, decaying with the time constant τ, and the convolution of D·exp(−t/s) with exp(−t/τ)/τ."""
     if before is None:
         return 0.0
     gap = float(course.time[0] - before.time[-1])
@@ -105,9 +105,9 @@ def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind
 
 
 def _through(course: TemperatureCourse, tau: float, behind: float) -> Array:
-    """The lag Tₑ − T (n,), K, at the times of a record of temperatures. `behind`: Tₑ − T at the first of these times, K. The
-    temperature changes linearly between samples. With d = Tₑ − T, q = exp(−h/τ) and g = τ/h, a step of length h gives d₁ = q·d₀ −
-    g·(1 − q)·(T₁ − T₀)."""
+    """Returns the lag Tₑ − T (n,), K, at the times of a record of temperatures. `behind`: Tₑ − T at the first of these times, K.
+    The temperature changes linearly between samples. With d = Tₑ − T, q = exp(−h/τ) and g = τ/h, a step of length h gives d₁ = q·d₀
+    − g·(1 − q)·(T₁ − T₀)."""
     from scipy.signal import lfilter
 
     since = course.time - course.time[0]

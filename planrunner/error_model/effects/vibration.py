@@ -64,7 +64,7 @@ class AccelVibrationRectification:
 
 
 def _two_intensities(mean_square: Array) -> bool:
-    """Whether the rocking segments have at least two intensities: their largest mean square is more than `_TWO` times their
+    """Returns True if the rocking segments have at least two intensities: their largest mean square is more than `_TWO` times their
     smallest. `mean_square`: array of shape (N,), zero at samples of other segments."""
     rocks = mean_square[mean_square > 0]
     return bool(len(rocks) and rocks.max() > _TWO * rocks.min())

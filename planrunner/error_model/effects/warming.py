@@ -17,7 +17,7 @@ _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2 * np.pi / 180), "accel": ("mg", 1
 
 
 def _time_to_settle(tau: float) -> Mapping[str, str]:
-    """The time after which less than one per cent of a warm-up remains. `tau`: time constant, s."""
+    """Returns the time after which less than one per cent of a warm-up remains. `tau`: time constant, s."""
     return {"wait": f"{tau * np.log(100.0) / 60:.2g} min"}
 
 

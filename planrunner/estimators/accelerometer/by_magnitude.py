@@ -181,8 +181,9 @@ def _weighted(
     recorded: Sequence[RecordedSegment],
     found: GravityFit,
 ) -> OutputsFit:
-    """The last step of the calibration: a weighted fit of |f| − g [m/s²] as a single output. `recorded`: the recorded segments that
-    are the poses; empty if the poses are only parts of segments. Raises `EstimationError` if the plan or the data are not suitable."""
+    """Returns the last step of the calibration: a weighted fit of |f| − g [m/s²] as a single output. `recorded`: the recorded
+    segments that are the poses; empty if the poses are only parts of segments. Raises `EstimationError` if the plan or the data are
+    not suitable."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
     variance = np.einsum("ni,nj,ij->n", felt, felt, poses.correlation)
@@ -227,7 +228,7 @@ def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
 
 
 def _gravity(request: EstimateRequest[AccelerometerMultiPositionParameters], fit: OutputsFit) -> tuple[Influence, ...]:
-    """The influence of an uncertain magnitude of gravity, with which |f| is compared."""
+    """Returns the influence of an uncertain magnitude of gravity, with which |f| is compared."""
     gravity = request.setup.inputs.get("gravity")
     return (Influence(gravity, fit.gains[0].sum(axis=1)[:, None]),) if gravity else ()
 
@@ -288,7 +289,7 @@ def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Ob
 
 
 def _whole(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> list[RecordedSegment]:
-    """The segments that count as poses; in a schedule, the segments in which a pose will be found."""
+    """Returns the segments that count as poses; in a schedule, the segments in which a pose will be found."""
     return [
         recorded
         for recorded in request.segments
@@ -319,8 +320,8 @@ def _same_channels(channels: Sequence[str], outputs: Sequence[str]) -> None:
 
 
 def _gives_pose(segment: Segment, detection: Detection | None, sample_rate: float) -> bool:
-    """Whether a segment at rest is long enough for a pose. True for a moving segment in which spans are detected, because it may
-    contain any number of poses."""
+    """Returns True if a segment at rest is long enough for a pose. True for a moving segment in which spans are detected, because
+    it may contain any number of poses."""
     if detection is None or segment.dwell is None or segment.attitude is None:
         return True
     # Windows hold whole samples, and a span ends at samples: one interval may be lost at either end.

@@ -139,7 +139,7 @@ def _row(axis: int, found: AxesQuantities) -> AxisResponse:
 
 
 def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported, RowFormula]]:
-    """The reported quantities of one axis, each with a formula that computes it from the axis's coefficients in SI."""
+    """Returns the reported quantities of one axis, each with a formula that computes it from the axis's coefficients in SI."""
     letter = _AXES[axis]
     seen = _excited(model)
     if axis in seen and not fit.coefficients[axis, list(seen.values())].any():

@@ -92,7 +92,7 @@ def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, A
 
 
 def _magnitude(readings: Array, values: Array) -> Array:
-    """The magnitudes |f| (n, k) that follow from readings (n, 3, k) and parameters (9, k); either k may be 1."""
+    """Returns the magnitudes |f| (n, k) that follow from readings (n, 3, k) and parameters (9, k); either k may be 1."""
     bias, scale, gamma = values[:3], values[3:6], values[6:]
     cosines = np.broadcast_to(np.eye(3)[..., None], (3, 3, values.shape[1])).astype(values.dtype)
     for (i, j), angle in zip(_PAIRS, gamma, strict=True):

@@ -242,8 +242,8 @@ def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[s
 
 
 def _influences(results: Sequence[_Result]) -> list[Influence]:
-    """The contribution of the scale factors' uncertainty. Every coefficient is proportional to the scale factor of its output, or
-    to the reciprocal of the scale factor."""
+    """Returns the contribution of the scale factors' uncertainty. Every coefficient is proportional to the scale factor of its
+    output, or to the reciprocal of the scale factor."""
     values = np.array([item.value for result in results for item in result.coefficients])
     found, place = [], 0
     for result in results:
@@ -315,7 +315,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
 
 
 def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviationParameters) -> list[Deviation]:
-    """The Hadamard deviations at the averaging times of the fit, if they have enough degrees of freedom."""
+    """Returns the Hadamard deviations at the averaging times of the fit, if they have enough degrees of freedom."""
     factors = np.array([row.factor for row in chosen], dtype=np.int64)
     rows = deviations(phase, "hadamard", factors, parameters.confidence)
     return [row for row in rows if row.value > 0 and takes_part(row.tau, row.freedom, parameters.fit_up_to)]
@@ -400,7 +400,7 @@ def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probabili
 
 
 def _plot(result: _Result, found: DescribedRange) -> Plot:
-    """A plot of the deviations and of the model over all averaging times."""
+    """Returns a plot of the deviations and of the model over all averaging times."""
     rows = [row for row in result.rows if row.value > 0]
     factors = np.array([row.factor for row in found.fitted], dtype=np.int64)
     variances = model_matrix(factors) @ found.fit.squares
@@ -468,8 +468,8 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
 def _foreseen(
     request: DesignRequest[AllanDeviationParameters], name: str
 ) -> tuple[list[Coefficient], list[Unpredicted]]:
-    """The predicted coefficients. N and B are the values that the bench file declares, with the uncertainty expected from the
-    planned record. Q and K are not predicted; neither are N and B if the bench file does not declare them."""
+    """Returns the predicted coefficients. N and B are the values that the bench file declares, with the uncertainty expected from
+    the planned record. Q and K are not predicted; neither are N and B if the bench file does not declare them."""
     parameters = request.parameters
     output = request.sensor.output(name)
     assert output is not None  # design refuses others

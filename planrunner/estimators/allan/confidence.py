@@ -121,8 +121,8 @@ def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modi
 
 
 def _white_phase(order: int, factor: int, terms: int) -> float:
-    """The degrees of freedom for white phase noise. The differences of such noise are correlated only if they are a whole number of
-    averaging times apart."""
+    """Returns the degrees of freedom for white phase noise. The differences of such noise are correlated only if they are a whole
+    number of averaging times apart."""
     binomials = [math.comb(2 * order, order + k) for k in range(order + 1)]
     total = binomials[0] ** 2 + 2 * sum(
         max(0.0, 1 - k * factor / terms) * binomials[k] ** 2 for k in range(1, order + 1)

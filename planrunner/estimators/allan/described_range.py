@@ -54,7 +54,7 @@ class DescribedRange:
 
     @property
     def fits(self) -> bool:
-        """Whether the model describes the averaging times: χ² is not too large, and no squared coefficient is significantly
+        """Returns True if the model describes the averaging times: χ² is not too large, and no squared coefficient is significantly
         negative."""
         spreads = np.sqrt(np.diag(self.fit.covariance))
         return self.probability >= _DOUBT and bool(np.all(self.fit.squares >= -_NEGATIVE * spreads))
@@ -91,8 +91,8 @@ class _Ranges:
         self.whole = self.without(0, 0)
 
     def widest(self) -> DescribedRange:
-        """The largest range that the model describes well; of several ranges of equal size, the range with the longer averaging
-        times. If the model does not describe any range, all averaging times are returned."""
+        """Returns the largest range that the model describes well; of several ranges of equal size, the range with the longer
+        averaging times. If the model does not describe any range, all averaging times are returned."""
         if self.whole.fits:
             return self.whole
         most = len(self.rows) - len(self.terms) - _SPARE
@@ -112,12 +112,12 @@ class _Ranges:
 
 
 def _walks(fit: NoiseFit) -> bool:
-    """Whether the fit found a rate random walk, which may also be a steady drift."""
+    """Returns True if the fit found a rate random walk, which may also be a steady drift."""
     return bool(fit.squares[_WALK] > 2 * math.sqrt(fit.covariance[_WALK, _WALK]))
 
 
 def _white(fit: NoiseFit) -> NoiseFit:
-    """A copy of the fit with the white noise alone, because a drift distorts the other terms."""
+    """Returns a copy of the fit with the white noise alone, because a drift distorts the other terms."""
     return replace(
         fit,
         squares=np.where(np.arange(len(TERMS)) == _WHITE, np.maximum(fit.squares, 0.0), 0.0),

@@ -101,7 +101,7 @@ class VarianceCovariance:
 
 @lru_cache(maxsize=4)
 def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...], order: int) -> VarianceCovariance:
-    """A `VarianceCovariance` that is kept in a cache, because the next output usually has runs of the same lengths."""
+    """Returns a `VarianceCovariance` that is kept in a cache, because the next output usually has runs of the same lengths."""
     return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64), order)
 
 
@@ -110,8 +110,8 @@ def covariance_for(factors: Integers, lengths: Integers, order: int = ALLAN) -> 
 
 
 def _grouped(lengths: Integers) -> tuple[Integers, Array]:
-    """The distinct run lengths, and the number of runs of each length. If there are very many lengths, lengths that differ by a few
-    per cent are treated as equal to the shortest of them."""
+    """Returns the distinct run lengths, and the number of runs of each length. If there are very many lengths, lengths that differ
+    by a few per cent are treated as equal to the shortest of them."""
     found, counts = np.unique(lengths, return_counts=True)
     if found.size > _MOST_LENGTHS:
         edges = np.geomspace(found[0], found[-1] + 1, _MOST_LENGTHS)
@@ -123,8 +123,8 @@ def _grouped(lengths: Integers) -> tuple[Integers, Array]:
 
 
 def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """For every pair of kinds of noise a and b, the sum Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs, (4, 4), where p counts
-    differences with the averaging factor `near` and q counts differences with the averaging factor `far` ≥ `near`."""
+    """Returns, for every pair of kinds of noise a and b, the sum Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs, (4, 4), where p
+    counts differences with the averaging factor `near` and q counts differences with the averaging factor `far` ≥ `near`."""
     points = range(order + 1)
     shifts = np.array([[a * near - b * far for b in points] for a in points], dtype=float).ravel()
     signs = np.outer(_SIGNS[order], _SIGNS[order]).ravel()
@@ -142,15 +142,15 @@ def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array, order
 
 
 def _smooth(t: Array) -> Array:
-    """The generalised autocovariance of the phase for N, B and K at lags t [samples], shape (3, *t.shape)."""
+    """Returns the generalised autocovariance of the phase for N, B and K at lags t [samples], shape (3, *t.shape)."""
     size = np.abs(t)
     logarithm = np.log(np.where(size > 0, size, 1.0))
     return np.stack([-size / 2, size**2 * logarithm / (2 * math.pi), size**3 / 12])
 
 
 def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """The number of pairs, over all runs, that consist of a difference with the averaging factor `near` and a difference with the
-    averaging factor `far`, `lag` samples apart."""
+    """Returns the number of pairs, over all runs, that consist of a difference with the averaging factor `near` and a difference
+    with the averaging factor `far`, `lag` samples apart."""
     total = np.zeros(lag.shape)
     for length, count in zip(lengths, counts, strict=True):
         first, second = length - order * near, length - order * far
@@ -242,9 +242,9 @@ def fit_noise(
 def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
-    """The covariance (4, 4) of the squared coefficients, enlarged where a coefficient cannot be distinguished from zero. For such a
-    coefficient, the covariance is computed from an upper bound, two standard uncertainties above the estimate. Otherwise a
-    coefficient that is too small by chance would also have too small an uncertainty."""
+    """Returns the covariance of the squared coefficients, enlarged where a coefficient cannot be distinguished from zero, shape (4,
+    4). For such a coefficient, the covariance is computed from an upper bound, two standard uncertainties above the estimate.
+    Otherwise a coefficient that is too small by chance would also have too small an uncertainty."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])
@@ -268,8 +268,8 @@ def expected_covariance(factors: Integers, squares: Array, lengths: Integers, te
 
 
 def _sound(covariance: Array) -> Array:
-    """The covariance with small and negative eigenvalues, which numerical integration can cause, raised to a small positive value,
-    so that it has a square root."""
+    """Returns the covariance with small and negative eigenvalues, which numerical integration can cause, raised to a small positive
+    value, so that it has a square root."""
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     lifted = (vectors * np.maximum(values, 1e-6)) @ vectors.T

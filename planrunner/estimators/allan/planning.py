@@ -45,8 +45,8 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
-    """The averaging factors to use. These are the factors of the times `taus` that fit at least twice into the longest run; if
-    `taus` is empty, they are octaves. Raises `EstimationError` if there is no such factor."""
+    """Returns the averaging factors to use. These are the factors of the times `taus` that fit at least twice into the longest run;
+    if `taus` is empty, they are octaves. Raises `EstimationError` if there is no such factor."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)
@@ -124,7 +124,8 @@ def planned_averaging(
 
 
 def _least_freedom(factor: int, lengths: Integers) -> float:
-    """The degrees of freedom of an Allan variance if the type of noise is unknown: the smallest value over all possible types."""
+    """Returns the degrees of freedom of an Allan variance if the type of noise is unknown: the smallest value over all possible
+    types."""
     return min(freedom_of_runs(alpha, 2, factor, lengths) for alpha in _EXPONENTS)
 
 

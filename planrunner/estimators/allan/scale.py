@@ -103,8 +103,8 @@ def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design
 
 
 def _foreseen(used: Design) -> tuple[Coefficient, ...]:
-    """The coefficients from which a scale factor is taken when a run is predicted. A coefficient that cannot be predicted has the
-    value 1 in its own unit."""
+    """Returns the coefficients from which a scale factor is taken when a run is predicted. A coefficient that cannot be predicted
+    has the value 1 in its own unit."""
     return (*used.predicted, *(Coefficient(one.name, 1.0, one.unit, math.nan) for one in used.unpredicted))
 
 

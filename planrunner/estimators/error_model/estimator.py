@@ -262,7 +262,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
 
 
 def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str]:
-    """The effects whose shape is fitted to samples, although the plan states no expected value for the shape."""
+    """Returns the effects whose shape is fitted to samples, although the plan states no expected value for the shape."""
     if one.within is None:
         return []
     shaped = [amplitude.effect.id for amplitude in one.columns.amplitudes if amplitude.shape]
@@ -280,8 +280,8 @@ def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ..
 
 
 def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParameters]) -> list[str]:
-    """The quantities on which an output's effects depend and that no segment states, because they are known only from a channel of
-    the recording."""
+    """Returns the quantities on which an output's effects depend and that no segment states, because they are known only from a
+    channel of the recording."""
     channels = {
         Follows.SUPPLY: request.parameters.supply_channel,
         Follows.PRESSURE: request.parameters.pressure_channel,
@@ -331,7 +331,7 @@ def _known_monitors(parameters: ErrorModelParameters, units: Mapping[str, str]) 
 
 
 def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remark]:
-    """An error, with a remedy, for amplitudes that the planned segments do not determine or separate."""
+    """Returns an error, with a remedy, for amplitudes that the planned segments do not determine or separate."""
     amplitudes = one.columns.amplitudes
     seen = rank.look(_matrix(one) / one.columns.magnitudes)
     if not len(seen.null):
@@ -346,7 +346,7 @@ def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remar
 
 
 def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
-    """The fraction of each segment's rate that acts along the input axis of an output, (n, 1); zero for an accelerometer."""
+    """Returns the fraction of each segment's rate that acts along the input axis of an output, (n, 1); zero for an accelerometer."""
     axis = np.eye(3)[one.errors.axis]
     return shares_along(segments, [axis if one.errors.kind == "gyro" else 0 * axis])
 
@@ -415,7 +415,7 @@ def _of_angle(one: ModelledOutput) -> list[CorrelatedError]:
 
 
 def _matrix(one: ModelledOutput) -> Array:
-    """The design matrix (n + r, p), with one row for each mean, followed by one row for each contrast within a segment."""
+    """Returns the design matrix (n + r, p), with one row for each mean, followed by one row for each contrast within a segment."""
     matrix = one.columns.matrix
     return matrix if one.within is None else np.vstack([matrix, one.within.contrasts.matrix])
 
@@ -471,7 +471,7 @@ def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = F
 
 
 def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) -> bool:
-    """Whether the plan contains the temperature dependence of an output's bias as an effect. In this case, no drift with
+    """Returns True if the plan contains the temperature dependence of an output's bias as an effect. In this case, no drift with
     temperature is sought in this output."""
     return (
         drift.by_evidence
@@ -484,7 +484,7 @@ def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) 
 
 
 def _of_channel(together: Observations, k: int) -> Observations:
-    """The observations of the k-th channel alone."""
+    """Returns the observations of the k-th channel alone."""
     return replace(
         together,
         channels=together.channels[k : k + 1],
@@ -517,8 +517,8 @@ def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Seq
 
 
 def _stacked(rows: Sequence[Array]) -> Array:
-    """The coefficients of all outputs as a matrix (m, P) with one row per output. A row is zero at the coefficients of other
-    outputs."""
+    """Returns the coefficients of all outputs as a matrix with one row per output, shape (m, P). A row is zero at the coefficients
+    of other outputs."""
     ends = np.cumsum([len(row) for row in rows])
     made = np.zeros((len(rows), int(ends[-1])))
     for k, (row, end) in enumerate(zip(rows, ends, strict=True)):
@@ -540,7 +540,7 @@ def _of_output(errors: Sequence[CorrelatedError], output: int) -> tuple[Correlat
 
 
 def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -> tuple[Influence, ...]:
-    """The influences of stated inputs on the fitted amplitudes of one output."""
+    """Returns the influences of stated inputs on the fitted amplitudes of one output."""
     functionals = functionals_of(one.fit.gains)
     recorded = replace(request, segments=tuple(request.segments[row] for row in one.model.rows))
     return (
@@ -551,8 +551,8 @@ def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -
 
 
 def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> dict[str, Array]:
-    """For each kind of uncertainty, the covariance between the amplitudes of different outputs. The correlation of the outputs'
-    noise comes from the segments that all these outputs use."""
+    """Returns, for each kind of uncertainty, the covariance between the amplitudes of different outputs. The correlation of the
+    outputs' noise comes from the segments that all these outputs use."""
     rows = [one.model.rows for one in outputs]
     shared = sorted(set.intersection(*map(set, rows)))
     if len(outputs) < 2 or not shared:
@@ -568,7 +568,7 @@ def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[F
 
 
 def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQuantities) -> list[Said]:
-    """A warning for each common amplitude for which the outputs give different values."""
+    """Returns a warning for each common amplitude for which the outputs give different values."""
     from scipy.special import chdtrc
 
     separate = made.separate
@@ -600,7 +600,7 @@ def _disagreement(request: EstimateRequest[ErrorModelParameters], made: ModelQua
 
 
 def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
-    """A table with the value that each output alone gives for each common amplitude."""
+    """Returns a table with the value that each output alone gives for each common amplitude."""
     common, separate = made.common, made.separate
     members = zip(common.amplitudes, common.members, strict=True)
     rows = [(amplitude, place) for amplitude, places in members if len(places) > 1 for place in places]
@@ -619,9 +619,9 @@ def _common_table(made: ModelQuantities, basis: str) -> list[Table]:
 
 
 def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: Derived) -> dict[str, dict[str, str]]:
-    """The values in the form in which a bench file states them for `driver: added_effects`: maps each effect to its parameters, and
-    each parameter to its value with unit. Scale factors of outputs whose unit is not a rate or an acceleration are omitted, because
-    they are not effects."""
+    """Returns the values in the form in which a bench file states them for `driver: added_effects`: maps each effect to its
+    parameters, and each parameter to its value with unit. Scale factors of outputs whose unit is not a rate or an acceleration are
+    omitted, because they are not effects."""
     held = {
         place: value for places, value in zip(common.members, found.values.tolist(), strict=True) for place in places
     }
@@ -650,7 +650,7 @@ def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: 
 
 
 def _names(one: ModelledOutput, effect: str) -> bool:
-    """Whether the model of an output contains an effect."""
+    """Returns True if the model of an output contains an effect."""
     return any(part.effect.id == effect for part in one.errors.chosen)
 
 

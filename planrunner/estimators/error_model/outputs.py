@@ -182,7 +182,7 @@ def models(
 
 
 def changes_within(one: OutputErrors) -> bool:
-    """Whether an effect changes an output within segments."""
+    """Returns True if an effect changes an output within segments."""
     return any(isinstance(part.effect, ChangesWithinSegments) for part in one.chosen)
 
 
@@ -253,9 +253,9 @@ def _kind(name: str, text: str, sensor: SensorModel) -> str:
 
 
 def _usable(one: OutputErrors, segments: Sequence[Segment]) -> tuple[int, ...]:
-    """The indices of the segments that an output can use. A gyro uses all segments whose rate is known. An accelerometer uses three
-    kinds of segments: segments at rest, segments in which other accelerometers show the specific force, and turns if an effect
-    describes what the accelerometer measures while turning."""
+    """Returns the indices of the segments that an output can use. A gyro uses all segments whose rate is known. An accelerometer
+    uses three kinds of segments: segments at rest, segments in which other accelerometers show the specific force, and turns if an
+    effect describes what the accelerometer measures while turning."""
     turns = any(isinstance(item.effect, ExplainsTurning) for item in one.chosen)
 
     def shown(motion: Motion) -> bool:
@@ -306,7 +306,7 @@ def _sampled(
     states: SegmentStates,
     samples: SampledOutputs,
 ) -> Together:
-    """The models of the outputs of a group that is fitted to samples."""
+    """Returns the models of the outputs of a group that is fitted to samples."""
     held = tuple(_as_if_held(segments[row]) for row in rows)
     try:
         felt = mean_stimulus(held, site)
@@ -333,8 +333,8 @@ def _sampled(
 
 
 def _as_if_held(segment: Segment) -> Segment:
-    """The segment as it counts for errors of the table and the site: a rocking table counts as a table at rest, and in an unknown
-    attitude these errors have no influence."""
+    """Returns the segment as it counts for errors of the table and the site: a rocking table counts as a table at rest, and in an
+    unknown attitude these errors have no influence."""
     if not isinstance(segment.motion, Rock | RecordedMotion):
         return segment
     attitude = np.zeros((3, 3)) if segment.attitude is None else segment.attitude

@@ -41,7 +41,7 @@ class SampledOutputs:
         return tuple(place[id(one)] for one in in_time_order([self.recording[row] for row in rows]))
 
     def of(self, group: Sequence[OutputErrors], rows: Sequence[int]) -> list[SampledOutput]:
-        """The samples of the given outputs. Raises `EstimationError` if a segment has no suitable samples."""
+        """Returns the samples of the given outputs. Raises `EstimationError` if a segment has no suitable samples."""
         held, parameters = [self.recording[row] for row in rows], self.parameters
         channels = [self._channel(errors, held[0].units[errors.output]) for errors in group]
         try:
@@ -98,7 +98,7 @@ class SampledOutputs:
         return Channel(errors.output, errors.kind, errors.axis, text, factor, *numbers)
 
     def _expected(self) -> Mapping[str, Mapping[str, float]]:
-        """The expected values of effects' parameters that the plan states, in their units."""
+        """Returns the expected values of effects' parameters that the plan states, in their units."""
         parameters = self.parameters
         if not parameters.expected:
             return {}

@@ -60,8 +60,8 @@ def with_shapes(
 def _about(
     group: Together, amplitudes: Array, k: int, together: Observations, recorded: Sequence[RecordedSegment]
 ) -> Observations:
-    """The observations, in which the standard errors of the k-th output are computed from the scatter about the change due to its
-    effect within each segment. `amplitudes`: amplitudes of the effect, in the unit of the output."""
+    """Returns the observations, in which the standard errors of the k-th output are computed from the scatter about the change due
+    to its effect within each segment. `amplitudes`: amplitudes of the effect, in the unit of the output."""
     from scipy.interpolate import PchipInterpolator
 
     part = shaped_part(group.outputs[k])
@@ -76,7 +76,8 @@ def _about(
 
 
 def _found(group: Together, k: int, part: EffectPart, together: Observations) -> tuple[Together, Array]:
-    """The group with the best shape of an effect in its k-th output, and the amplitudes of this effect, in the unit of the output."""
+    """Returns the group with the best shape of an effect in its k-th output, and the amplitudes of this effect, in the unit of the
+    output."""
     from scipy.optimize import minimize_scalar
 
     effect = part.effect

@@ -187,8 +187,8 @@ class _Problem:
     # -- the model -----------------------------------------------------------------------------------------------------
 
     def columns(self, values: Sequence[float], amplitudes: Array | None = None) -> SampleColumns:
-        """The columns of the model at the stimulus that the given amplitudes produce, or at the nominal stimulus if no amplitudes
-        are given."""
+        """Returns the columns of the model at the stimulus that the given amplitudes produce, or at the nominal stimulus if no
+        amplitudes are given."""
         stimulus = {} if amplitudes is None else self._stimulus(amplitudes)
         key = (tuple(values), tuple(stimulus.values()))
         if key not in self._kept:
@@ -203,12 +203,12 @@ class _Problem:
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
-        """The indices of the amplitudes that change the stimulus."""
+        """Returns the indices of the amplitudes that change the stimulus."""
         return tuple(n for n, one in enumerate(self.amplitudes) if of_stimulus(one.effect))
 
     def _stimulus(self, amplitudes: Array) -> dict[tuple[str, str], float]:
-        """The amplitudes that change the stimulus, in SI units. `amplitudes`: array of shape (p,), all fitted amplitudes, in the
-        output's unit per SI unit."""
+        """Returns the amplitudes that change the stimulus, in SI units. `amplitudes`: array of shape (p,), all fitted amplitudes,
+        in the output's unit per SI unit."""
         if not self.moving:
             return {}
         response = self._response(amplitudes)
@@ -216,7 +216,7 @@ class _Problem:
         return {(effect, name): float(amplitudes[n]) / response for effect, name, n in named}
 
     def _response(self, amplitudes: Array) -> float:
-        """The output per SI unit of the measured quantity, for given amplitudes."""
+        """Returns the output per SI unit of the measured quantity, for given amplitudes."""
         along = [n for n, one in enumerate(self.amplitudes) if one.along == self.output.errors.axis]
         direct = self.output.nominal * self.factor == 1.0 or not along
         return 1 / self.factor if direct else float(amplitudes[along[0]])
@@ -225,18 +225,18 @@ class _Problem:
         return {shape.id: value for shape, value in zip(self.shapes, values, strict=True)}
 
     def linear(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The output (N,) in its own unit, before effects on the output (such as a limit) act on it."""
+        """Returns the output (N,) in its own unit, before effects on the output (such as a limit) act on it."""
         columns = self.columns(values, amplitudes)
         ideal = 0.0 if self.output.gain else columns.own / self.factor
         return np.asarray(ideal + amplitudes @ columns.rows)
 
     def values(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The output (N,) according to the model, in the unit of the output."""
+        """Returns the output (N,) according to the model, in the unit of the output."""
         linear = self.linear(values, amplitudes)
         return self.model.output(linear * self.factor, self._named(values)) / self.factor
 
     def tangents(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """The derivatives (p, N) of the output with respect to the amplitudes."""
+        """Returns the derivatives of the output with respect to the amplitudes, shape (p, N)."""
         rows = self.columns(values, amplitudes).rows
         if self.moving:
             rows = rows.copy()
@@ -251,7 +251,7 @@ class _Problem:
         return np.asarray(rows)
 
     def _natural(self, n: int) -> float:
-        """The step for a numerical derivative with respect to an amplitude that changes the stimulus."""
+        """Returns the step for a numerical derivative with respect to an amplitude that changes the stimulus."""
         return 10 * self.amplitudes[n].factor * self.output.nominal
 
     # -- weights -------------------------------------------------------------------------------------------------------
@@ -271,7 +271,7 @@ class _Problem:
     # -- amplitudes and shapes -----------------------------------------------------------------------------------------
 
     def nominal(self) -> Array:
-        """The amplitudes of an ideal sensor, with the values of effects that the plan expects."""
+        """Returns the amplitudes of an ideal sensor, with the values of effects that the plan expects."""
         found = np.zeros(len(self.amplitudes))
         for place, one in enumerate(self.amplitudes):
             stated = self.output.expected.get(one.effect.id, {})
@@ -281,14 +281,14 @@ class _Problem:
         return found
 
     def planned(self) -> list[float]:
-        """The shapes that the plan expects; for a shape without an expected value, the middle of the catalogue's values."""
+        """Returns the shapes that the plan expects; for a shape without an expected value, the middle of the catalogue's values."""
         return [
             self.output.expected.get(shape.id, {}).get(_shape_name(shape.part), shape.at((len(shape.values) - 1) / 2))
             for shape in self.shapes
         ]
 
     def projected(self, values: Sequence[float], observed: Array) -> tuple[Array, Array]:
-        """The best amplitudes for given shapes, and the weighted residuals."""
+        """Returns the best amplitudes for given shapes, and the weighted residuals."""
         ideal = np.zeros(len(self.amplitudes))
         if self.moving and self.output.gain:
             ideal = np.where(
@@ -472,9 +472,9 @@ class _Problem:
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
     def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
-        """The contrasts that the docstring of the module describes, and the largest of the ratios that `uneven_ratios` gives.
-        `left`: array of shape (N,), residuals. `coloured`: ratio of the variance of batch means to the variance that white noise
-        explains."""
+        """Returns the contrasts that the docstring of the module describes, and the largest of the ratios that `uneven_ratios`
+        gives. `left`: array of shape (N,), residuals. `coloured`: ratio of the variance of batch means to the variance that white
+        noise explains."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -508,21 +508,22 @@ class _Problem:
         return contrasts, float(uneven.max(initial=1.0))
 
     def _once_per_turn(self) -> Array:
-        """The k components (k, N) of the error of the input once per turn, in the output's unit, if its phase is unknown."""
+        """Returns the k components of the error of the input once per turn, in the output's unit, if its phase is unknown, shape
+        (k, N)."""
         return errors_of_phase([self._turning[part] for part in self.output.observed.segments()])
 
     @cached_property
     def _turning(self) -> NDArray[np.complex128]:
-        """The part (N,) of the input that varies once per turn with an unknown phase, in the output's unit, as `errors_of_phase`
-        takes it."""
+        """Returns the part of the input that varies once per turn with an unknown phase, in the output's unit, as `errors_of_phase`
+        takes it, shape (N,)."""
         observed = self.output.observed
         k = [channel.name for channel in observed.channels].index(self.output.errors.output)
         return np.asarray(observed.unknown_phase[self.owner, k] * self.output.nominal * np.exp(1j * observed.angle))
 
     def _colour(self, left: Array) -> float:
-        """The ratio of the variance of batch means to the variance that white noise explains; 1 if it is not significantly larger.
-        An input once per turn with an unknown phase is no noise, so this part is fitted to the batch means first. `left`: array of
-        shape (N,), residuals minus the mean of the residuals in each segment."""
+        """Returns the ratio of the variance of batch means to the variance that white noise explains; 1 if it is not significantly
+        larger. An input once per turn with an unknown phase is no noise, so this part is fitted to the batch means first. `left`:
+        array of shape (N,), residuals minus the mean of the residuals in each segment."""
         from scipy.special import chdtrc
 
         total, freedom = 0.0, 0
@@ -593,8 +594,8 @@ def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], col
 
 
 def _solved(rows: Array, values: Array) -> Array:
-    """The least-squares coefficients (p,) of `values` (N,) for the rows (p, N). If some coefficients cannot be separated, the
-    solution of smallest norm is returned."""
+    """Returns the least-squares coefficients (p,) of `values` (N,) for the rows (p, N). If some coefficients cannot be separated,
+    the solution of smallest norm is returned."""
     size = np.sqrt(np.einsum("pn,pn->p", rows, rows))
     size = np.where(size > 0, size, 1.0)
     scaled = rows / size[:, None]

@@ -65,7 +65,7 @@ def sums_and_ratios(residuals: Array, sets: int) -> Array:
 
 
 def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) -> list[Influence]:
-    """The influences on i − X·c that act through the stimulus at the verification positions."""
+    """Returns the influences on i − X·c that act through the stimulus at the verification positions."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
     site = site_errors(model, segments, request.site, request.setup.inputs, coefficients)
@@ -74,8 +74,8 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
-    """The influences on the coefficients [U; V] of one set, in SI units, that act through the calibration which gave the set.
-    Flicker is left out, because the simulation of the residuals includes it. The errors of the table remain, because this
+    """Returns the influences on the coefficients [U; V] of one set, in SI units, that act through the calibration which gave the
+    set. Flicker is left out, because the simulation of the residuals includes it. The errors of the table remain, because this
     simulation does not include their contribution to the calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())

@@ -101,8 +101,8 @@ def _half(drawn: Array) -> float:
 
 
 def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[Array]]:
-    """For each set of coefficients and each output, the matrix (v, N) that computes the residuals at the verification positions
-    from all observations."""
+    """Returns, for each set of coefficients and each output, the matrix (v, N) that computes the residuals at the verification
+    positions from all observations."""
     v, total = len(verification), len(verification) + sum(gains.shape[2] for gains in sets.values())
     found, start = {}, v
     for name, gains in sets.items():

@@ -151,13 +151,13 @@ class CompensationResidual:
 
 
 def _independent(stated: Sequence[Influence]) -> list[Influence]:
-    """The influences of inputs that were known before the experiment, without the inputs that were derived from the residuals of a
-    fit."""
+    """Returns the influences of inputs that were known before the experiment, without the inputs that were derived from the
+    residuals of a fit."""
     return [one for one in stated if not one.quantity.from_residuals]
 
 
 def _stated_maps(stated: Sequence[Influence], sets: int, residuals: int) -> Array:
-    """The changes of the residuals (sets, residuals, s) if each of the s inputs is wrong by its standard uncertainty."""
+    """Returns the changes of the residuals (sets, residuals, s) if each of the s inputs is wrong by its standard uncertainty."""
     columns = [one.sensitivities * one.quantity.standard_uncertainty for one in stated]
     return np.hstack([np.zeros((sets * residuals, 0)), *columns]).reshape(sets, residuals, -1)
 
@@ -170,13 +170,14 @@ def _several(sets: Sized) -> None:
 
 
 def _relative(block: DesignBlock) -> Array:
-    """The noise of the observations of a calibration, divided by its root mean square, because only ratios matter."""
+    """Returns the noise of the observations of a calibration, divided by its root mean square, because only ratios matter."""
     typical = float(np.sqrt(np.mean(block.sigma**2)))
     return block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
 
 
 def _covariances(request: EstimateRequest[CompensationResidualParameters], observations: Observations) -> Array:
-    """The covariances (2, N, N) of all observations of each output, due to noise within the segments and to declared flicker."""
+    """Returns the covariances of all observations of each output, due to noise within the segments and to declared flicker, shape
+    (2, N, N)."""
     told = [used.extra for used in request.uses.values()]
     start = np.concatenate([observations.start, *(one["start"] for one in told)])
     end = np.concatenate([observations.end, *(one["end"] for one in told)])

@@ -307,7 +307,7 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
 
 
 def _drift(axis: str, rate: str, kind: str) -> Said:
-    """The description of a drift coefficient. `kind`: `F`, or the letters of the axes whose accelerations cause the drift."""
+    """Returns the description of a drift coefficient. `kind`: `F`, or the letters of the axes whose accelerations cause the drift."""
     if kind == "F":
         return said(
             "Part of the drift D({drift}) that is independent of acceleration; D({drift}) adds to the rate ω_{rate}",

@@ -137,7 +137,7 @@ def _split(fitted: Sequence[Response], flat: Array) -> list[Array]:
 
 
 def _rotation(reference: Response, values: Array) -> Array:
-    """The rotations (3, 3, n) from the frame of the fixture to a triad's own frame, for responses of the triad (3, p, n)."""
+    """Returns the rotations (3, 3, n) from the frame of the fixture to a triad's own frame, for responses of the triad (3, p, n)."""
     factors = np.array([own.factor for own in reference.units])[:, None, None]
     try:
         return own_frame(values[:, [reference.sensed[k] for k in range(3)]] * factors)
@@ -183,7 +183,7 @@ class _Part:
 
 
 def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
-    """The reported quantities of one output."""
+    """Returns the reported quantities of one output."""
     own, letter = one.units[axis], AXES[axis]
     direct = own.dimension == _DIMENSION[one.kind]
     plain = _BIAS[one.kind] if direct else f"({own.text})"

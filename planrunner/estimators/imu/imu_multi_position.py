@@ -221,8 +221,8 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
 
 
 def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
-    """The kind, the channels and the terms of each triad that the plan gives. Raises `EstimationError` if a triad does not have
-    three channels, or if the plan gives no triad."""
+    """Returns the kind, the channels and the terms of each triad that the plan gives. Raises `EstimationError` if a triad does not
+    have three channels, or if the plan gives no triad."""
     stated = (
         ("gyro", parameters.gyros, parameters.gyro_terms, _RATES),
         ("accel", parameters.accelerometers, parameters.accelerometer_terms, _FORCES),
@@ -257,8 +257,8 @@ def _usable(kind: str, segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
-    """The design of each output of a triad at the segments that the triad can use. Raises `EstimationError` if the triad can use no
-    segment, or if a term cannot be computed for the segments."""
+    """Returns the design of each output of a triad at the segments that the triad can use. Raises `EstimationError` if the triad
+    can use no segment, or if a term cannot be computed for the segments."""
     model, usable = error_model(terms), _usable(kind, segments)
     try:
         matrix = columns_of(model, mean_poses(usable), site)
@@ -268,8 +268,8 @@ def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: 
 
 
 def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
-    """The declared magnitudes (p,) of the columns. The three columns of the rates have the largest planned rate as magnitude, so
-    that an axis without rotation is detected."""
+    """Returns the declared magnitudes of the columns, shape (p,). The three columns of the rates have the largest planned rate as
+    magnitude, so that an axis without rotation is detected."""
     rates = [k for k, term in enumerate(model.terms) if term.unit == "rad/s"]
     sizes = model.magnitudes
     if rates:
@@ -304,7 +304,7 @@ def _response(one: Triad) -> Response:
 
 
 def _stated(request: EstimateRequest[ImuMultiPositionParameters], one: Triad) -> tuple[Influence, ...]:
-    """The influences of declared inputs on the coefficients of one triad."""
+    """Returns the influences of declared inputs on the coefficients of one triad."""
     return (*site_influences(request, one.design, one.fit), *one.fit.influences(request.parameters.uncertainty))
 
 
@@ -354,7 +354,7 @@ def _extra(
 
 
 def _held(planned: set[float | None]) -> float | None:
-    """The temperature [K] that all segments have in common; None if there is none."""
+    """Returns the temperature [K] that all segments have in common; None if there is none."""
     return next(iter(planned)) if len(planned) == 1 else None
 
 

@@ -48,17 +48,17 @@ class PeriodicPart:
         return largest(self.orders, self.velocities)
 
     def largest_position(self) -> float:
-        """The amplitude [m] of the position error that repeats with the cycle."""
+        """Returns the amplitude [m] of the position error that repeats with the cycle."""
         return largest(self.orders, self.velocities * self.period / (2j * math.pi * self.orders))
 
     def position_noise(self) -> float:
-        """An upper bound [m] of the standard uncertainty of `largest_position`. It assumes that the peaks of all harmonics
+        """Returns an upper bound [m] of the standard uncertainty of `largest_position`. It assumes that the peaks of all harmonics
         coincide."""
         return float(np.hypot.reduce(self.noise * self.period / (2 * math.pi * np.abs(self.orders))))
 
 
 def largest(orders: NDArray[np.int_], parts: Complex) -> float:
-    """The largest absolute value of Σ parts·exp(i·order·ω·t) during a cycle."""
+    """Returns the largest absolute value of Σ parts·exp(i·order·ω·t) during a cycle."""
     if not len(orders):
         return 0.0
     phase = np.linspace(0, 2 * math.pi, 64 * int(np.abs(orders).max()), endpoint=False)

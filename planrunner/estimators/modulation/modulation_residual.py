@@ -137,8 +137,8 @@ class ModulationResidual:
 
 
 def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | None:
-    """An error if `segments` lacks the segment of a navigation; None if none is missing, or if the designs of the used estimates do
-    not show this."""
+    """Returns an error if `segments` lacks the segment of a navigation; None if none is missing, or if the designs of the used
+    estimates do not show this."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
         return None
@@ -182,8 +182,8 @@ def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, 
 
 
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
-    """The ratios of CEP rates and the suppressions, with their covariance. These results are correlated, because all of them
-    contain the navigation without rotation."""
+    """Returns the ratios of CEP rates and the suppressions, with their covariance. These results are correlated, because all of
+    them contain the navigation without rotation."""
     if still.rms == 0.0:
         raise UnfitDataError(f"'{still.name}' has no position error at all, so nothing can be compared with it")
     coefficients, rows = [], []
@@ -344,8 +344,8 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
 
 
 def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]) -> str:
-    """A sentence about the residual of a planned cycle, and about the position error that the declared horizontal errors cause
-    because of this residual."""
+    """Returns a sentence about the residual of a planned cycle, and about the position error that the declared horizontal errors
+    cause because of this residual."""
     table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)
     assert cycle is not None

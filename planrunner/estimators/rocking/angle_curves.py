@@ -74,8 +74,8 @@ def _curve(
     width: float,
     count: int,
 ) -> Array:
-    """The drift angles (count, 2) [rad] of one run, computed from means over bins of `width` [s], minus the mean drift angles in
-    the first window."""
+    """Returns the drift angles [rad] of one run, computed from means over bins of `width` [s], minus the mean drift angles in the
+    first window, shape (count, 2)."""
     channels = parameters.accelerometers
     scales = np.array([scale(recorded, name) for name in channels])
     totals, counts = np.zeros((count, 4)), np.zeros(count)

@@ -110,7 +110,7 @@ class LevelState:
 
     @property
     def level(self) -> tuple[int, int]:
-        """The two level axes in the order x, y, z."""
+        """Returns the two level axes in the order x, y, z."""
         return (self.sine, self.other) if self.sine < self.other else (self.other, self.sine)
 
     @property
@@ -132,7 +132,8 @@ class LevelState:
         return np.stack(pair, axis=-1)
 
     def attitude(self, tilts: Array, heading: Array | float) -> Array:
-        """The attitude C (…, 3, 3) for tilts (…, 2) about the level axes and a rotation `heading` (…) about the vertical axis."""
+        """Returns the attitude C (…, 3, 3) for tilts (…, 2) about the level axes and a rotation `heading` (…) about the vertical
+        axis."""
         about = dict(zip(self.level, np.moveaxis(tilts, -1, 0), strict=True))
         turns = (
             turned(self.other, about[self.other]) @ turned(self.sine, about[self.sine]) @ turned(self.vertical, heading)
@@ -140,7 +141,7 @@ class LevelState:
         return np.asarray(turns @ self.nominal)
 
     def heading(self, attitude: Array) -> Array:
-        """The rotation (…) about the vertical axis that the attitude `attitude` (…, 3, 3) contains."""
+        """Returns the rotation (…) about the vertical axis that the attitude `attitude` (…, 3, 3) contains."""
         turns = attitude @ self.nominal.T
         return np.arctan2(-self.hand * turns[..., self.other, self.sine], turns[..., self.other, self.other])
 

@@ -114,7 +114,7 @@ def _installed(conditions: RockingConditions, k: int, by: float) -> RockingCondi
 
 
 def _coefficients(runs: Runs, combined: CombinedDrifts, each: Sequence[RockingConditions]) -> Array:
-    """The k resulting coefficients under each of m conditions, shape (m, k)."""
+    """Returns the k resulting coefficients under each of m conditions, shape (m, k)."""
     total = np.zeros((len(each), len(combined.axes)))
     for share, state in zip(combined.shares, runs, strict=True):
         for four in state:
@@ -125,7 +125,7 @@ def _coefficients(runs: Runs, combined: CombinedDrifts, each: Sequence[RockingCo
 
 
 def _drifts_of_variants(conditions: RockingConditions, each: Sequence[ReducedRun]) -> Array:
-    """The drifts of m variants of one run, shape (m, 2) or (m, 4)."""
+    """Returns the drifts of m variants of one run, shape (m, 2) or (m, 4)."""
     return np.concatenate([drifts_of(several_runs(some), conditions) for some in _portions(each, each[0])])
 
 
@@ -187,13 +187,13 @@ def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedConditi
 
 
 def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """A variant of the run, in which the reading of one accelerometer is larger by `by` [m/s^2] in the second window."""
+    """Returns a variant of the run, in which the reading of one accelerometer is larger by `by` [m/s^2] in the second window."""
     second = reduced.second
     return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
 
 
 def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """A variant of the run, in which the element also drifts at the rate `by` [rad/s] about one of its axes."""
+    """Returns a variant of the run, in which the element also drifts at the rate `by` [rad/s] about one of its axes."""
     second, vector = reduced.second, by * reduced.seconds * np.eye(3)[axis]
     readings = second.readings @ turned_by(vector[None])[0].T
     turn = None if second.turn is None else second.turn + vector
@@ -201,15 +201,15 @@ def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
 
 
 def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """A variant of the run, in which the attitude from the encoders is wrong by the angle `by` [rad] in the second window."""
+    """Returns a variant of the run, in which the attitude from the encoders is wrong by the angle `by` [rad] in the second window."""
     second = reduced.second
     assert second.turn is not None
     return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))
 
 
 def _noise(request: Request) -> float:
-    """The standard deviation [m/s^2] of the difference between two windows after the filter, due to the white noise of the noisiest
-    accelerometer."""
+    """Returns the standard deviation [m/s^2] of the difference between two windows after the filter, due to the white noise of the
+    noisiest accelerometer."""
     parameters = request.parameters
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     declared = [request.sensor.output(name) for name in parameters.accelerometers]

@@ -155,8 +155,8 @@ class RockingDrift:
 
 
 def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParameters) -> Windows:
-    """The positions of the windows, which are the same for all runs. The second window is at the end of the shortest run, unless
-    the plan states where it begins."""
+    """Returns the positions of the windows, which are the same for all runs. The second window is at the end of the shortest run,
+    unless the plan states where it begins."""
     for item in recorded:
         if item.truncated:
             raise UnfitDataError(f"'{item.label}' was cut short: repeat its quadruple")
@@ -323,7 +323,7 @@ def _foreseen(
 
 
 def _name(axis: int, by_gimbals: bool) -> tuple[str, Said]:
-    """The name and the description of a drift."""
+    """Returns the name and the description of a drift."""
     letter = AXES[axis]
     if by_gimbals:
         return f"gimbal_drift_{letter}", said("rocking drift about {axis}, from gimbal and ring angles", axis=letter)

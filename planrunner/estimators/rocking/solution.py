@@ -97,7 +97,7 @@ class ReducedRun:
 
     @property
     def seconds(self) -> float:
-        """The time between the windows, t1 − t0 [s]."""
+        """Returns the time between the windows, t1 − t0 [s]."""
         return float(self.second.time.mean() - self.first.time.mean())
 
 
@@ -217,7 +217,7 @@ def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array
 
 
 def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
-    """The drift (…, 2) [rad/s] about the two level axes, computed from ring and gimbal angles."""
+    """Returns the drift [rad/s] about the two level axes, computed from ring and gimbal angles, shape (…, 2)."""
     state, earth = reduced.run.state, conditions.felt_earth
     zero = float(reduced.first.time.mean())
     in_space = [
@@ -232,7 +232,7 @@ def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
 
 
 def _heading(reduced: ReducedRun, earth: Array, zero: float) -> Array:
-    """The rotation (…) of the element about the vertical at t0."""
+    """Returns the rotation (…) of the element about the vertical at t0."""
     state, turn = reduced.run.state, reduced.first.turn
     if reduced.lead is not None or turn is None:
         assert reduced.lead is not None  # without encoders the azimuth is nominal

@@ -108,8 +108,8 @@ def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
 
 
 def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
-    """The effective degrees of freedom of a sum of variances. If all variances are zero, the result is the smallest number of
-    degrees of freedom of the summed variances."""
+    """Returns the effective degrees of freedom of a sum of variances. If all variances are zero, the result is the smallest number
+    of degrees of freedom of the summed variances."""
     return effective_degrees_of_freedom(np.sqrt(variances).tolist(), degrees) if any(variances) else min(degrees)
 
 
@@ -197,8 +197,8 @@ def _runs(dynamic: bool, state: str, axis: str) -> Said:
 
 
 def _differs(difference: Array, stated: float, level: float) -> bool:
-    """Whether the mean of n differences deviates significantly from zero (Student's t-test). The uncertainty of the mean includes
-    `stated`."""
+    """Returns True if the mean of n differences deviates significantly from zero (Student's t-test). The uncertainty of the mean
+    includes `stated`."""
     from scipy.special import stdtrit
 
     count = len(difference)

@@ -42,7 +42,7 @@ class Windows:
 
     @property
     def begins(self) -> tuple[float, ...]:
-        """The start of each window, s."""
+        """Returns the start of each window, s."""
         return (self.first, self.second) if self.before is None else (self.first, self.second, self.before)
 
     @property
@@ -115,7 +115,7 @@ def low_pass(piece: RecordPiece, cutoff: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _sections(ratio: float) -> Array:
-    """The second-order sections of the filter. The cutoff is given as a fraction of the sampling rate."""
+    """Returns the second-order sections of the filter. The cutoff is given as a fraction of the sampling rate."""
     from scipy.signal import butter
 
     return np.asarray(butter(ORDER, ratio, fs=1.0, output="sos"))

@@ -170,7 +170,7 @@ def end_attitude(segment: Segment, table: TableModel | None, seconds: float | No
 
 
 def same_attitude(one: Array | None, other: Array | None) -> bool:
-    """Whether both attitudes are known and equal within one microradian."""
+    """Returns True if both attitudes are known and equal within one microradian."""
     return one is not None and other is not None and bool(np.allclose(one, other, atol=1e-6))
 
 
@@ -194,7 +194,7 @@ def opposed(label: str, planned: Array | None, rotation: Array) -> tuple[Said, .
 
 
 def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
-    """The pieces at the start of the record that together cover the first `seconds`."""
+    """Returns the pieces at the start of the record that together cover the first `seconds`."""
     found: list[Increments] = []
     covered = 0.0
     for piece in pieces:
@@ -206,9 +206,9 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
 
 
 def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRest]:
-    """The mean readings (6,), rad/s and m/s², over the first `seconds`, and the readings in this time as `AtRest`. The white noise
-    is computed as the Allan deviation of means over one second, which slow motion does not increase. Its degrees of freedom are
-    those of overlapping differences of white noise."""
+    """Returns the mean readings (6,), rad/s and m/s², over the first `seconds`, and the readings in this time as `AtRest`. The
+    white noise is computed as the Allan deviation of means over one second, which slow motion does not increase. Its degrees of
+    freedom are those of overlapping differences of white noise."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
     within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))
@@ -272,14 +272,14 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
 
 
 def _rate_error(mean: Array, site: Site) -> float:
-    """The magnitude [rad/s] of the difference between the mean rate at rest and the Earth's rate, where each rate is a vector of
-    its horizontal and its upward component. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
+    """Returns the magnitude [rad/s] of the difference between the mean rate at rest and the Earth's rate, where each rate is a
+    vector of its horizontal and its upward component. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
     found, earth = _rates(mean, site)
     return float(np.linalg.norm(found - earth))
 
 
 def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
-    """The horizontal and the upward component (2,) of the mean rate, and the same components of the Earth's rate, rad/s."""
+    """Returns the horizontal and the upward component (2,) of the mean rate, and the same components of the Earth's rate, rad/s."""
     rate = float(np.linalg.norm(mean[:3]))
     up = float(mean[:3] @ mean[3:]) / float(np.linalg.norm(mean[3:]))
     earth = site.earth_rate * np.array([math.cos(site.latitude), math.sin(site.latitude)])
@@ -325,7 +325,8 @@ def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site)
 
 
 def _would_agree(channels: Sequence[str], mean: Array, site: Site) -> list[str]:
-    """The channels that explain the rates at rest: if the sign of one of them is reversed, the rates agree with the Earth's rate."""
+    """Returns the channels that explain the rates at rest: if the sign of one of them is reversed, the rates agree with the Earth's
+    rate."""
     signs = 1.0 - 2.0 * np.eye(len(mean))
     errors = [_rate_error(sign * mean, site) for sign in signs]
     limit = _EARTH_TOLERANCE * site.earth_rate

@@ -176,7 +176,7 @@ def _on_navigation(request: DesignRequest[StrapdownNavigationParameters], moving
 def _expected(
     request: DesignRequest[StrapdownNavigationParameters], stop: Segment, moving: Sequence[Segment]
 ) -> tuple[tuple[Coefficient, ...], str]:
-    """The expected errors and a note about them. If no errors can be predicted, the note gives the reason."""
+    """Returns the expected errors and a note about them. If no errors can be predicted, the note gives the reason."""
     parameters = request.parameters
     white, constant = _declared(request), _stated(parameters)
     dwells = [segment.dwell for segment in (stop, *moving)]
@@ -229,7 +229,7 @@ def _expected(
 
 
 def _declared(request: DesignRequest[StrapdownNavigationParameters]) -> Array:
-    """The white noise (6,) that the sensor declares, rad/√s and m/s/√s."""
+    """Returns the white noise that the sensor declares, rad/√s and m/s/√s, shape (6,)."""
     parameters = request.parameters
     found = np.zeros(6)
     for k, name in enumerate((*parameters.gyros, *parameters.accelerometers)):
@@ -248,7 +248,7 @@ def _stated(parameters: StrapdownNavigationParameters) -> Array:
 
 
 def _about_up(stop: Segment, count: int, step: float) -> Array:
-    """The mean rate of rotation about the vertical (count,), rad/s, in each `step` [s] of the alignment."""
+    """Returns the mean rate of rotation about the vertical (count,), rad/s, in each `step` [s] of the alignment."""
     if not isinstance(stop.motion, Cycle):
         return np.zeros(count)
     edges: Array = step * np.arange(count + 1, dtype=np.float64)

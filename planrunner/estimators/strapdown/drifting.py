@@ -111,9 +111,10 @@ def _with_effect(
     response: WanderingBias,
     freedom: float,
 ) -> StopDrift:
-    """The fitted drift together with its effect on the navigation. `expected`: array of shape (6,), standard deviations of the
-    readings that the fits assume, divided by the standard deviations that noise and stated flicker explain. `courses`: the fitted
-    drift functions, each with one column of n + l rows: n rows for the observations, then l rows for the intervals of the response."""
+    """Returns the fitted drift together with its effect on the navigation. `expected`: array of shape (6,), standard deviations of
+    the readings that the fits assume, divided by the standard deviations that noise and stated flicker explain. `courses`: the
+    fitted drift functions, each with one column of n + l rows: n rows for the observations, then l rows for the intervals of the
+    response."""
     from scipy.special import fdtrc
 
     left = fits[0].degrees_of_freedom

@@ -131,13 +131,13 @@ class StrapdownNavigationParameters(Record):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The names of the channels: the gyros x, y, z, then the accelerometers x, y, z."""
+        """Returns the names of the channels: the gyros x, y, z, then the accelerometers x, y, z."""
         return (*self.gyros, *self.accelerometers)
 
     @property
     def constant_errors(self) -> Array:
-        """The standard uncertainties (6,) of the constant errors, rad/s and m/s². These are the stated values; if none are stated,
-        they are so large that the data alone determine the errors."""
+        """Returns the standard uncertainties of the constant errors, rad/s and m/s², shape (6,). These are the stated values; if
+        none are stated, they are so large that the data alone determine the errors."""
         gyro = self.gyro_uncertainty.value if self.gyro_uncertainty else _GYRO
         accelerometer = self.accelerometer_uncertainty.value if self.accelerometer_uncertainty else _ACCELEROMETER
         return np.array([gyro] * 3 + [accelerometer] * 3)
@@ -200,7 +200,8 @@ def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: R
 
 
 def _at(site: Site, place: Callable[[_Coordinate], float | None]) -> Site:
-    """The site with the coordinates that the function `place` returns. If `place` returns None, the coordinate is unchanged."""
+    """Returns the site with the coordinates that the function `place` returns. If `place` returns None, the coordinate is
+    unchanged."""
     latitude, longitude, height = (place(one) for one in (_LATITUDE, _LONGITUDE, _HEIGHT))
     return replace(
         site,
@@ -271,7 +272,7 @@ def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigat
 
 
 def _earth_rate(site: Site) -> Array:
-    """The Earth rate (3,) in East-North-Up, rad/s."""
+    """Returns the Earth rate in East-North-Up, rad/s, shape (3,)."""
     return np.array([0.0, site.earth_rate * math.cos(site.latitude), site.earth_rate * math.sin(site.latitude)])
 
 
@@ -296,7 +297,7 @@ def _gap(
     moving: Sequence[RecordedSegment],
     reader: IncrementReader,
 ) -> float:
-    """The time [s] between alignment and navigation, during which the attitude is assumed to stay the same. Raises
+    """Returns the time [s] between alignment and navigation, during which the attitude is assumed to stay the same. Raises
     `EstimationError` if the sensor may have rotated in this time."""
     first = moving[0]
     gap = first.statistics.start - stop.statistics.end - reader.interval
@@ -365,7 +366,7 @@ def _begin(
     aligned: Aligned,
     every: int,
 ) -> tuple[Navigator, Site]:
-    """The navigator at the start of the first interval, and the point on the Earth at which it starts."""
+    """Returns the navigator at the start of the first interval, and the point on the Earth at which it starts."""
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     stated = request.setup.information
@@ -391,13 +392,13 @@ def _begin(
 
 
 def _before(values: Array) -> float:
-    """The value of a reference channel one interval before its first sample, extrapolated linearly."""
+    """Returns the value of a reference channel one interval before its first sample, extrapolated linearly."""
     return float(2 * values[0] - values[1]) if len(values) > 1 else float(values[0])
 
 
 def _truth(piece: Increments, site: Site, at: NDArray[np.int64]) -> Truth:
-    """The true position and velocity at some samples of a block, from the reference channels. Without reference channels, the
-    sensor is assumed to stay where the navigation starts."""
+    """Returns the true position and velocity at some samples of a block, from the reference channels. Without reference channels,
+    the sensor is assumed to stay where the navigation starts."""
     reference = piece.reference
 
     def of(name: str, otherwise: float) -> Array:

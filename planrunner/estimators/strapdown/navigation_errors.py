@@ -27,8 +27,8 @@ NAUTICAL_MILE = 1852.0  # m
 
 
 def _sigma_quantile(probability: float) -> float:
-    """A quantile of the ratio of the true to the estimated standard deviation, for one run with two error components, from the χ²
-    distribution with two degrees of freedom."""
+    """Returns a quantile of the ratio of the true to the estimated standard deviation, for one run with two error components, from
+    the χ² distribution with two degrees of freedom."""
     return math.sqrt(-1 / math.log(probability))
 
 
@@ -114,7 +114,7 @@ class ErrorRecord:
 
     @property
     def radial_rate(self) -> float:
-        """The radial error rate [m/s]."""
+        """Returns the radial error rate [m/s]."""
         return self.time_error / self.time_squares
 
 
@@ -124,7 +124,7 @@ def _added(total: float, values: Array) -> float:
 
 
 def difference(knots: Knots, truth: Truth) -> Array:
-    """The navigation errors (4, m): east and north position error [m], east and north velocity error [m/s]."""
+    """Returns the navigation errors (4, m): east and north position error [m], east and north velocity error [m/s]."""
     east, north = separation(truth.latitude, truth.longitude, knots.latitude, knots.longitude, truth.height)
     velocity = knots.velocity[:, :2] - truth.velocity
     return np.vstack([east, north, velocity.T])

@@ -126,7 +126,7 @@ def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _table(points: Array, uncertainty: Array) -> Table:
-    """A table of the errors at whole hours; for shorter runs, at every ten minutes, every minute or every second."""
+    """Returns a table of the errors at whole hours; for shorter runs, at every ten minutes, every minute or every second."""
     time = points[0]
     steps = [3600.0, 600.0, 60.0, 1.0]
     step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])
@@ -146,7 +146,7 @@ def _table(points: Array, uncertainty: Array) -> Table:
 
 
 def _constants(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Table, ...]:
-    """A table of the constant errors that the alignment estimates if the sensor is turned during the alignment."""
+    """Returns a table of the constant errors that the alignment estimates if the sensor is turned during the alignment."""
     if not found.aligned.turned:
         return ()
     alignment = found.aligned.alignment
@@ -177,7 +177,7 @@ def _plots(points: Array) -> tuple[Plot, ...]:
 
 
 def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Said:
-    """A note about where the uncertainties of the navigation errors come from."""
+    """Returns a note about where the uncertainties of the navigation errors come from."""
     if not wandering_sensors(request.setup.inputs, request.parameters):
         return said(
             "The uncertainties of the errors come from the white noise observed during alignment, propagated through the linear "
@@ -306,6 +306,6 @@ def _at_stops(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _change(channel: str, size: float, sensor: int) -> Said:
-    """A text that states the drift of one sensor. `size`: size of the drift, rad/s or m/s²."""
+    """Returns a text that states the drift of one sensor. `size`: size of the drift, rad/s or m/s²."""
     text, factor = ("deg/h", DEGREE * HOUR) if sensor < _GYROS else ("ug", 1e6 / STANDARD_GRAVITY)
     return said("{output} by {size:.2g} {unit}", output=channel, size=size * factor, unit=text)

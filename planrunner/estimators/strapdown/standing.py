@@ -139,7 +139,7 @@ class StopReader:
         return len(self._positions) - 1
 
     def finish(self) -> Stops:
-        """The collected readings at all stops."""
+        """Returns the collected readings at all stops."""
         parts = [self._parts[key] for key in sorted(self._parts)]
         sums = np.array([one.sums for one in parts]).reshape(-1, 9)
         seconds = sums[:, 6]

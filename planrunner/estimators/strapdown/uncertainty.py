@@ -123,8 +123,8 @@ class Wander:
 
 
 def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> FlickerEvidence | None:
-    """The information in the readings at the first stop of the alignment about the flicker of a sensor; None if these readings are
-    too few. `rate`: SI value of the unit of the sensor's channel, rad/s or m/s²."""
+    """Returns the information in the readings at the first stop of the alignment about the flicker of a sensor; None if these
+    readings are too few. `rate`: SI value of the unit of the sensor's channel, rad/s or m/s²."""
     rest = found.aligned.rest
     n = rest.means.shape[1]
     if not (n > 1 and rest.white[sensor] > 0):
@@ -151,7 +151,7 @@ def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
 
 
 def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
-    """The standard uncertainties of the radial position error and of the radial velocity error at the points, computed from
+    """Returns the standard uncertainties of the radial position error and of the radial velocity error at the points, computed from
     covariances (n, k, k) of position and velocity."""
     return _along(points[1:3], covariances[:, :2, :2]), _along(points[3:5], covariances[:, 2:4, 2:4])
 
@@ -179,12 +179,12 @@ def joined(found: Navigated, both: Array, over_time: Array) -> Array:
 
 
 def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Array, density: Array) -> Array:
-    """The standard uncertainties (5,) of the figures that summarise the errors over time (largest and root-mean-square errors,
-    error rate). They are computed as follows: errors that noise may cause are drawn at random and subtracted from the errors of the
-    navigation, and the figures are computed again for each draw. On average, noise increases the largest and the root-mean-square
-    errors. The figures are not corrected for this; instead, the mean change is added to the expanded uncertainty (JCGM 100:2008,
-    F.2.4.5). `start`: array of shape (7, 7), covariance of the state at the start of the navigation. `density`: array of shape (6,
-    6), density of the white noise in navigation axes."""
+    """Returns the standard uncertainties (5,) of the figures that summarise the errors over time (largest and root-mean-square
+    errors, error rate). They are computed as follows: errors that noise may cause are drawn at random and subtracted from the
+    errors of the navigation, and the figures are computed again for each draw. On average, noise increases the largest and the
+    root-mean-square errors. The figures are not corrected for this; instead, the mean change is added to the expanded uncertainty
+    (JCGM 100:2008, F.2.4.5). `start`: array of shape (7, 7), covariance of the state at the start of the navigation. `density`:
+    array of shape (6, 6), density of the white noise in navigation axes."""
     last = points.shape[1] - 1
     every = max(1, -(-last // _MOMENTS))
     course = np.column_stack([points[:, every::every], [found.seconds, *found.final]])
@@ -223,8 +223,8 @@ def _bounds(found: Navigated, points: Array, radial: Array, speed: Array) -> Arr
 
 
 def _along(errors: Array, covariances: Array) -> Array:
-    """The standard uncertainties of the lengths of n vectors (2, n) with the covariances (n, 2, 2). For a vector of length zero,
-    the standard uncertainty is the square root of the sum of the two variances."""
+    """Returns the standard uncertainties of the lengths of n vectors (2, n) with the covariances (n, 2, 2). For a vector of length
+    zero, the standard uncertainty is the square root of the sum of the two variances."""
     size = np.hypot(*errors)
     unit_vectors = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
     along = np.einsum("in,nij,jn->n", unit_vectors, covariances, unit_vectors)
@@ -309,8 +309,8 @@ def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count
 
 
 def _figures(course: Array) -> Array:
-    """The results (m, k) that follow the angles in `NAMES`, for k sets of navigation errors (5, n, k). The errors are in the form
-    of `ErrorRecord.points`, without the first point."""
+    """Returns the results (m, k) that follow the angles in `NAMES`, for k sets of navigation errors (5, n, k). The errors are in
+    the form of `ErrorRecord.points`, without the first point."""
     time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
     largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
     each = np.arange(course.shape[2])

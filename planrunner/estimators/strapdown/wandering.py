@@ -61,7 +61,7 @@ class WanderingBias:
         return np.concatenate([start[None], states]).swapaxes(0, 1)
 
     def _turned(self) -> Array:
-        """The matrices (n, 6, 6) that convert errors of gyros and accelerometers from body to navigation axes."""
+        """Returns the matrices (n, 6, 6) that convert errors of gyros and accelerometers from body to navigation axes."""
         turned = np.zeros((len(self.attitude), INPUTS, INPUTS))
         turned[:, :_AXES, :_AXES] = turned[:, _AXES:, _AXES:] = self.attitude
         return turned
@@ -123,5 +123,5 @@ class MeanAttitude:
 
     @property
     def means(self) -> Array:
-        """The mean attitude (n, 3, 3) over each interval."""
+        """Returns the mean attitude over each interval, shape (n, 3, 3)."""
         return np.array([one / max(count, 1) for one, count in zip(self._sums, self._counts, strict=True)])

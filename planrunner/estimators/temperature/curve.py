@@ -62,7 +62,7 @@ class Curve:
     knots: Array
 
     def columns(self, temperature: Array) -> Array:
-        """The design matrix (n, order + 1) at the temperatures (n,), degC."""
+        """Returns the design matrix (n, order + 1) at the temperatures (n,), degC."""
         if self.form == "polynomial":
             return np.asarray((temperature - self.reference)[:, None] ** np.arange(self.order + 1))
         return natural_spline(self.knots, temperature)
@@ -146,7 +146,7 @@ def held_out(
 
 
 def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
-    """The entry of `errors` for the order that is selected by a rule of `RULES`."""
+    """Returns the entry of `errors` for the order that is selected by a rule of `RULES`."""
     best = min(errors, key=lambda one: one.error)
     if rule == "smallest_error":
         return best
@@ -154,14 +154,15 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 
 def fold_of(group: Integers, folds: int) -> Integers:
-    """The index of the fold in which each group of temperatures is held out. If `folds` is 0, each group is a separate fold.
-    Otherwise the folds are `folds` adjoining ranges of temperature, so that neighbouring temperatures, which share a slow drift, do
-    not predict each other."""
+    """Returns the index of the fold in which each group of temperatures is held out. If `folds` is 0, each group is a separate
+    fold. Otherwise the folds are `folds` adjoining ranges of temperature, so that neighbouring temperatures, which share a slow
+    drift, do not predict each other."""
     return group if folds == 0 else group * folds // (int(group.max()) + 1)
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
-    """The factor, at least one, by which the correlation of successive residuals increases the variance of fitted coefficients.
+    """Returns the factor, at least one, by which the correlation of successive residuals increases the variance of fitted
+    coefficients.
 
     The factor is 1 + 2·Σ r_k, where r_k is the autocorrelation of all series together at the lag k. The sum ends before the first
     lag at which r_k is not positive (Geyer, Statistical Science 7, 1992, 473).
@@ -320,7 +321,7 @@ class OverTemperature:
 
 
 def _white(columns: Array, sigma: Array, whitening: Array | None) -> Array:
-    """The columns (n, …) multiplied by `whitening` (n, n), or divided by `sigma` (n,) if `whitening` is None."""
+    """Returns the columns (n, …) multiplied by `whitening` (n, n), or divided by `sigma` (n,) if `whitening` is None."""
     if whitening is not None:
         return np.asarray(whitening @ columns)
     return np.asarray(columns / (sigma if columns.ndim == 1 else sigma[:, None]))
@@ -393,7 +394,7 @@ def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
 
 
 def _correlation(weighted: Array, series: Integers) -> float:
-    """The factor `correlation_time` for the weighted residuals (n,) within each series."""
+    """Returns the factor `correlation_time` for the weighted residuals (n,) within each series."""
     return correlation_time([weighted[series == one] for one in np.unique(series[series >= 0])])
 
 
@@ -422,9 +423,9 @@ class _Way:
 
 
 def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
-    """The possible differences between ramps of one direction: in their offset and, if values follow each other along ramps, in
-    their slope. A difference is used only if the values determine it in addition to the fitted columns, and if at least two
-    residuals remain."""
+    """Returns the possible differences between ramps of one direction: in their offset and, if values follow each other along
+    ramps, in their slope. A difference is used only if the values determine it in addition to the fitted columns, and if at least
+    two residuals remain."""
     numbers, first = np.unique(values.ramp[values.ramp >= 0], return_index=True)
     senses = values.direction[values.ramp >= 0][first]
     each = (values.ramp[:, None] == numbers).astype(float)
@@ -453,7 +454,7 @@ def _free(fitted: Array, further: Array) -> Array:
 
 
 def _space(columns: Array) -> Array:
-    """An orthonormal basis of the space that the columns (n, m), which may be linearly dependent, span."""
+    """Returns an orthonormal basis of the space that the columns (n, m), which may be linearly dependent, span."""
     size = np.linalg.norm(columns, axis=0)
     base, found, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
     return np.asarray(base[:, found > _FREE * found[0]])
@@ -505,7 +506,7 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
 
 
 def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:
-    """The selected curve, whose order is below the highest order tried, with its uncertainty. This uncertainty combines the
+    """Returns the selected curve, whose order is below the highest order tried, with its uncertainty. This uncertainty combines the
     uncertainty of the curve of the highest order with the difference between the two curves."""
     if simple.curve.form == "polynomial":
         reads = np.eye(simple.curve.order + 1, full.curve.order + 1)

@@ -170,7 +170,8 @@ Intervals = tuple[Array, Array]
 def _channel(
     segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float
 ) -> tuple[Points, Intervals, Array]:
-    """The n values of a channel, q intervals of time, and the fraction (n, q) of the samples of each value in each interval."""
+    """Returns the n values of a channel, q intervals of time, and the fraction (n, q) of the samples of each value in each
+    interval."""
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
         raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)})")
@@ -212,8 +213,8 @@ def _channel(
 
 
 def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width: float) -> Points:
-    """The means of segments at their planned temperatures. The order in time shows whether a temperature was reached from below or
-    from above."""
+    """Returns the means of segments at their planned temperatures. The order in time shows whether a temperature was reached from
+    below or from above."""
     found = np.array([_planned(recorded, channel) for recorded in segments])
     order = np.argsort([recorded.segment.start for recorded in segments], kind="stable")
     direction, sweep = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
@@ -230,7 +231,7 @@ def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width
 
 
 def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, float]:
-    """The planned temperature of a segment [degC], the mean of the channel, and the standard error of the mean."""
+    """Returns the planned temperature of a segment [degC], the mean of the channel, and the standard error of the mean."""
     segment, statistics = recorded.segment, recorded.statistics
     if segment.temperature is None or segment.ramp_to is not None:
         raise EstimationError(
@@ -263,7 +264,7 @@ class _Ramp:
 
 
 def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float, intervals: int) -> list[_Ramp]:
-    """The branches of a segment, found in one pass over its samples. Sums are kept for each bin and each short piece of the
+    """Returns the branches of a segment, found in one pass over its samples. Sums are kept for each bin and each short piece of the
     segment. The mean temperatures of the pieces determine the branches."""
     try:
         scale = unit(recorded.units[thermometer])
@@ -326,7 +327,7 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
 
 
 def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
-    """The indices of the ramps in order of time; −1 for a ramp whose temperature hardly changes. A ramp that continues the
+    """Returns the indices of the ramps in order of time; −1 for a ramp whose temperature hardly changes. A ramp that continues the
     preceding ramp in the same direction has the same index as that ramp."""
     found: list[int] = []
     last: _Ramp | None = None
@@ -341,7 +342,7 @@ def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
 
 
 def _distinct(pairs: Integers) -> tuple[Integers, Integers]:
-    """The distinct rows of pairs (n, 2), ascending, and the index of each given row among them."""
+    """Returns the distinct rows of pairs (n, 2), ascending, and the index of each given row among them."""
     low = pairs[:, 1].min()
     span = int(pairs[:, 1].max() - low) + 1
     code, inverse = np.unique(pairs[:, 0] * span + (pairs[:, 1] - low), return_inverse=True)

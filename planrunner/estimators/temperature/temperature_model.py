@@ -69,7 +69,7 @@ class Loop:
 
     @property
     def largest(self) -> int:
-        """The index of the largest difference."""
+        """Returns the index of the largest difference."""
         return int(np.argmax(np.abs(self.width)))
 
 
@@ -218,7 +218,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
 
 
 def _planned_units(request: DesignRequest[TemperatureModelParameters]) -> dict[str, str]:
-    """The quantities to be modelled and their units, by name; empty if the quantities are not known."""
+    """Returns the quantities to be modelled and their units, by name; empty if the quantities are not known."""
     parameters = request.parameters
     if parameters.channels:
         outputs = [request.sensor.output(name) for name in parameters.channels]
@@ -304,7 +304,8 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
 
 
 def _beside(points: Points, difference: Difference | None, drift: Sequence[DriftCourse]) -> Array:
-    """The columns (n, q) that are fitted together with a curve, for the difference between the directions and for the drift."""
+    """Returns the columns that are fitted together with a curve, for the difference between the directions and for the drift, shape
+    (n, q)."""
     parts = [np.zeros((len(points.value), 0)), *(one.columns for one in drift)]
     if difference is not None:
         parts.insert(0, difference.columns(points.temperature, points.direction))
@@ -312,7 +313,8 @@ def _beside(points: Points, difference: Difference | None, drift: Sequence[Drift
 
 
 def _drift(points: Points, asked: str | None) -> tuple[DriftCourse, ...]:
-    """The drift functions (powers of the time) for which the plan asks. Raises `EstimationError` for values without known times."""
+    """Returns the drift functions (powers of the time) for which the plan asks. Raises `EstimationError` for values without known
+    times."""
     if asked is None or asked == NONE:
         return ()
     if not len(points.time):
@@ -324,7 +326,7 @@ def _drift(points: Points, asked: str | None) -> tuple[DriftCourse, ...]:
 
 
 def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
-    """Whether the drift functions, added one after the other, are independent of the columns (n, q) of the curve and of the
+    """Returns True if the drift functions, added one after the other, are independent of the columns (n, q) of the curve and of the
     difference between the directions."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     base = columns / np.where(size > 0, size, 1.0)
@@ -338,8 +340,8 @@ def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
 
 
 def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDrift | None:
-    """A linear drift, if fitting it would multiply the standard uncertainty of a coefficient of the curve by `COUPLED` or more;
-    otherwise None."""
+    """Returns a linear drift, if fitting it would multiply the standard uncertainty of a coefficient of the curve by `COUPLED` or
+    more; otherwise None."""
     if not len(points.time) or not np.ptp(points.time):
         return None
     [course, *_] = in_time(points.time, points.time, 1 / points.sigma**2)
@@ -356,8 +358,8 @@ def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDri
 
 
 def _difference(points: Points, parameters: TemperatureModelParameters, highest: int) -> Difference | None:
-    """The form of the difference between the directions (the hysteresis loop). The number of its coefficients is limited, so that
-    two residuals remain if a curve of order `highest` and the ramps are fitted too."""
+    """Returns the form of the difference between the directions (the hysteresis loop). The number of its coefficients is limited,
+    so that two residuals remain if a curve of order `highest` and the ramps are fitted too."""
     ramps = len(np.unique(points.ramp[points.ramp >= 0]))
     left = len(points.value) - (highest + 1) - max(0, ramps - 2) - _RESIDUALS
     width = parameters.bin.value
@@ -365,8 +367,8 @@ def _difference(points: Points, parameters: TemperatureModelParameters, highest:
 
 
 def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
-    """The coefficients of all curves and the hysteresis along ramps, with their covariance. The curves are treated as independent
-    of each other."""
+    """Returns the coefficients of all curves and the hysteresis along ramps, with their covariance. The curves are treated as
+    independent of each other."""
     rows: list[Coefficient] = []
     blocks: list[Array] = []
     for one in models:
@@ -403,8 +405,8 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
 def _influences(
     request: EstimateRequest[TemperatureModelParameters], models: Sequence[Modelled]
 ) -> tuple[Influence, ...]:
-    """The influences of an error of the chamber's temperature. This error shifts every curve along the temperature axis and does
-    not change the difference between ramps. If the sensor's own thermometer is used, there is no such influence."""
+    """Returns the influences of an error of the chamber's temperature. This error shifts every curve along the temperature axis and
+    does not change the difference between ramps. If the sensor's own thermometer is used, there is no such influence."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()
@@ -418,8 +420,8 @@ def _influences(
 
 
 def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
-    """The effect on the coefficients of flicker, for channels for which the bench file states no flicker. This flicker shifts the
-    curves. It is not applied to the hysteresis, which is a largest value."""
+    """Returns the effect on the coefficients of flicker, for channels for which the bench file states no flicker. This flicker
+    shifts the curves. It is not applied to the hysteresis, which is a largest value."""
     counts = [len(one.fit.coefficients) + (one.widest is not None) for one in models]
     found, first = [], 0
     for one, count in zip(models, counts, strict=True):
@@ -443,7 +445,7 @@ def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
 
 
 def _label(form: str, name: str, text: str, k: int) -> tuple[str, str]:
-    """The name and the unit of the k-th coefficient of a curve. `text`: unit of the values of the curve."""
+    """Returns the name and the unit of the k-th coefficient of a curve. `text`: unit of the values of the curve."""
     return (f"{name}_knot_{k + 1}", text) if form == "spline" else (f"{name}_T{k}", _per_kelvin(text, k))
 
 
@@ -489,7 +491,7 @@ def _tables(one: Modelled) -> list[Table]:
 
 
 def _loop_table(one: Modelled) -> list[Table]:
-    """A table of the values on both branches of the loop at several temperatures, and of their difference."""
+    """Returns a table of the values on both branches of the loop at several temperatures, and of their difference."""
     loop = None if one.difference is None else one.loop(np.linspace(*one.ends, _SHOWN))
     if loop is None:
         return []
@@ -508,14 +510,14 @@ def _loop_table(one: Modelled) -> list[Table]:
 
 
 def _fitted(one: Modelled) -> Array:
-    """The fitted values (n,) at the n points. At each point, the value is on the branch (rising or falling) to which the point
-    belongs."""
+    """Returns the fitted values at the n points, shape (n,). At each point, the value is on the branch (rising or falling) to which
+    the point belongs."""
     own = one.beside
     return np.asarray(one.fit.predict(one.points.temperature)[0] + own @ one.fit.beside[: own.shape[1]])
 
 
 def _expanded(u: Array, freedom: Array) -> Array:
-    """The expanded uncertainties (n,) at 95 %, from standard uncertainties (n,) and degrees of freedom (n,)."""
+    """Returns the expanded uncertainties (n,) at 95 %, from standard uncertainties (n,) and degrees of freedom (n,)."""
     return np.array([expanded_uncertainty(float(own), float(nu)) for own, nu in zip(u, freedom, strict=True)])
 
 

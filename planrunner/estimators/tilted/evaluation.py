@@ -72,7 +72,7 @@ class Group:
 
     @property
     def full_scale(self) -> Array:
-        """The largest absolute output (m,) of each axis."""
+        """Returns the largest absolute output of each axis, shape (m,)."""
         largest: Array = np.abs(self.outputs.mean(axis=0)).max(axis=0)
         return largest
 
@@ -177,8 +177,8 @@ def evaluate(
 
 
 def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
-    """The five `QUANTITIES` (q, m, 5) of each repeat. `rate`: array of shape (m,), index of the rate with the largest residual.
-    `sign`: array of shape (m,), sign of this residual."""
+    """Returns the five `QUANTITIES` (q, m, 5) of each repeat. `rate`: array of shape (m,), index of the rate with the largest
+    residual. `sign`: array of shape (m,), sign of this residual."""
     at = line.residuals[:, rate, np.arange(len(rate))]
     return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
 
@@ -228,8 +228,8 @@ def answers_to_averages(answers: Array) -> Array:
 
 
 def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64], sign: Array) -> Array:
-    """The sensitivities (n, m, 5) of the quantities of one group to its outputs. Each axis depends only on its own output, so the
-    outputs of all axes can be changed simultaneously."""
+    """Returns the sensitivities of the quantities of one group to its outputs, shape (n, m, 5). Each axis depends only on its own
+    output, so the outputs of all axes can be changed simultaneously."""
     x, full_scale = conditions.inputs(group), group.full_scale
     q, n, m = x.shape
 
@@ -245,7 +245,7 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
-    """The temperature coefficients and the sensitivities, together (2, m), of scale factors (g, m). `decides`: index of the
+    """Returns the temperature coefficients and the sensitivities, together (2, m), of scale factors (g, m). `decides`: index of the
     temperature that determines the sensitivity."""
     base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
     change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))
@@ -253,8 +253,8 @@ def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDAr
 
 
 def _decisive(values: Array, kelvin: Array, reference: int) -> NDArray[np.int64]:
-    """The indices (m,) of the temperatures at which the change of the scale factors (g, m), divided by the distance from the
-    reference temperature, is largest."""
+    """Returns the indices (m,) of the temperatures at which the change of the scale factors (g, m), divided by the distance from
+    the reference temperature, is largest."""
     apart = np.abs(kelvin - kelvin[reference])
     away = np.isfinite(apart) & (apart > 0)
     size = np.abs(values - values[reference]) / np.where(away, apart, 1.0)[:, None]

@@ -195,8 +195,8 @@ def _derived(
     axes: MountedAxes,
     fits: Sequence[tuple[Observations, OutputsFit]],
 ) -> Derived:
-    """The scale factor K, the angle and, if it is fitted, the azimuth of each axis, in the units of the results, computed from the
-    offsets and gains of all axes."""
+    """Returns the scale factor K, the angle and, if it is fitted, the azimuth of each axis, in the units of the results, computed
+    from the offsets and gains of all axes."""
     offsets, shapes = len(model.orientations), []
     reported: list[Reported] = []
     for k, (observations, fit) in enumerate(fits):
@@ -223,11 +223,11 @@ def _derived(
 def _acting(
     request: EstimateRequest[FixtureAnglesParameters], model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """The influences of stated inputs on the offsets and gains of one axis."""
+    """Returns the influences of stated inputs on the offsets and gains of one axis."""
 
     def answered(matrix: Array) -> Array:
-        """The change of the fitted coefficients for a changed design matrix. The outputs do not change, so a change of a stated
-        input changes the fit with the opposite sign."""
+        """Returns the change of the fitted coefficients for a changed design matrix. The outputs do not change, so a change of a
+        stated input changes the fit with the opposite sign."""
         return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
 
     stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)

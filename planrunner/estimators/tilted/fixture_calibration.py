@@ -72,8 +72,8 @@ def _carried(
     freedom: Sequence[float],
     name: str,
 ) -> tuple[Influence, ...]:
-    """The influences on the angles: for each axis, one influence from the data of the calibration; and the influences that act on
-    the calibration itself."""
+    """Returns the influences on the angles: for each axis, one influence from the data of the calibration; and the influences that
+    act on the calibration itself."""
     factors = np.array([unit(coefficients[row].unit).factor for row in rows])
     arcsec = unit("arcsec").factor
     found = []
@@ -107,8 +107,8 @@ def _at(axes: MountedAxes, coefficients: Sequence[Coefficient]) -> MountedAxes:
 
 
 def _data_freedom(used: Estimate, item: Coefficient) -> float:
-    """The degrees of freedom of an angle due to the data of the calibration alone. They are computed from the budget, because the
-    analysis has already combined them with the degrees of freedom of the influences."""
+    """Returns the degrees of freedom of an angle due to the data of the calibration alone. They are computed from the budget,
+    because the analysis has already combined them with the degrees of freedom of the influences."""
     for budget in used.budgets:
         if budget.coefficient == item.name:
             return next((line.degrees_of_freedom for line in budget.lines if line.kind == "A"), item.degrees_of_freedom)

@@ -62,8 +62,8 @@ class GainModel:
         return (*(f"offset {text}" for text in self.orientations), *gains)
 
     def matrix(self, basis: Array) -> Array:
-        """The design matrix. It has one column for the offset of each orientation, and then the columns of the gains. `basis`:
-        array of shape (3, r), directions in the fixture's frame that span the gain vector."""
+        """Returns the design matrix. It has one column for the offset of each orientation, and then the columns of the gains.
+        `basis`: array of shape (3, r), directions in the fixture's frame that span the gain vector."""
         return np.column_stack([np.eye(len(self.orientations))[self.place], self.felt @ basis])
 
     def magnitudes(self, basis: Array) -> Array:
@@ -186,8 +186,8 @@ def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[Correlate
 
 
 def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:
-    """Whether every spin is made by the outermost axis of the table. Only in this case, the direction of the table's rate does not
-    depend on the other axes."""
+    """Returns True if every spin is made by the outermost axis of the table. Only in this case, the direction of the table's rate
+    does not depend on the other axes."""
     for one in segments:
         if isinstance(one.motion, Spin) and one.attitude is not None:
             try:

@@ -89,7 +89,7 @@ def influences(
     flicker: Sequence[CorrelatedError] = (),
     drifts: Mapping[int, float] | None = None,
 ) -> list[Influence]:
-    """The influences on `TiltedResults.vector`.
+    """Returns the influences on `TiltedResults.vector`.
 
     `inputs`: values that bench and plan state with an uncertainty. `common`: relative error that all rates have in common.
     `rounding`: maps each output to the rounding error of its means. `flicker`: declared flicker of the segments' means, if the
@@ -237,8 +237,8 @@ def _drift_courses(n: int) -> dict[str, Array]:
 def _by_courses(
     situation: Situation, quantity: InputQuantity, axis: int, courses: Callable[[int], dict[str, Array]]
 ) -> Influence:
-    """The influence of an error of one output, where `courses` gives the shape of the error over the n rates of a series. The
-    errors at different temperatures are independent of each other."""
+    """Returns the influence of an error of one output, where `courses` gives the shape of the error over the n rates of a series.
+    The errors at different temperatures are independent of each other."""
     columns, parts = [], []
     width = situation.answers[0].shape[1] * len(QUANTITIES)
     for k, (group, answers) in enumerate(zip(situation.groups, situation.answers, strict=True)):

@@ -57,8 +57,8 @@ class MountedAxes:
 
 
 def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:
-    """The axes of the outputs `chosen`. If no output is chosen, these are all axes of `mounting`. An output belongs to the axis
-    with whose name its own name ends.
+    """Returns the axes of the outputs `chosen`. If no output is chosen, these are all axes of `mounting`. An output belongs to the
+    axis with whose name its own name ends.
 
     `mounting`: maps the name of an axis to its `planrunner.plan.model.MountedAxis`. `available`: names of the existing channels.
     Raises `EstimationError` for an axis without an output, and for an output without an axis.

@@ -37,8 +37,8 @@ class RateLines:
 
 
 def line_through(rates: Array) -> tuple[Array, Array]:
-    """The design of a line through rates (n,), rad/s: the matrix (n, 2) with the columns for offset and rate, and the magnitudes
-    (2,) of these columns."""
+    """Returns the design of a line through rates (n,), rad/s: the matrix (n, 2) with the columns for offset and rate, and the
+    magnitudes (2,) of these columns."""
     return np.column_stack([np.ones(len(rates)), rates]), np.array([1.0, np.abs(rates).max(initial=1e-12)])
 
 
@@ -54,8 +54,8 @@ def fit_lines(x: Array, f: Array) -> RateLines:
 
 
 def lowest_pair(x: Array) -> tuple[int, int]:
-    """The indices of the lowest positive rate and of the negative rate with the smallest magnitude in a series (n,). If all rates
-    have the same sign, these are the indices of the two lowest rates."""
+    """Returns the indices of the lowest positive rate and of the negative rate with the smallest magnitude in a series (n,). If all
+    rates have the same sign, these are the indices of the two lowest rates."""
     order = np.argsort(np.abs(x), kind="stable")
     positive, negative = [k for k in order if x[k] > 0], [k for k in order if x[k] < 0]
     first, second = (positive[0], negative[0]) if positive and negative else (order[1], order[0])
@@ -68,9 +68,9 @@ def _response(x: Array, f: Array, slope: Array) -> Array:
 
 
 def _asymmetry(x: Array, f: Array) -> Array:
-    """The asymmetry of each series and axis. It is NaN for axes whose inputs all have the same sign (for example, because the
-    Earth's rotation is larger than the rates), or whose inputs are too few to separate the half-lines. It is computed from normal
-    equations of columns that are divided by the largest rate."""
+    """Returns the asymmetry of each series and axis. It is NaN for axes whose inputs all have the same sign (for example, because
+    the Earth's rotation is larger than the rates), or whose inputs are too few to separate the half-lines. It is computed from
+    normal equations of columns that are divided by the largest rate."""
     told = np.full((x.shape[0], x.shape[2]), np.nan, dtype=f.dtype)
     if np.unique(x[0, :, 0]).size < ENOUGH:
         return told
@@ -86,13 +86,13 @@ def _asymmetry(x: Array, f: Array) -> Array:
 
 
 def asymmetry(forward: Array, backward: Array) -> Array:
-    """The asymmetry 2·(K₊ − K₋)/(K₊ + K₋) of the scale factors K₊ (`forward`) and K₋ (`backward`)."""
+    """Returns the asymmetry 2·(K₊ − K₋)/(K₊ + K₋) of the scale factors K₊ (`forward`) and K₋ (`backward`)."""
     return 2 * (forward - backward) / (forward + backward)
 
 
 def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
-    """The units of the rate and of the output. Raises `EstimationError` for a text that is not a unit, and for a `rate_unit` that
-    is not a unit of angular rate."""
+    """Returns the units of the rate and of the output. Raises `EstimationError` for a text that is not a unit, and for a
+    `rate_unit` that is not a unit of angular rate."""
     try:
         rate, own = unit(rate_unit), unit(output_unit)
     except UnknownUnitError as error:
@@ -105,8 +105,8 @@ def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
 
 
 def slope_unit(rate: Unit, own: Unit) -> tuple[str, float]:
-    """The unit of the scale factor K, and the factor that converts (output unit)/(rad/s) to this unit. If the output is itself a
-    rate, K is a ratio without a unit."""
+    """Returns the unit of the scale factor K, and the factor that converts (output unit)/(rad/s) to this unit. If the output is
+    itself a rate, K is a ratio without a unit."""
     if own.dimension == rate.dimension:
         return "1", own.factor
     return f"({own.text})/({rate.text})", rate.factor

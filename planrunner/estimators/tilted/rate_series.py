@@ -33,7 +33,7 @@ class RateSeries:
 
     @property
     def lacks(self) -> Said | None:
-        """A text that names the missing parts; None if the series is complete."""
+        """Returns a text that names the missing parts; None if the series is complete."""
         parts = {said("start zero"): self.start, said("end zero"): self.end, said("rates"): self.spins}
         missing = [what for what, held in parts.items() if not held]
         if not missing:
@@ -68,7 +68,7 @@ def split_series(segments: Sequence[Segment], zero: Sequence[str]) -> tuple[Rate
 
 
 def by_temperature(series: Sequence[RateSeries]) -> dict[float | None, tuple[RateSeries, ...]]:
-    """The repeats at each planned temperature [K], by temperature, in the order in which the temperatures first occur."""
+    """Returns the repeats at each planned temperature [K], by temperature, in the order in which the temperatures first occur."""
     found: dict[float | None, list[RateSeries]] = {}
     for one in series:
         found.setdefault(one.temperature, []).append(one)

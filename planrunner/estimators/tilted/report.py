@@ -122,9 +122,9 @@ def _residuals(situation: Situation, units: Units) -> Table:
 
 
 def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Table:
-    """A table of the response at the lowest rate (IEEE Std 528), and of the smallest change of rate that can be distinguished from
-    noise in a recording at this rate. This change is k·√2·u, where k is the coverage factor, and u is the standard uncertainty of
-    the mean, as a rate."""
+    """Returns a table of the response at the lowest rate (IEEE Std 528), and of the smallest change of rate that can be
+    distinguished from noise in a recording at this rate. This change is k·√2·u, where k is the coverage factor, and u is the
+    standard uncertainty of the mean, as a rate."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)
@@ -327,7 +327,7 @@ def _warnings(situation: Situation) -> list[Said]:
 
 
 def _spread(scatter: Scatter, situation: Situation) -> Array:
-    """The standard uncertainty (g, m) of K from the data alone."""
+    """Returns the standard uncertainty of K from the data alone, shape (g, m)."""
     diagonal = np.diagonal(scatter.covariance, axis1=1, axis2=2)
     return np.sqrt(diagonal).reshape(situation.found.means.shape)[..., K]
 
@@ -339,8 +339,8 @@ def _relative(spread: Array, situation: Situation) -> Array:
 
 
 def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
-    """The standard uncertainty [rad] of each axis's angle, from the plan or from the calibration of the fixture; zero if none is
-    stated."""
+    """Returns the standard uncertainty [rad] of each axis's angle, from the plan or from the calibration of the fixture; zero if
+    none is stated."""
     axes = situation.conditions.axes
     stated = {f"fixture angle {name}": k for k, name in enumerate(axes.names)}
     found = np.zeros(len(axes.names))
@@ -354,7 +354,7 @@ def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
 
 
 def _along(situation: Situation) -> Array:
-    """The rotation axis in the fixture's frame."""
+    """Returns the rotation axis in the fixture's frame."""
     along = situation.conditions.along
     return np.asarray(along[int(np.argmax(np.abs(along).sum(axis=1)))])
 

@@ -59,8 +59,8 @@ class Item:
 def items(
     found: TiltedResults, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
 ) -> tuple[Item, ...]:
-    """The results that can be computed; those at the reference temperature come first. `units`: for each axis, the unit of the rate
-    and the unit of the output."""
+    """Returns the results that can be computed; those at the reference temperature come first. `units`: for each axis, the unit of
+    the rate and the unit of the output."""
     listed = [item for k in _order(len(groups), reference) for item in _at(found, groups, axes, units, k, reference)]
     return tuple(item for item in listed if np.isfinite(found.vector[item.at]))
 
@@ -68,8 +68,8 @@ def items(
 def coefficients(
     found: TiltedResults, kept: Sequence[Item], covariance: Array, freedom: Array
 ) -> tuple[Coefficient, ...]:
-    """The coefficients of the estimate. `covariance`: covariance of `TiltedResults.vector`. `freedom`: degrees of freedom of
-    `TiltedResults.vector`."""
+    """Returns the coefficients of the estimate. `covariance`: covariance of `TiltedResults.vector`. `freedom`: degrees of freedom
+    of `TiltedResults.vector`."""
     spread = np.sqrt(np.diag(covariance))
     return tuple(
         Coefficient(
@@ -88,8 +88,8 @@ def coefficients(
 def over_temperature(
     kept: Sequence[Item], shown: Sequence[Coefficient], groups: Sequence[Group], axes: MountedAxes, reference: int
 ) -> dict[str, object]:
-    """The scale factors at each temperature, in the form that `interface.Estimate` describes for its field `extra`; empty if no
-    temperature is known."""
+    """Returns the scale factors at each temperature, in the form that `interface.Estimate` describes for its field `extra`; empty
+    if no temperature is known."""
     known = [k for k in range(len(groups)) if np.isfinite(groups[k].kelvin)]
     of = {item.name: one for item, one in zip(kept, shown, strict=True)}
     held: dict[str, object] = {}

@@ -207,9 +207,9 @@ def _unstated(
     freedom: Array,
     shown: Sequence[Item],
 ) -> tuple[UnstatedFlicker, ...]:
-    """The effect of flicker on the coefficients, for outputs for which the bench file states no flicker. `sigma`: array of shape
-    (N, m), noise of each segment's mean. `freedom`: array of shape (m,), degrees of freedom of this noise. Both arrays are in the
-    form in which `_sigma` returns them."""
+    """Returns the effect of flicker on the coefficients, for outputs for which the bench file states no flicker. `sigma`: array of
+    shape (N, m), noise of each segment's mean. `freedom`: array of shape (m,), degrees of freedom of this noise. Both arrays are in
+    the form in which `_sigma` returns them."""
     silent = unstated_flicker(observations, request.setup.inputs, SPAN.value)
     found = []
     for error, influence in unstated_influences(situation, silent, request.parameters.uncertainty):
@@ -280,7 +280,7 @@ def _situation(
 def _complete(
     request: EstimateRequest[ScaleFactorTiltedParameters],
 ) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[Said]]:
-    """The recorded segments of complete series; the complete series; and warnings about the other series."""
+    """Returns the recorded segments of complete series; the complete series; and warnings about the other series."""
     recorded = request.segments
     series = split_series([one.segment for one in recorded], request.parameters.zero)
     whole_ones: list[RateSeries] = []
@@ -381,7 +381,7 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
 def _measured(
     request: EstimateRequest[ScaleFactorTiltedParameters], recorded: Sequence[RecordedSegment], planned: float | None
 ) -> float:
-    """The mean temperature of the sensor [K]: the recorded temperature, otherwise the planned temperature, otherwise NaN."""
+    """Returns the mean temperature of the sensor [K]: the recorded temperature, otherwise the planned temperature, otherwise NaN."""
     wanted = request.parameters.temperature
     channel = wanted or THERMOMETER
     if wanted is None and any(channel not in one.statistics.channels for one in recorded):
@@ -405,9 +405,9 @@ def _sigma(
     observations: Observations,
     flicker: Sequence[CorrelatedError],
 ) -> tuple[Array, Array]:
-    """The noise (N, m) of each segment's mean, without the part that flicker adds to the scatter within the segments; and the
-    degrees of freedom (m,) of this noise. An output whose noise is not visible counts as noiseless. If the uncertainties are based
-    on this noise, an `EstimationError` is raised instead."""
+    """Returns the noise (N, m) of each segment's mean, without the part that flicker adds to the scatter within the segments; and
+    the degrees of freedom (m,) of this noise. An output whose noise is not visible counts as noiseless. If the uncertainties are
+    based on this noise, an `EstimationError` is raised instead."""
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
         raise EstimationError(
@@ -433,8 +433,8 @@ def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[Said]:
 def _rounding(
     request: EstimateRequest[ScaleFactorTiltedParameters], kept: Sequence[RecordedSegment], axes: MountedAxes
 ) -> dict[str, Rounding]:
-    """For each output, how much rounding error remains in the means. If noise dithers the samples, their rounding errors average
-    out; otherwise a mean has the rounding error of a single sample."""
+    """Returns, for each output, how much rounding error remains in the means. If noise dithers the samples, their rounding errors
+    average out; otherwise a mean has the rounding error of a single sample."""
     found = {}
     for output in axes.outputs:
         variances = [float(np.diag(one.statistics.covariance)[one.statistics.of(output)]) for one in kept]

@@ -74,8 +74,8 @@ class Scatter:
 def scatter_between_repeats(
     found: TiltedResults, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[CorrelatedError] = ()
 ) -> Scatter:
-    """The type A uncertainty from the scatter of the repeats. The variance of a quantity is pooled over the temperatures, unless
-    Bartlett's test finds that it differs between them. The correlations between quantities come from the repeats of all
+    """Returns the type A uncertainty from the scatter of the repeats. The variance of a quantity is pooled over the temperatures,
+    unless Bartlett's test finds that it differs between them. The correlations between quantities come from the repeats of all
     temperatures. All repeats have a part of the declared flicker in common. Their scatter cannot show this part, so it is added.
     `answers`: sensitivities of each group, from `answers_of`."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
@@ -106,9 +106,9 @@ def scatter_between_repeats(
 
 
 def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
-    """The variances (5·m,) of the means over the repeats due to that part of the flicker which different repeats have in common. A
-    variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, where fᵣ is the sensitivity of the quantities of repeat r to the
-    segments, and C the covariance of the flicker; it is zero if this mean is negative."""
+    """Returns the variances of the means over the repeats due to that part of the flicker which different repeats have in common,
+    shape (5·m,). A variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, where fᵣ is the sensitivity of the quantities of
+    repeat r to the segments, and C the covariance of the flicker; it is zero if this mean is negative."""
     gains, q = answers_to_averages(answers), len(group.spins)
     found = np.zeros(gains.shape[1:])
     for effect in flicker:
@@ -123,7 +123,7 @@ def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) 
 
 
 def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> NoiseOfMeans:
-    """The uncertainty of the means over the repeats.
+    """Returns the uncertainty of the means over the repeats.
 
     `sigma`: array of shape (N, m), standard uncertainty of each segment's mean. `correlation`: array of shape (m, m), correlation
     between outputs. `freedom`: array of shape (m,), degrees of freedom of `sigma`.
@@ -140,9 +140,9 @@ def scatter_of_means(
     basis: str,
     flicker: Sequence[CorrelatedError] = (),
 ) -> Scatter:
-    """The type A uncertainty from the residuals of the means, or from the noise within the segments. `answers`: sensitivities of
-    each group, from `answers_of`. `flicker`: the declared flicker, which contributes to the residuals. Raises `EstimationError` if
-    the basis is `residual` and there are no residuals."""
+    """Returns the type A uncertainty from the residuals of the means, or from the noise within the segments. `answers`:
+    sensitivities of each group, from `answers_of`. `flicker`: the declared flicker, which contributes to the residuals. Raises
+    `EstimationError` if the basis is `residual` and there are no residuals."""
     covariances, freedoms = [], []
     for k, group in enumerate(groups):
         gains = answers_to_averages(answers[k])
@@ -195,7 +195,7 @@ def _about_the_line(
 
 
 def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other: Array) -> Array:
-    """The degrees of freedom of a sum of two variances by Welch–Satterthwaite (JCGM 100:2008, G.4.1): the variance of the
+    """Returns the degrees of freedom of a sum of two variances by Welch–Satterthwaite (JCGM 100:2008, G.4.1): the variance of the
     residuals, and the variance due to the noise of the zeros, which causes no residuals."""
     known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
     squares = one**2 / freedom_of_one + other**2 / known
@@ -203,8 +203,8 @@ def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other
 
 
 def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
-    """The derivatives ∂`TiltedResults.vector`/∂(means of all groups), (count, g·m·5). The repeatability is not a function of the means,
-    so its rows are zero."""
+    """Returns the derivatives ∂`TiltedResults.vector`/∂(means of all groups), (count, g·m·5). The repeatability is not a function
+    of the means, so its rows are zero."""
     g, m, p = found.means.shape
     each = m * p
     gradient = np.zeros((len(found.vector), g * each))
@@ -222,7 +222,7 @@ def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, w
 
 
 def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
-    """The covariance of `TiltedResults.vector`, and the degrees of freedom of its elements. `gradient`: derivatives from
+    """Returns the covariance of `TiltedResults.vector`, and the degrees of freedom of its elements. `gradient`: derivatives from
     `gradient_of`."""
     g, m, p = found.means.shape
     count, each = len(found.vector), m * p
@@ -250,7 +250,8 @@ def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradi
 
 
 def with_expected_repeatability(found: TiltedResults, groups: Sequence[Group], scatter: Scatter) -> TiltedResults:
-    """The results of a schedule that has not been recorded, with the repeatability that is expected from the scatter of the means."""
+    """Returns the results of a schedule that has not been recorded, with the repeatability that is expected from the scatter of the
+    means."""
     g, m, p = found.means.shape
     spread = np.sqrt(np.diagonal(scatter.covariance, axis1=1, axis2=2)).reshape(g, m, p)[..., K]
     repeats = np.array([len(group.names) for group in groups])
@@ -281,7 +282,7 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
 
 
 def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[CorrelatedError]) -> set[int]:
-    """The axes whose zeros drifted by more than noise and declared flicker explain, by a χ² test of all drifts at 1 %.
+    """Returns the axes whose zeros drifted by more than noise and declared flicker explain, by a χ² test of all drifts at 1 %.
 
     `sigma`: array of shape (N, m), standard uncertainty of each segment's mean from noise. Without noise and flicker, any drift
     counts as too large.
@@ -301,8 +302,9 @@ def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[Corre
 
 
 def moved_alike(groups: Sequence[Group]) -> set[int]:
-    """The axes whose zeros drifted equally in all repeats, by more than the scatter between repeats explains. For this purpose, an
-    F test at 1 % compares the mean drifts at the temperatures with the scatter. Every group must have at least two repeats."""
+    """Returns the axes whose zeros drifted equally in all repeats, by more than the scatter between repeats explains. For this
+    purpose, an F test at 1 % compares the mean drifts at the temperatures with the scatter. Every group must have at least two
+    repeats."""
     from scipy.special import fdtrc
 
     freedom = sum(len(group.drift) - 1 for group in groups)

@@ -26,14 +26,14 @@ WHOLE = 1e-3  # of a turn, by which a dwell in whole turns may miss
 
 
 def as_recording_begins(segments: Sequence[Segment], site: Site, table: TableModel | None) -> tuple[Segment, ...]:
-    """The segments with the attitude that they have at the start of the recording."""
+    """Returns the segments with the attitude that they have at the start of the recording."""
     known: dict[object, float] = {}
     return tuple(_carried(segment, site, table, known) for segment in segments)
 
 
 def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[float | None]) -> Array:
-    """The mean angular rate (n, 3) relative to inertial space in the fixture's frame, rad/s. The segments must have the attitudes
-    that they have at the start of the recording.
+    """Returns the mean angular rate (n, 3) relative to inertial space in the fixture's frame, rad/s. The segments must have the
+    attitudes that they have at the start of the recording.
 
     `durations`: recorded durations of the segments, s. Raises `EstimationError` for an unknown orientation.
     """
@@ -44,15 +44,15 @@ def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[floa
 
 
 def recorded_seconds(recorded: RecordedSegment) -> float | None:
-    """The duration [s] over which the mean of a segment is taken. Each sample represents one sample interval."""
+    """Returns the duration [s] over which the mean of a segment is taken. Each sample represents one sample interval."""
     return recorded.statistics.duration if recorded.statistics.count > 1 else recorded.segment.dwell
 
 
 def part_turns(
     segments: Sequence[Segment], durations: Sequence[float | None], intervals: Sequence[float]
 ) -> list[tuple[str, float]]:
-    """For each spin that does not cover whole turns, its label and the number of its turns. `intervals`: time between samples of
-    each segment, s; a dwell may differ from whole turns by one such interval."""
+    """Returns, for each spin that does not cover whole turns, its label and the number of its turns. `intervals`: time between
+    samples of each segment, s; a dwell may differ from whole turns by one such interval."""
     found = []
     for segment, seconds, interval in zip(segments, durations, intervals, strict=True):
         if not isinstance(segment.motion, Spin) or seconds is None:
@@ -78,7 +78,7 @@ def _carried(segment: Segment, site: Site, table: TableModel | None, known: dict
 
 
 def _acceleration(attitude: Array, motion: Spin, site: Site, table: TableModel | None) -> float:
-    """The acceleration [rad/s²] of the spinning axis; infinite if the table is not known."""
+    """Returns the acceleration [rad/s²] of the spinning axis; infinite if the table is not known."""
     if table is None:
         return math.inf
     try:

@@ -265,7 +265,7 @@ def whole_choices(
 
 
 def _operating_point(weighing: Weighing, members: Sequence[tuple[Weighed, Candidate]]) -> OperatingPoint | None:
-    """The operating point of the first effect on the output among `members`; None if there is no such effect."""
+    """Returns the operating point of the first effect on the output among `members`; None if there is no such effect."""
     for number, (form, candidate) in enumerate(members):
         effect = on_output(candidate.effect)
         if effect is None:
@@ -364,8 +364,8 @@ def _repetition(
 
 
 def _projected_change(fit: _Fit, choice: FoldChoice) -> Array:
-    """The change (m, q) of the whitened signature of an effect on the output, per change of each nominal parameter, over all channels;
-    without columns for other effects."""
+    """Returns the change of the whitened signature of an effect on the output, per change of each nominal parameter, over all
+    channels, shape (m, q); without columns for other effects."""
     from scipy.linalg import block_diag
 
     changes = [] if choice.point is None else choice.point.change
@@ -533,7 +533,7 @@ def _fit(choice: FoldChoice, noise: MeasuredNoise, rows: list[_Rows]) -> _Fit:
 
 
 def _shares(choices: Sequence[FoldChoice], fits: Sequence[_Fit]) -> Array:
-    """The probabilities of the choices. The probability of an effect is divided among its forms again, with evidence at the
+    """Returns the probabilities of the choices. The probability of an effect is divided among its forms again, with evidence at the
     measured noise."""
     shares = np.array([choice.probability for choice in choices])
     for effect in {choice.effect for choice in choices if choice.probability > 0}:
@@ -552,7 +552,7 @@ def _measured_rows(
     beyond: float,
     degrees: Array,
 ) -> Closure:
-    """The closure computed from the selected `rows` of every fold. `degrees`: the same as in `MeasuredNoise`."""
+    """Returns the closure computed from the selected `rows` of every fold. `degrees`: the same as in `MeasuredNoise`."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
@@ -565,8 +565,8 @@ def _measured_rows(
 
 
 def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure, residual: Array) -> ChannelClosure:
-    """The closure of a channel, with the sizes of the gap also in the channel's unit. A size in standard deviations is converted
-    with the root mean square of the noise of the coefficients."""
+    """Returns the closure of a channel, with the sizes of the gap also in the channel's unit. A size in standard deviations is
+    converted with the root mean square of the noise of the coefficients."""
     channel, weight = weighing.observed.channels[index], noise.weights[index]
     every = np.ones(len(weight.scale), dtype=bool)
     sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)) * noise.scale[index] ** 2)))
@@ -750,8 +750,8 @@ def _fold(
 
 
 def _moving(used: Sequence[_Rows], point: OperatingPoint, held: NDArray[np.bool_]) -> Array:
-    """The held-out change (m, q) of the prediction by an effect on the output, per change of each nominal parameter. q counts the
-    parameters of all channels on which the effect acts."""
+    """Returns the held-out change of the prediction by an effect on the output, per change of each nominal parameter, shape (m, q).
+    q counts the parameters of all channels on which the effect acts."""
     from scipy.linalg import block_diag
 
     blocks = [
@@ -762,8 +762,8 @@ def _moving(used: Sequence[_Rows], point: OperatingPoint, held: NDArray[np.bool_
 
 
 def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
-    """True if the segments that are used for the fit show every effect of a choice; otherwise rounding errors would determine an
-    amplitude.
+    """Returns True if the segments that are used for the fit show every effect of a choice; otherwise rounding errors would
+    determine an amplitude.
 
     `used`, `held`: arrays of shape (p,), energy of each column in the used and in the held-out segments, without the part that the
     nominal parameters absorb."""
@@ -814,8 +814,8 @@ class _Rows:
         return whitened - self.basis @ (self.basis.T @ whitened)
 
     def moved(self, values: Array) -> Array:
-        """The fitted nominal parameters (q,) minus `values` (q,), in the directions that the rows determine. `values` belong to the
-        first q nominal columns."""
+        """Returns the fitted nominal parameters (q,) minus `values` (q,), in the directions that the rows determine. `values`
+        belong to the first q nominal columns."""
         left = self.whiten((self.values - self.nominal[:, : len(values)] @ values)[self.chosen])
         return np.asarray((self.parameters @ (self.basis.T @ left))[: len(values)])
 

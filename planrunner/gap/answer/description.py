@@ -41,7 +41,7 @@ class NoiseFound:
 
 
 def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, ...]:
-    """The noise of every channel. `lines`: tones in the recording, at most one per channel."""
+    """Returns the noise of every channel. `lines`: tones in the recording, at most one per channel."""
     declared, noise = weighing.declared, weighing.noise
     by_channel = {line.channel: line for line in lines}
     found = []
@@ -67,9 +67,9 @@ def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, 
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
-    """For each channel: the gap, the gap that noise alone would cause, and the unit. The gap is the root mean square over the
-    samples of the residual of the nominal simulation, as far as the coefficients represent this residual. The gap does not depend
-    on the sampling rate, and a constant offset enters with its full size."""
+    """Returns, for each channel: the gap, the gap that noise alone would cause, and the unit. The gap is the root mean square over
+    the samples of the residual of the nominal simulation, as far as the coefficients represent this residual. The gap does not
+    depend on the sampling rate, and a constant offset enters with its full size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
         gap, noise = weighing.weights[index][0].gap_and_noise()

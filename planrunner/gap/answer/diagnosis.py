@@ -251,15 +251,15 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
 def _closure(
     weighing: Weighing, noise: MeasuredNoise | None, choices: Sequence[FoldChoice], beyond: float, said: Verdict
 ) -> Closure:
-    """The closure, or the reason why there is none."""
+    """Returns the closure, or the reason why there is none."""
     if noise is None:
         return not_measured(NotMeasured.RANDOM if said.effects else NotMeasured.NO_EFFECT)
     return closure(weighing, noise, choices, beyond)
 
 
 def _given(candidates: Sequence[Candidate], names: Sequence[str]) -> list[Member]:
-    """The given effects, which are known to act, each in its best form. Raises `ObservationError` for an effect that cannot be
-    fitted to this recording."""
+    """Returns the given effects, which are known to act, each in its best form. Raises `ObservationError` for an effect that cannot
+    be fitted to this recording."""
     by_id = {candidate.id: candidate for candidate in candidates}
     for name in names:
         if name not in by_id:
@@ -317,8 +317,8 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """The forms of an effect that its shape determines completely, by the name of the effect; empty for other effects, and if no
-    form explains more than no effect does."""
+    """Returns the forms of an effect that its shape determines completely, by the name of the effect; empty for other effects, and
+    if no form explains more than no effect does."""
     effect = shape_alone(candidate)
     found = whole_forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}
@@ -327,8 +327,8 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 def _choices(
     weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
-    """The choices for the folds of the closure: probable effects and probable sets of effects. Hypotheses that differ only in
-    effects on the noise become one choice. A hypothesis that includes a random walk or something else adds nothing to the
+    """Returns the choices for the folds of the closure: probable effects and probable sets of effects. Hypotheses that differ only
+    in effects on the noise become one choice. A hypothesis that includes a random walk or something else adds nothing to the
     probability that a choice is the whole cause."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
@@ -343,7 +343,7 @@ def _choices(
 def _forms(
     weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], exact: Mapping[str, Forms], key: str, p: float
 ) -> list[FoldChoice]:
-    """The choices for one effect or set of effects; p is its probability."""
+    """Returns the choices for one effect or set of effects; p is its probability."""
     if key in exact:
         return whole_choices(weighing, key, by_id[key].effect, exact[key], p)
     if key in found.sets:

@@ -272,7 +272,7 @@ def propose(
 
 
 def _open(listed: Sequence[Explanation]) -> bool:
-    """True if a further measurement can still change the answer."""
+    """Returns True if a further measurement can still change the answer."""
     if len(listed) < 2:
         return False
     least = FAINT if listed[0].name in SILENT else 0.0
@@ -394,7 +394,7 @@ def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[
 
 
 def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
-    """The segments grouped by temperature; the groups have the order in which their temperatures first appear."""
+    """Returns the segments grouped by temperature; the groups have the order in which their temperatures first appear."""
     order = list(dict.fromkeys(_warmth(item.segment) for item in chosen))
     return sorted(chosen, key=lambda item: order.index(_warmth(item.segment)))
 
@@ -452,8 +452,8 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
 def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
-    """The rivals, extended by the instrument's own nominal parameters, and the total information from all options when they are
-    measured with this instrument in addition."""
+    """Returns the rivals, extended by the instrument's own nominal parameters, and the total information from all options when they
+    are measured with this instrument in addition."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)
@@ -468,8 +468,8 @@ def _with(
 
 
 def _further(observed: Observed, own: int, layout: Layout) -> list[Column]:
-    """The columns of the nominal parameters of the additional channels. Additional channels have the indices `own` and above; the
-    sensor under test does not have them."""
+    """Returns the columns of the nominal parameters of the additional channels. Additional channels have the indices `own` and
+    above; the sensor under test does not have them."""
     return [column for column in nominal_columns(observed, layout.nominal) if min(column.parts) >= own]
 
 

@@ -66,7 +66,7 @@ def operating_point(
 
 
 def _moved(values: Sequence[Array], steps: Sequence[Array], j: int, sign: float) -> list[Array]:
-    """The nominal parameters of all channels, each parameter number j changed by its step."""
+    """Returns the nominal parameters of all channels, each parameter number j changed by its step."""
     return [own + sign * np.where(np.arange(len(own)) == j, step, 0.0) for own, step in zip(values, steps, strict=True)]
 
 

@@ -213,8 +213,8 @@ def _of_noise(
 
 
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
-    """The amount that is added to the log weight of a cause of `size` effects to allow for noise that differs from the declared
-    noise."""
+    """Returns the amount that is added to the log weight of a cause of `size` effects to allow for noise that differs from the
+    declared noise."""
     return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
 
 
@@ -346,7 +346,7 @@ def _beside(kinds: Kinds) -> float:
 
 
 def _acting(log_evidence: Mapping[str, float]) -> int:
-    """The number of effects that the plan can excite. Effects that the plan cannot excite count as absent."""
+    """Returns the number of effects that the plan can excite. Effects that the plan cannot excite count as absent."""
     return sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
 
 

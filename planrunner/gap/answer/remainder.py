@@ -30,8 +30,8 @@ LEVEL = 0.001
 
 
 def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) -> float:
-    """The dispersion of one channel. Two sums of squares are tested against χ²: the sum over all coefficients, and the sum over the
-    means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
+    """Returns the dispersion of one channel. Two sums of squares are tested against χ²: the sum over all coefficients, and the sum
+    over the means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
 
     `rest`: array of shape (M,), the whitened residuals. `degrees`: degrees of freedom of `rest`. `means`: array of shape (S,),
     indices of the coefficients of order 0, in which errors of the form of an effect accumulate. `tests`: number of tests in all

@@ -267,7 +267,7 @@ class Layout:
 
 
 def _fitted(weighing: Weighing) -> tuple[float, ...]:
-    """The nominal parameters, in magnitudes, from an unweighted fit to the recording without effects."""
+    """Returns the nominal parameters, in magnitudes, from an unweighted fit to the recording without effects."""
     values = np.zeros(len(weighing.nominal_columns))
     for channel, nominal in enumerate(weighing.whole):
         own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]

@@ -176,7 +176,7 @@ def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
 
 
 def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """The same set, with its evidence also computed for a random walk in addition."""
+    """Returns the same set, with its evidence also computed for a random walk in addition."""
     if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
         return one
     log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])

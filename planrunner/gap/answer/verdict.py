@@ -173,7 +173,7 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
 
 
 def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
-    """The verdict about the cause, without effects on the noise that act in addition."""
+    """Returns the verdict about the cause, without effects on the noise that act in addition."""
     probability = found.of_effects()
     if probability["none"] >= NAMEABLE:
         return Verdict("none")
@@ -201,13 +201,13 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
 
 
 def _without(name: str, effect: str) -> str:
-    """The key of the effects that remain if `effect` is removed from a set; empty if the set does not contain `effect`."""
+    """Returns the key of the effects that remain if `effect` is removed from a set; empty if the set does not contain `effect`."""
     parts = name.split("+")
     return key_of(part for part in parts if part != effect) if effect in parts else ""
 
 
 def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None, left: bool) -> Verdict:
-    """The verdict that names the effects or, if they have rivals, the class of effects and rivals."""
+    """Returns the verdict that names the effects or, if they have rivals, the class of effects and rivals."""
     if len(rivals) > 1:
         return Verdict("indistinguishable", effects, rivals, residue, left)
     return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)

@@ -100,8 +100,8 @@ def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
-    """The entry that represents noise or a tone outside the basis. The p-value of this entry is Markov's bound: for noise alone, a
-    Bayes factor of B or more has at most the probability 1/B."""
+    """Returns the entry that represents noise or a tone outside the basis. The p-value of this entry is Markov's bound: for noise
+    alone, a Bayes factor of B or more has at most the probability 1/B."""
     declared = weighing.declared.channels[channel]
     level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[
         channel
@@ -266,7 +266,7 @@ def unknown_form(weighing: Weighing, found: Posterior) -> UnknownForm | None:
 
 
 def _labels(weighing: Weighing, factor: Factor) -> list[str]:
-    """The level of the factor in each segment, as text. For a factor without common levels, each segment has its own level."""
+    """Returns the level of the factor in each segment, as text. For a factor without common levels, each segment has its own level."""
     observed = weighing.observed
     if factor is Factor.TEMPERATURE:
         middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
@@ -288,7 +288,7 @@ def _share(weighing: Weighing, part: float) -> float:
 
 
 def _of_levels(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -> float:
-    """The fraction of the gap's energy that a constant offset at each level of the factor explains."""
+    """Returns the fraction of the gap's energy that a constant offset at each level of the factor explains."""
     _, which = np.unique(np.array(labels), return_inverse=True)
     count = np.bincount(which)
     total = 0.0
@@ -299,7 +299,7 @@ def _of_levels(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -
 
 
 def _points(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -> tuple[FormPoint, ...]:
-    """The mean offset at each level, weighted by the noise of the segments, in the order of the recording."""
+    """Returns the mean offset at each level, weighted by the noise of the segments, in the order of the recording."""
     order = list(dict.fromkeys(labels))
     which = np.array([order.index(label) for label in labels])
     values, uncertainties = [], []

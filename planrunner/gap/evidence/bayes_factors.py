@@ -142,8 +142,8 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
-    """The log Bayes factor that two effects act together. The first effect has the columns 0 … first − 1, the second the remaining
-    columns. Each effect has a separate s², averaged over the grid `energies`, and at least the strength `WEAKEST`."""
+    """Returns the log Bayes factor that two effects act together. The first effect has the columns 0 … first − 1, the second the
+    remaining columns. Each effect has a separate s², averaged over the grid `energies`, and at least the strength `WEAKEST`."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
@@ -189,8 +189,8 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
-    """The log Bayes factor (E,) of several effects at E combinations of their s² (E, effects), plus the log probability that each
-    effect has at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
+    """Returns the log Bayes factor (E,) of several effects at E combinations of their s² (E, effects), plus the log probability
+    that each effect has at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]

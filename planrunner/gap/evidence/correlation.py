@@ -44,11 +44,11 @@ class Blocks:
 
     @property
     def correlated(self) -> bool:
-        """Whether any block has values outside its diagonal."""
+        """Returns True if any block has values outside its diagonal."""
         return bool((self.matrix - self.matrix * np.eye(self.matrix.shape[1])).any())
 
     def times(self, value: float) -> Blocks:
-        """The blocks, multiplied by a number."""
+        """Returns the blocks, multiplied by a number."""
         return Blocks(self.size, self.matrix * value)
 
     def plus(self, variances: Array) -> Blocks:
@@ -85,7 +85,7 @@ class Correlation:
         return self._times(self._factor, columns)
 
     def whole(self) -> Array:
-        """The correlation matrix (M, M)."""
+        """Returns the correlation matrix (M, M)."""
         out = np.zeros((self.count, self.count))
         for rows, inside, block in zip(self._rows, self._inside, self._matrix, strict=True):
             own = rows[inside]

@@ -91,7 +91,7 @@ def _other(kind: str) -> str:
 
 
 def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
-    """True if the declared and the measured noise of a channel of the triad are both too small to dither its counts."""
+    """Returns True if the declared and the measured noise of a channel of the triad are both too small to dither its counts."""
     for index in observed.of_kind(kind):
         declared = observed.channels[index].white ** 2 * observed.sample_rate + counts_[index] ** 2 / 12
         if is_coarse(max(float(white[index]), np.sqrt(declared)), counts_[index]):
@@ -102,7 +102,7 @@ def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[floa
 def _excess(
     observed: Observed, white: Array, degrees: Array, steps: Sequence[float] | Array
 ) -> tuple[dict[str, float], float]:
-    """For each triad, the logarithm of (measured ÷ declared) white level; and the standard deviation of this logarithm."""
+    """Returns, for each triad, the logarithm of (measured ÷ declared) white level; and the standard deviation of this logarithm."""
     found, sigma = {}, 0.01
     for kind in ("gyro", "accel"):
         ratios = []
@@ -136,8 +136,8 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 
 def _within_two(x: Array | float) -> Array:
-    """A density of x that is uniform between −ln 2 and ln 2, which is a factor of two in both directions, with edges of 10 % and a
-    small floor beyond."""
+    """Returns a density of x that is uniform between −ln 2 and ln 2, which is a factor of two in both directions, with edges of 10
+    % and a small floor beyond."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)

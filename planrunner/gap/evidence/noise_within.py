@@ -132,11 +132,13 @@ class NoiseWithin:
         return np.asarray(self.level[segment] * self._relative(segment, frequency))
 
     def _relative(self, segment: int, frequency: Array) -> Array:
-        """The spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz. It is constant beyond the outermost bands."""
+        """Returns the spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz. It is constant beyond the outermost
+        bands."""
         return self._of_kind(self.spectrum, int(self.moving[segment]), segment, frequency)
 
     def _of_kind(self, spectra: Array, kind: int, segment: int, frequency: Array) -> Array:
-        """The values (n, K) of `spectrum` or `density` at frequencies (n,), as measured at rest (kind 0) or in motion (kind 1)."""
+        """Returns the values (n, K) of `spectrum` or `density` at frequencies (n,), as measured at rest (kind 0) or in motion (kind
+        1)."""
         place = np.log(np.maximum(frequency, self.frequency[0]))
         logs = np.log(spectra[kind] * self.own[segment])
         return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in logs.T])))
@@ -221,8 +223,8 @@ def _leakage(turns: Array, count: float) -> Array:
 
 
 def _without_leakage(seen: Array, leakage: Array) -> Array:
-    """The densities (B,) whose cosine transform has the variances `seen` (B,), by iterations of expectation maximisation (Richardson,
-    J. Opt. Soc. Am. 62, 1972)."""
+    """Returns the densities (B,) whose cosine transform has the variances `seen` (B,), by iterations of expectation maximisation
+    (Richardson, J. Opt. Soc. Am. 62, 1972)."""
     found = seen.copy()
     for _ in range(_LEAKAGE_ROUNDS):
         found = np.maximum(found * seen / (found + leakage @ found), _KEPT * seen)
@@ -298,7 +300,7 @@ def moderated(energy: Array, count: Array) -> Array:
 
 
 def _better(ratio: Array, count: Array) -> bool:
-    """True if separate levels describe the variances `ratio` (n,) better than the level of the white noise, 1, by Schwarz's
+    """Returns True if separate levels describe the variances `ratio` (n,) better than the level of the white noise, 1, by Schwarz's
     criterion. The variances are relative to the white noise and have the degrees of freedom `count` (n,)."""
     seen = count > 0
     ratio, count = np.maximum(ratio[seen], _SMALLEST), count[seen]
@@ -307,6 +309,6 @@ def _better(ratio: Array, count: Array) -> bool:
 
 
 def _fits(energy: Array, count: Array, variance: Array) -> bool:
-    """True if variances (B,) from other data describe energies (B,), with degrees of freedom `count` (B,), better than white noise
-    does. The likelihoods of the two descriptions are compared directly, because no parameter is fitted."""
+    """Returns True if variances (B,) from other data describe energies (B,), with degrees of freedom `count` (B,), better than
+    white noise does. The likelihoods of the two descriptions are compared directly, because no parameter is fitted."""
     return bool((energy * (1 - 1 / variance) - count * np.log(variance)).sum() > 0)

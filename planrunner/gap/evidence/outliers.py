@@ -79,7 +79,7 @@ def outliers(
 
 
 def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.int64]) -> Pulses:
-    """The outliers among the samples (n,) of a segment.
+    """Returns the outliers among the samples of a segment, shape (n,).
 
     `basis`: array of shape (n, m), cosine transforms of m vectors that may be part of the samples with unknown amplitudes.
     `variance`: array of shape (n,), variance of the noise in each coefficient of the cosine transform. `known`: rows of samples
@@ -135,7 +135,8 @@ def _unit(count: int, rows: Sequence[int] | NDArray[np.int64]) -> Array:
 
 
 def _diagonal(weight: Array) -> Array:
-    """The diagonal (n,) of Σ⁻¹. `weight`: array of shape (n,), inverse variance of each coefficient of the cosine transform."""
+    """Returns the diagonal of Σ⁻¹, shape (n,). `weight`: array of shape (n,), inverse variance of each coefficient of the cosine
+    transform."""
     count = len(weight)
     turned = weight * np.exp(1j * np.pi * np.arange(count) / count)
     turned[0] = 0.0
@@ -148,8 +149,8 @@ def _left(columns: Array, q: Array) -> Array:
 
 
 def _step(error: Array, row: int, root: Array, q: Array) -> float:
-    """The largest test statistic of a step near a row. It can be compared with the statistic of an outlier, because both have the
-    same scale."""
+    """Returns the largest test statistic of a step near a row. It can be compared with the statistic of an outlier, because both
+    have the same scale."""
     from scipy.fft import dct
 
     count = len(error)

@@ -156,7 +156,7 @@ def basis_of(observed: Observed, index: int) -> SpectralBasis:
 
 
 def _shared(known: dict[tuple[int, int, object], SpectralBasis], observed: Observed, index: int) -> SpectralBasis:
-    """The basis of a segment. Segments at rest with the same length share one basis."""
+    """Returns the basis of a segment. Segments at rest with the same length share one basis."""
     motion = observed.motions[index]
     if not isinstance(motion, Rest):
         return basis_of(observed, index)
@@ -178,10 +178,10 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 
 def _by_axis(motion: Array) -> list[Array]:
-    """The components (n,) of a recorded motion (n, 3) about the axes that it has, without their means. Scale factors and
+    """Returns the components (n,) of a recorded motion (n, 3) about the axes that it has, without their means. Scale factors and
     misalignments act in proportion to the angular rates. A delay acts nearly in proportion to the angular accelerations, like the
-    first-order lag of a filter. Only the motion that an encoder shows is used: the reference of a free motion has its own delays and
-    filters, which act at the same frequencies."""
+    first-order lag of a filter. Only the motion that an encoder shows is used: the reference of a free motion has its own delays
+    and filters, which act at the same frequencies."""
     motion = motion - motion.mean(axis=0)
     size = np.linalg.norm(motion, axis=0)
     return [motion[:, axis] for axis in np.flatnonzero(size > _DEPENDENT * size.max())]

@@ -98,8 +98,8 @@ def lasting(observed: Observed) -> tuple[Array, Array]:
 
 
 def _sharing(readings: Array, count: float) -> Array:
-    """For each segment (S,), the number of segments, itself included, whose mean readings have the same rounding error. The mean
-    over such segments has the same rounding error as a single one of them."""
+    """Returns, for each segment (S,), the number of segments, itself included, whose mean readings have the same rounding error.
+    The mean over such segments has the same rounding error as a single one of them."""
     return np.asarray(np.exp(-0.5 * ((readings[:, None] - readings) / (count / 4)) ** 2).sum(0))
 
 

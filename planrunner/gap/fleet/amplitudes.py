@@ -79,7 +79,7 @@ def amplitudes(
 
 
 def _terms(observed: Observed, nominal: Sequence[str]) -> list[AmplitudeKey]:
-    """The keys of the nominal columns, in the same order as in `candidates.nominal_columns`."""
+    """Returns the keys of the nominal columns, in the same order as in `candidates.nominal_columns`."""
     return [
         AmplitudeKey(f"{kind}_{part}", column.name, column.unit)
         for kind in ("gyro", "accel")
@@ -90,7 +90,7 @@ def _terms(observed: Observed, nominal: Sequence[str]) -> list[AmplitudeKey]:
 
 
 def _columns(effect: Effect, shape: float | None, observed: Observed) -> Sequence[Column]:
-    """The columns of an effect whose shape has the given value; empty if the effect cannot act in this run."""
+    """Returns the columns of an effect whose shape has the given value; empty if the effect cannot act in this run."""
     if isinstance(effect, Shaped):
         return effect.at(observed, shape).columns if shape is not None and len(effect.grid(observed)) else ()
     return next((one.columns for one in effect.variants(observed) if one.shape == shape), ())

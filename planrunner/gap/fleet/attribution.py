@@ -242,7 +242,8 @@ class _Model:
         self._limits = 0.5 * np.log(energies / float((1 / self._variance).sum()))
 
     def _weighed(self, spreads: Array) -> tuple[Array, Array, Array, Array]:
-        """The arrays S (P, n), G^½ (P, m), M (P, m, m) and G^½c (P, m) of the formulas in the module's description, for σ (P, C)."""
+        """Returns the arrays S (P, n), G^½ (P, m), M (P, m, m) and G^½c (P, m) of the formulas in the module's description, for σ
+        (P, C)."""
         s = np.broadcast_to(self._variance, (len(spreads), len(self._y)))
         if self._alone is not None:
             s = s + spreads[:, [self._alone]] ** 2
@@ -254,7 +255,7 @@ class _Model:
         return s, root, inner, root * ((self._y / s) @ self._z)
 
     def log_evidence(self, spreads: Array) -> Array:
-        """The log evidence log p(y | σ), (P,), for σ (P, C)."""
+        """Returns the log evidence log p(y | σ), (P,), for σ (P, C)."""
         at_once = max(1, _NUMBERS // (1 + self._z.shape[1] ** 2))
         return np.concatenate(
             [self._log_evidence(spreads[first : first + at_once]) for first in range(0, len(spreads), at_once)]
@@ -295,11 +296,11 @@ class _Model:
 
     @property
     def integrated(self) -> float:
-        """The log evidence log p(y), averaged over the prior of σ."""
+        """Returns the log evidence log p(y), averaged over the prior of σ."""
         return self._grid[2]
 
     def spread(self, component: Component) -> tuple[Array, Array]:
-        """The values of a component's σ at the points of the grid, and the posterior weights of the points."""
+        """Returns the values of a component's σ at the points of the grid, and the posterior weights of the points."""
         points, weights, _ = self._grid
         return points[:, self.chosen.index(component)], weights
 
@@ -326,16 +327,16 @@ class _Model:
         return weights, means, variances, mean, covariance
 
     def parts(self, component: Component) -> tuple[Array, Array, Array]:
-        """The weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of the parts of a component at
-        these points."""
+        """Returns the weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of the parts of a component
+        at these points."""
         weights, means, variances, _, _ = self._moments
         place = self.chosen.index(component)
         return weights, means[place], variances[place]
 
     def combined(self, component: Component, combinations: Array, also: Component | None) -> tuple[Array, Array, Array]:
-        """The weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of m linear combinations of the
-        parts of a component at these points. `combinations`: array of shape (m, groups of the component), coefficients. The single
-        part of the component `also` is added to each combination if the model contains this component."""
+        """Returns the weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of m linear combinations of
+        the parts of a component at these points. `combinations`: array of shape (m, groups of the component), coefficients. The
+        single part of the component `also` is added to each combination if the model contains this component."""
         weights, _, _, mean, covariance = self._moments
         design = np.zeros((len(combinations), len(self._column)))
         design[:, self._column == self.chosen.index(component)] = combinations
@@ -364,8 +365,8 @@ def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tup
 def _parts(
     component: Component, having: Sequence[tuple[float, _Model]], common: Component | None
 ) -> tuple[SourcePart, ...]:
-    """The parts of a component, averaged over the models that contain it. `common`: the component of `Source.COMMON`, or None if
-    this is the component itself."""
+    """Returns the parts of a component, averaged over the models that contain it. `common`: the component of `Source.COMMON`, or
+    None if this is the component itself."""
     m = len(component.labels)
     parts = _averaged([(p, *model.parts(component)) for p, model in having])
     levels: list[Uncertain | None] = [None] * m

@@ -60,6 +60,6 @@ def _high(levels: Sequence[Uncertain]) -> float:
 
 
 def _mean(given: Sequence[Uncertain]) -> Uncertain:
-    """The mean of values and the half-width of its interval. The values are treated as independent."""
+    """Returns the mean of values and the half-width of its interval. The values are treated as independent."""
     n = len(given)
     return Uncertain(sum(one.value for one in given) / n, math.hypot(*(one.expanded for one in given)) / n)

@@ -94,9 +94,9 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """The log Bayes factor (scopes,) of bursts, from windows of one size. `both`: cumulative sums of the samples in units of the
-    noise, and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which coloured noise
-    makes the degrees of freedom of a sum of squares smaller."""
+    """Returns the log Bayes factor of bursts, from windows of one size, shape (scopes,). `both`: cumulative sums of the samples in
+    units of the noise, and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which
+    coloured noise makes the degrees of freedom of a sum of squares smaller."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
@@ -125,13 +125,13 @@ def _overdispersion(energy: Array, degrees: float) -> Array:
 
 
 def _larger(energy: Array, degrees: float, added: Array) -> Array:
-    """The log Bayes factor (W, K, E) that the variance is 1 + a instead of 1, for each value a of `added`. `energy`: array of shape
-    (W, K), energies with the given degrees of freedom."""
+    """Returns the log Bayes factor that the variance is 1 + a instead of 1, for each value a of `added`, shape (W, K, E). `energy`:
+    array of shape (W, K), energies with the given degrees of freedom."""
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
 def _here_and_there(windows: Array) -> float:
-    """The log Bayes factor of the hypothesis that every window has the same small probability of containing a burst, against no
-    bursts. `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
+    """Returns the log Bayes factor of the hypothesis that every window has the same small probability of containing a burst,
+    against no bursts. `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
     each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
     return float(log_mean_exp(np.array(each).ravel(), 0))

@@ -258,7 +258,7 @@ class Weighing:
         self.noise = noise_within(observed, self.spectrum, self.white, self._left())
 
     def _left(self) -> Array:
-        """The coefficients (M, K) after the nominal parameters, fitted by least squares, have been subtracted."""
+        """Returns the coefficients (M, K) after the nominal parameters, fitted by least squares, have been subtracted."""
         bases = [np.linalg.qr(columns)[0] for columns in self.nominal]
         each = [
             values - basis @ (basis.T @ values) for basis, values in zip(bases, self.spectrum.values.T, strict=True)
@@ -283,7 +283,8 @@ class Weighing:
         return self.output_at(self.nominal_values(taken))
 
     def output_at(self, values: Sequence[Array]) -> Array:
-        """The output (N, K), SI, of the nominal model. `values`: for each channel, the values of its nominal parameters in magnitudes."""
+        """Returns the output (N, K), SI, of the nominal model. `values`: for each channel, the values of its nominal parameters in
+        magnitudes."""
         out = self._reference.copy()
         for index, of_channel in enumerate(values):
             own = [column for column in self.nominal_columns if index in column.parts]
@@ -315,8 +316,8 @@ class Weighing:
         return self._with(lambda weight, channel: weight.inflated(ratios[channel]))
 
     def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights]) -> Weighing:
-        """A copy with changed weights. Settings can share weights. The log likelihood of a setting changes by the same amount as
-        that of its weights."""
+        """Returns a copy with changed weights. Settings can share weights. The log likelihood of a setting changes by the same
+        amount as that of its weights."""
         made = copy(self)
         made.__dict__.pop("base", None)
         made.__dict__.pop("likeliest", None)
@@ -463,7 +464,7 @@ class Weighing:
 
 
 def _without_samples(variant: Variant) -> Variant:
-    """The variant without samples; its signatures only state on which channels its columns act."""
+    """Returns the variant without samples; its signatures only state on which channels its columns act."""
     nothing = np.empty(0)
     columns = (replace(column, parts=dict.fromkeys(column.parts, nothing)) for column in variant.columns)
     return replace(variant, columns=tuple(columns))

@@ -153,15 +153,16 @@ def _fit(observed: Observed) -> _Fit:
 
 
 def _stuck(observed: Observed, index: int) -> bool:
-    """True if a channel is constant throughout at least one segment although it has noise in most segments. Such a channel is at a
-    limit, so it shows only a part of its input. A channel with coarse counts is not meant: it is constant in most segments at rest."""
+    """Returns True if a channel is constant throughout at least one segment although it has noise in most segments. Such a channel
+    is at a limit, so it shows only a part of its input. A channel with coarse counts is not meant: it is constant in most segments
+    at rest."""
     spread = np.array([np.ptp(observed.values[part, index]) for part in observed.segments()])
     return bool(np.median(spread) > 0 and spread.min() == 0)
 
 
 def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
-    """The axis, sign and factor that explain the gain (r,) of a channel along the directions (r, 3) that the plan varies. The
-    declared axis, sign and factor are kept if they fit within the usual scale factors and misalignments."""
+    """Returns the axis, sign and factor that explain the gain (r,) of a channel along the directions (r, 3) that the plan varies.
+    The declared axis, sign and factor are kept if they fit within the usual scale factors and misalignments."""
     if float(np.linalg.norm(gain - seen[:, own])) <= MISFIT * float(np.linalg.norm(seen[:, own])):
         known = _factor(gain, seen[:, own], kind)
         if known == 1.0 or known is None:
@@ -182,8 +183,8 @@ def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
 
 
 def _factor(gain: Array, direction: Array, kind: str) -> float | None:
-    """The known factor that agrees with the ratio of a gain to a direction: 1 for an ordinary scale factor, None if no known factor
-    agrees."""
+    """Returns the known factor that agrees with the ratio of a gain to a direction: 1 for an ordinary scale factor, None if no
+    known factor agrees."""
     size = float(gain @ direction) / float(direction @ direction)
     if size <= 0:
         return None
@@ -195,8 +196,8 @@ def _factor(gain: Array, direction: Array, kind: str) -> float | None:
 
 
 def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> bool:
-    """True if the opposite sense of rotation explains the recording: it fits clearly better, or it fits equally well while the
-    planned sense would require all gyros to be reversed."""
+    """Returns True if the opposite sense of rotation explains the recording: it fits clearly better, or it fits equally well while
+    the planned sense would require all gyros to be reversed."""
     told = [index for index in observed.of_kind("gyro") if opposite.readings[index] is not None]
     straight = [one is None or one.sign > 0 for one in opposite.readings]
     if not told or not opposite.sound or not all(straight[index] for index in told):
@@ -265,7 +266,7 @@ def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -
 
 
 def _rows(matrix: Array) -> list[tuple[str, int, float]]:
-    """For each axis: its letter, the index of the axis whose input it shows, and the sign."""
+    """Returns, for each axis: its letter, the index of the axis whose input it shows, and the sign."""
     axes = np.abs(matrix).argmax(axis=1)
     return [
         (letter, int(axis), float(matrix[row, axis]))

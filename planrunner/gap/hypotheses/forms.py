@@ -41,7 +41,8 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
 
 
 def _likeliest(ways: Sequence[Candidate]) -> Candidate:
-    """The most probable of several ways in which an effect can act. Its evidence is averaged over all ways that the plan can show."""
+    """Returns the most probable of several ways in which an effect can act. Its evidence is averaged over all ways that the plan
+    can show."""
     shown = [way for way in ways if np.isfinite(way.log_bayes).any()]
     if len(ways) == 1 or not shown:
         return ways[0]
@@ -214,10 +215,10 @@ def _evidence(weighing: Weighing, form: Weighed) -> float:
 
 
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: float) -> tuple[float, float]:
-    """The most probable shape and the standard deviation of its logarithm. The search starts on the grid and continues beyond it if
-    the best shape is at an edge. It then refines between the best shape and its neighbours until the neighbours are within one
-    standard deviation. For a shape that the data barely constrain, the standard deviation is limited by the width of the grid.
-    `near`: a shape near which the search starts, NaN if none is known."""
+    """Returns the most probable shape and the standard deviation of its logarithm. The search starts on the grid and continues
+    beyond it if the best shape is at an edge. It then refines between the best shape and its neighbours until the neighbours are
+    within one standard deviation. For a shape that the data barely constrain, the standard deviation is limited by the width of the
+    grid. `near`: a shape near which the search starts, NaN if none is known."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)

@@ -113,14 +113,14 @@ def unknown(kinds: Kinds) -> Array:
 
 
 def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
-    """The weights of all channels at one setting of the noise."""
+    """Returns the weights of all channels at one setting of the noise."""
     at = dict(zip(("gyro", "accel"), divmod(g, weighing.shape[1]), strict=True))
     return [each[at[channel.kind]] for each, channel in zip(weighing.weights, weighing.observed.channels, strict=True)]
 
 
 def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Array]) -> float:
-    """The log Bayes factor of combinations of patterns of several sorts, where each sort is present with probability ½. A cause
-    outside the catalogue often appears in more than one sort.
+    """Returns the log Bayes factor of combinations of patterns of several sorts, where each sort is present with probability ½. A
+    cause outside the catalogue often appears in more than one sort.
 
     Coefficients of different sorts are connected only by the nominal parameters, through which a strong sort influences all others.
     Therefore the strongest sort is evaluated first, and the other sorts without its coefficients; this is repeated until the
@@ -137,7 +137,7 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Arr
 
 
 def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
-    """The log Bayes factor of each sort. Patterns that span several sorts are left out, because they would count twice."""
+    """Returns the log Bayes factor of each sort. Patterns that span several sorts are left out, because they would count twice."""
     sorts: dict[Sort, list[float]] = {}
     for pattern, value in found.items():
         if pattern.sort is not Sort.SEVERAL:
@@ -146,12 +146,12 @@ def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
 
 
 def _maybe(log_bayes: float) -> float:
-    """The log Bayes factor of a pattern that is present with probability ½."""
+    """Returns the log Bayes factor of a pattern that is present with probability ½."""
     return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
 
 
 def scopes_of(weighing: Weighing) -> list[list[int]]:
-    """The scopes of patterns: every single channel, then the triads."""
+    """Returns the scopes of patterns: every single channel, then the triads."""
     triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
     return [[index] for index in range(len(weighing.observed.channels))] + triads
 
@@ -165,8 +165,8 @@ class _Patterns:
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
-        """The log Bayes factor of each pattern in each scope, and of a deviation in a single segment of any channel. `among`: the
-        sorts to evaluate, by default all."""
+        """Returns the log Bayes factor of each pattern in each scope, and of a deviation in a single segment of any channel.
+        `among`: the sorts to evaluate, by default all."""
         found: dict[Pattern, list[float]] = {}
         for pattern, per_channel in self.designs:
             if among is None or pattern.sort in among:
@@ -186,7 +186,7 @@ class _Patterns:
 
 
 def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
-    """The log Bayes factor of a design in the channels of each scope; −∞ for scopes in which the design has no effect."""
+    """Returns the log Bayes factor of a design in the channels of each scope; −∞ for scopes in which the design has no effect."""
     size = np.zeros((len(scopes), max(sum(len(spectra[index][0]) for index in scope) for scope in scopes)))
     along = np.zeros_like(size)
     for row, scope in enumerate(scopes):
@@ -296,8 +296,8 @@ class _Periodogram:
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
-    """The log Bayes factor that the mean of one channel deviates in one segment; it is unknown in which channel and in which
-    segment."""
+    """Returns the log Bayes factor that the mean of one channel deviates in one segment; it is unknown in which channel and in
+    which segment."""
     each = []
     for left in channels:
         at, whitened = left.whitened(np.eye(len(means)), means)
@@ -355,7 +355,7 @@ def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: fl
 
 
 def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> float:
-    """The distance [Hz] from `frequency` to the closely spaced value around it that has the highest power. After a shift to
+    """Returns the distance [Hz] from `frequency` to the closely spaced value around it that has the highest power. After a shift to
     frequency zero, the samples (n,) change little within a block of time, so sums over blocks are sufficient."""
     place = ((time - time[0]) * (_BLOCKS / (time[-1] - time[0]) * (1 - 1e-9))).astype(np.int64)
     shifted = samples * np.exp(-2j * np.pi * frequency * time)
@@ -375,8 +375,8 @@ def _local_level(power: Array) -> Array:
 
 
 def _tone(powers: list[Array]) -> float:
-    """The log Bayes factor of a tone of unknown frequency that keeps its phase and appears in several channels. `powers`: for each
-    channel, the powers of its periodogram."""
+    """Returns the log Bayes factor of a tone of unknown frequency that keeps its phase and appears in several channels. `powers`:
+    for each channel, the powers of its periodogram."""
     powers = [power for power in powers if len(power)]
     if not powers:
         return -np.inf

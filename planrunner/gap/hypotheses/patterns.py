@@ -219,7 +219,7 @@ def _orientations(observed: Observed) -> Array:
 
 
 def _levels(names: Sequence[Hashable]) -> Array:
-    """An indicator matrix (S, levels) with one column for each distinct name."""
+    """Returns an indicator matrix with one column for each distinct name, shape (S, levels)."""
     distinct = list(dict.fromkeys(names))
     return np.array([[float(name == other) for other in distinct] for name in names])
 
@@ -230,7 +230,7 @@ def _coarse(values: Array) -> tuple[float, ...]:
 
 
 def _upward(observed: Observed, segment: int) -> Hashable:
-    """A key for the direction of gravity in the sensor's axes and, at rest, also for the direction of North."""
+    """Returns a key for the direction of gravity in the sensor's axes and, at rest, also for the direction of North."""
     first = int(observed.bounds[segment])
     still = isinstance(observed.motions[segment], Rest)
     north = observed.attitude[segment][:, 1] if still else np.zeros(3)
@@ -238,7 +238,7 @@ def _upward(observed: Observed, segment: int) -> Hashable:
 
 
 def _state(observed: Observed, segment: int, fast: bool = True) -> str:
-    """A key for the kind of motion of the table, the sensor axis about which it turns, and (if `fast`) its rate."""
+    """Returns a key for the kind of motion of the table, the sensor axis about which it turns, and (if `fast`) its rate."""
     motion, first = observed.motions[segment], int(observed.bounds[segment])
     axis = _coarse(observed.table_axis[first])
     if isinstance(motion, Spin):
@@ -258,7 +258,7 @@ def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Ar
 
 
 def _changing(observed: Observed) -> Rows:
-    """A mask (S,) of the segments within which the temperature changes."""
+    """Returns a mask of the segments within which the temperature changes, shape (S,)."""
     spans = np.maximum.reduceat(observed.temperature, observed.bounds[:-1])
     spans -= np.minimum.reduceat(observed.temperature, observed.bounds[:-1])
     return np.asarray(spans > CHANGED)

@@ -58,8 +58,8 @@ class Repeating:
         return found
 
     def _edged(self, peaks: NDArray[np.int64], channels: Sequence[Left]) -> float:
-        """The log Bayes factor of a waveform with edges. The waveform is evaluated only at periods near the `peaks`; all other
-        periods of the finer grid are assumed to contribute nothing to the mean over this grid."""
+        """Returns the log Bayes factor of a waveform with edges. The waveform is evaluated only at periods near the `peaks`; all
+        other periods of the finer grid are assumed to contribute nothing to the mean over this grid."""
         steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
         near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
         waves = self.waves(near, EDGED)
@@ -78,7 +78,8 @@ class Repeating:
         return raw.view(float).reshape(len(self.rows), *pulses.shape, 2)
 
     def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
-        """The eigenvalues (F, n) and squared scores (F, n) of the first n columns of each of F frequencies, for each n in `counts`."""
+        """Returns the eigenvalues (F, n) and squared scores (F, n) of the first n columns of each of F frequencies, for each n in
+        `counts`."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
@@ -95,7 +96,7 @@ class Repeating:
 
 
 def _evidence(parts: Sequence[Eigen]) -> Array:
-    """The log Bayes factor (F,) of each frequency in several channels together, with one prior for the total energy."""
+    """Returns the log Bayes factor of each frequency in several channels together, with one prior for the total energy, shape (F,)."""
     size, along = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
     unit = np.maximum(size.sum(1, keepdims=True), 1e-300)
     return averaged(from_eigen(size / unit, along / unit, 1.0))

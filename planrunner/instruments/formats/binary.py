@@ -51,7 +51,7 @@ class BinaryKeys(Record):
 
     @property
     def framing(self) -> Framing:
-        """The form of a record."""
+        """Returns the form of a record."""
         return framing_of(self.sync or "", self.length, self.checksum)
 
 

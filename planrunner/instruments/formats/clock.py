@@ -73,7 +73,7 @@ def seconds_in(texts: pa.Array, where: str) -> Array:
 
 
 def seconds_of(text: str, where: str) -> float:
-    """The time [s] that a text states. Raises `InstrumentError` if it is not a time."""
+    """Returns the time [s] that a text states. Raises `InstrumentError` if it is not a time."""
     import pyarrow as pa
 
     found = float(seconds_in(pa.array([text], pa.string()), where)[0])
@@ -119,7 +119,7 @@ def _names(form: str) -> tuple[str, ...]:
 
 
 def _seconds(parts: dict[str, pa.Array]) -> tuple[Array, NDArray[np.bool_]]:
-    """The times (n,) [s] from their parts, NaN where a part is out of range, and whether they contain a date (n,)."""
+    """Returns the times (n,) [s] from their parts, NaN where a part is out of range, and whether they contain a date (n,)."""
     import pyarrow.compute as pc
 
     digits = np.asarray(pc.utf8_length(parts["f"]), float)
@@ -136,7 +136,7 @@ def _seconds(parts: dict[str, pa.Array]) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _number(text: pa.Array) -> Array:
-    """The numbers (n,) that texts state; 0 for an empty text."""
+    """Returns the numbers that texts state, shape (n,); 0 for an empty text."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

@@ -110,5 +110,5 @@ class SqliteFile(FormatFile[SqliteKeys]):
 
 
 def _quoted(name: str) -> str:
-    """The name, quoted for SQL."""
+    """Returns the name, quoted for SQL."""
     return '"' + name.replace('"', '""') + '"'

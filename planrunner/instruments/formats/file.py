@@ -145,7 +145,7 @@ class FormatFile(ABC, Generic[Keys]):
         return (OSError, UnicodeDecodeError)
 
     def hint(self, column: str, known: list[str]) -> str:
-        """A hint about a column that the file does not have. `known`: names of the columns of the file."""
+        """Returns a hint about a column that the file does not have. `known`: names of the columns of the file."""
         return closest(column, known)
 
     @property
@@ -217,7 +217,7 @@ class FormatFile(ABC, Generic[Keys]):
             raise self.unreadable(error) from None
 
     def _stamped(self, rows: SampleRows, first: int) -> Array:
-        """The values (n,) of the column of the time. `first`: number of the first row."""
+        """Returns the values of the column of the time, shape (n,). `first`: number of the first row."""
         column = self.stamps.column or ""
         if not self.stamps.written:
             return rows.numbers(column)

@@ -275,7 +275,7 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
 
 
 def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
-    """The index of the first line in which most cells are numbers, as in the three lines after it."""
+    """Returns the index of the first line in which most cells are numbers, as in the three lines after it."""
     fits = [len(row) == width and _numeric(row) for row in cells]
     return next((index for index in range(len(fits)) if all(fits[index : index + 4])), None)
 
@@ -289,12 +289,13 @@ def _cells(line: str, word: str, separator: str) -> list[str]:
 
 
 def _numeric(row: Sequence[str]) -> bool:
-    """True if most cells of a line are numbers."""
+    """Returns True if most cells of a line are numbers."""
     return sum(_NUMBER.fullmatch(cell.strip().strip('"')) is not None for cell in row) > len(row) / 2
 
 
 def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
-    """The names (width,) of the columns, if the line before the first row does not state all names; empty if it does.
+    """Returns the names of the columns, if the line before the first row does not state all names, shape (width,); empty if it
+    does.
 
     In some files, a line of units follows the names; each unit is then added to the name of its column. The line of names may have
     more or fewer cells than the rows, or begin with a comment sign. `lines`: the cells of the lines before the first row."""
@@ -324,8 +325,8 @@ def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
 
 
 def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]:
-    """The numeric columns of a file. Columns whose number of rows differs from the most common number of rows are left out. Raises
-    `InstrumentError` if there is no numeric column."""
+    """Returns the numeric columns of a file. Columns whose number of rows differs from the most common number of rows are left out.
+    Raises `InstrumentError` if there is no numeric column."""
     counts: dict[str, int] = {}
     reason = ""
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()
@@ -488,8 +489,8 @@ def of_minutes(values: Array) -> bool:
 
 
 def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> float | None:
-    """The median step of a time between samples; None if the time does not increase. `wraps`: value at which the time returns to
-    zero."""
+    """Returns the median step of a time between samples; None if the time does not increase. `wraps`: value at which the time
+    returns to zero."""
     if len(values) < 3 or not np.all(np.isfinite(values)):
         return None
     steps = np.diff(values)
@@ -502,8 +503,8 @@ def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> flo
 
 
 def _mean_step(values: Array) -> float | None:
-    """The mean step of the time per row, for a time that several rows have in common; None if the time decreases, or changes less
-    than four times."""
+    """Returns the mean step of the time per row, for a time that several rows have in common; None if the time decreases, or
+    changes less than four times."""
     if not np.all(np.isfinite(values)) or np.any(np.diff(values) < 0):
         return None
     changes = np.flatnonzero(np.diff(values) > 0) + 1
@@ -524,7 +525,7 @@ def wrap_of(backwards: Array, step: float, least: float, most: float) -> float |
 
 
 def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
-    """The steps of the time between those rows that contain a sample of a gyro or an accelerometer.
+    """Returns the steps of the time between those rows that contain a sample of a gyro or an accelerometer.
 
     In a log of several instruments, other rows contain no such sample. `steps`: array of shape (n - 1,), steps of the time between
     all rows."""

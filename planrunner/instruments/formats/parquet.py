@@ -111,7 +111,7 @@ class ParquetFile(FormatFile[NoKeys]):
                 first += count
 
     def _outside(self, group: pq.RowGroupMetaData, span: Span) -> bool:
-        """True if the statistics of a row group show that it is outside the span. A group that, after rounding, may touch a
+        """Returns True if the statistics of a row group show that it is outside the span. A group that, after rounding, may touch a
         boundary of the span is read."""
         if not self.stamps.in_file:
             return False

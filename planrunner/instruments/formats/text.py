@@ -70,12 +70,12 @@ class TextKeys(Record):
 
     @property
     def delimiter(self) -> str:
-        """The character that separates the columns when the text is parsed."""
+        """Returns the character that separates the columns when the text is parsed."""
         return SEPARATORS[self.separator]
 
     @property
     def point(self) -> str:
-        """The decimal sign."""
+        """Returns the decimal sign."""
         return DECIMALS[self.decimal]
 
 
@@ -165,7 +165,7 @@ class TextFile(FormatFile[TextKeys]):
         return super().unreadable(error) if other is None else InstrumentError(f"{self.name}: {other}")
 
     def _other_separator(self, header: str) -> str | None:
-        """A hint if the header line seems to have a single column but contains other separators; otherwise None."""
+        """Returns a hint if the header line seems to have a single column but contains other separators; otherwise None."""
         for word, separator in SEPARATORS.items():
             if word != self.parameters.separator and separator in header.strip():
                 return (

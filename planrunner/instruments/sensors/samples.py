@@ -40,7 +40,7 @@ class Samples:
         return int(self.received.size)
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
-        """The selected frames. `doubts` and `refused`, which describe all frames together, are left out."""
+        """Returns the selected frames. `doubts` and `refused`, which describe all frames together, are left out."""
         channels = {name: values[chosen] for name, values in self.channels.items()}
         return Samples(
             self.received[chosen], self.counter[chosen], self.latency[chosen], channels, self.doubtful[chosen]

@@ -69,7 +69,7 @@ class SegmentStream:
         return self._clock.skew
 
     def take_doubts(self) -> tuple[str, ...]:
-        """The doubts that status bits have raised since the last call."""
+        """Returns the doubts that status bits have raised since the last call."""
         doubts, self._doubts = tuple(self._doubts), {}
         return doubts
 
@@ -114,8 +114,8 @@ class SegmentStream:
         )
 
     def _onwards(self, index: Whole) -> NDArray[np.bool_]:
-        """A mask of the frames that are later than all earlier frames. All other frames were sent twice or arrived out of order;
-        they are counted."""
+        """Returns a mask of the frames that are later than all earlier frames. All other frames were sent twice or arrived out of
+        order; they are counted."""
         before = np.maximum.accumulate(np.concatenate([[self._last], index]))
         onwards: NDArray[np.bool_] = index > before[:-1]
         again = int(np.count_nonzero(index == before[:-1]))

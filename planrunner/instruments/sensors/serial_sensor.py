@@ -220,7 +220,7 @@ class SerialSensor(Generic[P]):
         return FrameCounts() if self._current is None else self._current.counts()
 
     def watch(self) -> Condition:
-        """The doubts since the last query, and the lasting doubts. Silence of the sensor is a fault."""
+        """Returns the doubts since the last query, and the lasting doubts. Silence of the sensor is a fault."""
         if not self._streaming:
             self._overhear()
         doubts, self._doubts = (*self._lasting, *self._doubts), {}
@@ -240,8 +240,8 @@ class SerialSensor(Generic[P]):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _patience(self) -> float:
-        """The longest permitted silence, in seconds of the bench's clock. The key states it in real time, because delays in cables
-        and computers do not depend on the bench's clock."""
+        """Returns the longest permitted silence, in seconds of the bench's clock. The key states it in real time, because delays in
+        cables and computers do not depend on the bench's clock."""
         return self.parameters.silence.value * self._speed
 
     def _byte_time(self) -> float:

@@ -147,14 +147,14 @@ class AxisTable(Commanded[AxisCommands]):
     # -- measurements --------------------------------------------------------------------------------------------------
 
     def watch(self) -> Condition:
-        """The current condition of the table. Deviations from a commanded state are reported only after the state has been reached
-        once."""
+        """Returns the current condition of the table. Deviations from a commanded state are reported only after the state has been
+        reached once."""
         faults, errors = self._observed()
         return Condition(errors if self._reached is self._aim else {}, faults)
 
     def _observed(self) -> tuple[tuple[str, ...], dict[str, float]]:
-        """The faults of the table, and the largest deviations of the axes from their last commands [rad, rad/s]. There are no
-        deviations if the commands changed during the query."""
+        """Returns the faults of the table, and the largest deviations of the axes from their last commands [rad, rad/s]. There are
+        no deviations if the commands changed during the query."""
         self._timed.looked_at()
         aim, rocking = self._aim, self._rocking  # another thread may be changing them
         faults = [*self.commands.faults(), *([self._timed.broken] if self._timed.broken else [])]
@@ -217,7 +217,7 @@ class AxisTable(Commanded[AxisCommands]):
             self._ready = True
 
     def _measured(self) -> tuple[Array, Array]:
-        """The measured joint angles [rad] and rates [rad/s]."""
+        """Returns the measured joint angles [rad] and rates [rad/s]."""
         states = [self.commands.state(axis.number) for axis in self.counted]
         joints = [axis.joint(state.position) for axis, state in zip(self.counted, states, strict=True)]
         rates = [axis.sense * math.radians(state.rate) for axis, state in zip(self.counted, states, strict=True)]

@@ -80,7 +80,7 @@ class CountedAxis:
 
 
 def counted(keys: WiredTableKeys) -> tuple[CountedAxis, ...]:
-    """The axes as their controller counts them, the outermost first."""
+    """Returns the axes as their controller counts them, the outermost first."""
     return tuple(
         CountedAxis(spec.number or place, math.degrees(spec.zero.value), -1 if spec.sense == "clockwise" else 1)
         for place, spec in enumerate(keys.axes, start=1)

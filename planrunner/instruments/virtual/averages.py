@@ -88,7 +88,7 @@ def _add_moments(
 
 
 def _moment(world: World, time: float) -> tuple[Components, Components]:
-    """The stimulus at one time, as plain floats."""
+    """Returns the stimulus at one time, as plain floats."""
     rates, forces = world.stimulus(np.array([time]))
     x, y, z = (float(np.ravel(v)[0]) for v in rates)
     a, b, c = (float(np.ravel(v)[0]) for v in forces)
@@ -96,8 +96,8 @@ def _moment(world: World, time: float) -> tuple[Components, Components]:
 
 
 def _snapped(position: float) -> float:
-    """A position in units of intervals. If it differs from the boundary of an interval only by rounding of times, the boundary is
-    returned."""
+    """Returns a position in units of intervals. If it differs from the boundary of an interval only by rounding of times, the
+    boundary is returned."""
     return float(round(position)) if abs(position - round(position)) < _SNAP else position
 
 

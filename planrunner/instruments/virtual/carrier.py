@@ -100,7 +100,7 @@ class VirtualCarrier:
         return cls(world)
 
     def read(self) -> Mapping[str, float]:
-        """The true present position and velocity."""
+        """Returns the true present position and velocity."""
         latitude, longitude, height, east, north = (
             float(np.ravel(value)[0]) for value in self.world.position(np.array([self.world.now()]))
         )

@@ -246,8 +246,8 @@ class Cycling:
 
 
 def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[float], float]) -> list[Stretch]:
-    """The intervals of smooth motion between two times, divided at the given breaks. `pace`: function that returns, for the time in
-    the middle of an interval, the largest rate of change of the phases."""
+    """Returns the intervals of smooth motion between two times, divided at the given breaks. `pace`: function that returns, for the
+    time in the middle of an interval, the largest rate of change of the phases."""
     times = [begin, *sorted(time for time in set(breaks) if begin < time < end), end]
     return [Stretch(first, last, pace((first + last) / 2)) for first, last in pairwise(times)]
 
@@ -274,7 +274,7 @@ def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: fl
 
 
 def _fade(elapsed: Array, period: float) -> tuple[Array, Array]:
-    """A smooth step from 0 to 1 (half a cosine) that lasts one period, and its slope."""
+    """Returns a smooth step from 0 to 1 (half a cosine) that lasts one period, and its slope."""
     phase = np.clip(elapsed / period, 0.0, 1.0) * math.pi
     return 0.5 * (1 - np.cos(phase)), 0.5 * math.pi / period * np.sin(phase)
 

@@ -120,7 +120,7 @@ class VirtualFlexureGyroParameters(Record):
 
 
 def _flicker(parameters: VirtualFlexureGyroParameters) -> float:
-    """The coefficient B of the flicker noise [pulse/s]. It is zero if the bench file states none."""
+    """Returns the coefficient B of the flicker noise [pulse/s]. It is zero if the bench file states none."""
     return parameters.bias_instability.value if parameters.bias_instability is not None else 0.0
 
 
@@ -240,5 +240,5 @@ class VirtualFlexureGyro(OnlyRead):
 
 
 def _drift(drift: Drift, forces: Components) -> Value:
-    """The drift [rad/s] of an axis under the specific forces [m/s²] along X, Y and Z."""
+    """Returns the drift [rad/s] of an axis under the specific forces [m/s²] along X, Y and Z."""
     return drift.F.value + drift.X.value * forces[0] + drift.Y.value * forces[1] + drift.Z.value * forces[2]

@@ -217,8 +217,8 @@ class VirtualImu(TakesEffects):
         return Block(time, readings)
 
     def _excess(self, segment: Segment | None) -> tuple[float, float]:
-        """The supply voltage [V] above its nominal value and the pressure [Pa] above the standard atmosphere; zero for a quantity
-        that the segment does not state."""
+        """Returns the supply voltage [V] above its nominal value and the pressure [Pa] above the standard atmosphere; zero for a
+        quantity that the segment does not state."""
         voltage = None if segment is None else segment.supply_voltage
         pressure = None if segment is None else segment.ambient_pressure
         return (
@@ -244,8 +244,8 @@ class VirtualImu(TakesEffects):
         kelvin: Array,
         middles: Array,
     ) -> Array:
-        """The output of one axis without white noise, computed from mean rates and forces over the sampling intervals. `kelvin`,
-        `middles`: temperature [K] and time [s] in the middle of every second."""
+        """Returns the output of one axis without white noise, computed from mean rates and forces over the sampling intervals.
+        `kelvin`, `middles`: temperature [K] and time [s] in the middle of every second."""
         sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
         off = kelvin - self.parameters.reference_temperature.value
@@ -282,7 +282,7 @@ class VirtualImu(TakesEffects):
         first: int,
         length: int,
     ) -> dict[str, Array]:
-        """The samples of all axes; effects are added to their levels and to their noise."""
+        """Returns the samples of all axes; effects are added to their levels and to their noise."""
         added, sampling = self.world.added, dwell.sampling
         assert added is not None and dwell.segment is not None
         hold = sampling.hold
@@ -315,7 +315,7 @@ class VirtualImu(TakesEffects):
 
 
 def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
-    """The models of the recorded supply voltage and ambient pressure; empty if neither is recorded."""
+    """Returns the models of the recorded supply voltage and ambient pressure; empty if neither is recorded."""
     root = math.sqrt(parameters.sample_rate.value)
     found = []
     if parameters.voltmeter_noise is not None:

@@ -208,7 +208,7 @@ def _axis(output: str, name: str, group: Gyros | Accelerometers, axis: Any) -> I
 
 
 def _direction(name: str, axis: InputAxisDirection) -> tuple[float, float, float]:
-    """The unit vector of an input axis in the sensor's frame."""
+    """Returns the unit vector of an input axis in the sensor's frame."""
     if axis.angle is not None and axis.azimuth is not None:
         tilt, azimuth = axis.angle.value, axis.azimuth.value
         return (math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt))
@@ -224,7 +224,7 @@ def _along(direction: tuple[float, float, float], vector: Components) -> Value:
 
 
 def _polynomial(coefficients: tuple[float, ...], off: Array) -> Array:
-    """The polynomial Σ c_k·off^k, where k starts at 1."""
+    """Returns the polynomial Σ c_k·off^k, where k starts at 1."""
     total = np.zeros_like(off)
     for coefficient in reversed(coefficients):
         total = (total + coefficient) * off

@@ -33,8 +33,8 @@ def generator(seed: int, *occasion: int) -> np.random.Generator:
 
 @lru_cache(maxsize=8)
 def _growth(step: float, length: int) -> Array:
-    """The values e^(n·step/τ) for every process and for n = 0 … length, shape (OCTAVES, length + 1). The exponent is limited,
-    because the decay over a long step is complete."""
+    """Returns the values e^(n·step/τ) for every process and for n = 0 … length, shape (OCTAVES, length + 1). The exponent is
+    limited, because the decay over a long step is complete."""
     return np.exp(np.minimum(np.arange(length + 1) * (step / TIMES)[:, None], _EXPONENT))
 
 

@@ -206,8 +206,8 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """The random generator for one caging (number 0 is the platform as built); it is independent of the generators of the
-        segments."""
+        """Returns the random generator for one caging (number 0 is the platform as built); it is independent of the generators of
+        the segments."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )
@@ -247,7 +247,7 @@ class VirtualPlatform:
         return [readout.samples(draw, levels[:, k], times.size, 1) for k in range(3)]
 
     def _input_axes(self) -> Array:
-        """The accelerometers' input axes (3, 3) as rows in axes of the element; each is rotated about the other two axes in
+        """Returns the accelerometers' input axes (3, 3) as rows in axes of the element; each is rotated about the other two axes in
         succession."""
         q = self.parameters.accelerometers.installation
         x, y, z = np.eye(3)
@@ -273,7 +273,7 @@ class VirtualPlatform:
 
 
 def _count(parameters: VirtualPlatformParameters) -> float:
-    """The size of one count of an accelerometer [m/s^2]."""
+    """Returns the size of one count of an accelerometer [m/s^2]."""
     p = parameters.accelerometers
     return 2 * RANGES[p.range] * STANDARD_GRAVITY / float(2**p.bits)
 

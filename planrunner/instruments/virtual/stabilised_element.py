@@ -66,7 +66,7 @@ class Element:
         return Element(self.caged, now, axes, left, np.zeros(3), now)
 
     def _held(self, base: Array) -> Array:
-        """The axes (n, 3, 3) of the caged element: the axes of the base (n, 3, 3), rotated by `caged`."""
+        """Returns the axes (n, 3, 3) of the caged element: the axes of the base (n, 3, 3), rotated by `caged`."""
         return np.stack([turn_by(base[:, :, k], -self.caged) for k in range(3)], axis=2)
 
     def advance(self, world: World, time: float, law: DriftLaw, draw: np.random.Generator) -> Element:

@@ -59,8 +59,8 @@ class Sampling:
             yield block
 
     def times(self, first: int, length: int, delay: int = 0) -> Array:
-        """The times [s] of the samples first … first + length − 1. `delay`: 0 for the start of the sampling intervals, 1 for their
-        end."""
+        """Returns the times [s] of the samples first … first + length − 1. `delay`: 0 for the start of the sampling intervals, 1
+        for their end."""
         time: Array = _SAMPLES[delay : length + delay] / self.rate
         time += self.start + first / self.rate
         return time

@@ -141,7 +141,7 @@ class Track:
         return _in_bench(rate, place.heading), _in_bench(force, place.heading)
 
     def _radii(self, latitude: Array) -> tuple[Array, Array]:
-        """The lengths [m] of one radian of latitude and of one radian of longitude at the height of the carrier."""
+        """Returns the lengths [m] of one radian of latitude and of one radian of longitude at the height of the carrier."""
         meridian: Array = ellipsoid.meridian_radius(latitude) + self.height
         parallel: Array = (ellipsoid.normal_radius(latitude) + self.height) * np.cos(latitude)
         return meridian, parallel
@@ -162,8 +162,8 @@ class Track:
         return CarrierPlace(latitude, longitude, *rates, self.heading if self.aligned else 0.0, 0.0)
 
     def _on_great_circle(self, times: Array) -> CarrierPlace:
-        """The position of the carrier on a great circle. If the normal is n = n₀·cos σ + d₀·sin σ, then sin φ = n_z, and for a
-        given σ̇, cos²φ·λ̇ = (n × ṅ)_z is the same at every position."""
+        """Returns the position of the carrier on a great circle. If the normal is n = n₀·cos σ + d₀·sin σ, then sin φ = n_z, and
+        for a given σ̇, cos²φ·λ̇ = (n × ṅ)_z is the same at every position."""
         distance, speed, acceleration = (item / ellipsoid.MEAN_RADIUS for item in self.progress.follow(times))
         normal, forward = self._great_circle_axes()
         cosine, sine = np.cos(distance), np.sin(distance)
@@ -189,7 +189,8 @@ class Track:
         )
 
     def _great_circle_axes(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """The ellipsoid's normal n₀ at the start and the direction d₀ in which it moves; longitudes are measured from the start."""
+        """Returns the ellipsoid's normal n₀ at the start and the direction d₀ in which it moves; longitudes are measured from the
+        start."""
         sine, cosine = math.sin(self.latitude), math.cos(self.latitude)
         north, east = math.cos(self.heading), math.sin(self.heading)
         return (cosine, 0.0, sine), (-sine * north, east, cosine * north)

@@ -71,7 +71,7 @@ class Checksum:
         return np.ascontiguousarray(rows), int(initial[0]) ^ self.final
 
     def of(self, data: bytes) -> int:
-        """The check value of `data`."""
+        """Returns the check value of `data`."""
         from planrunner.instruments.wire.kernels import value
 
         return int(value(np.frombuffer(data, np.uint8), 0, len(data), 0, *self.arguments))
@@ -91,7 +91,7 @@ class Checksum:
 
 
 def _mirrored(numbers: NDArray[np.uint32], bits: int) -> NDArray[np.uint32]:
-    """The numbers with the order of their lowest `bits` bits reversed."""
+    """Returns the numbers with the order of their lowest `bits` bits reversed."""
     found = np.zeros_like(numbers)
     for bit in range(bits):
         found |= ((numbers >> np.uint32(bit)) & np.uint32(1)) << np.uint32(bits - 1 - bit)

@@ -65,7 +65,7 @@ class Frames:
         return int(self.starts.size)
 
     def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Frames:
-        """The selected frames."""
+        """Returns the selected frames."""
         return Frames(self.data, self.starts[chosen], self.lengths[chosen], self.received[chosen])
 
 
@@ -119,7 +119,7 @@ class Framer:
         return Frames(data, starts, lengths, received)
 
     def _arrivals(self, pieces: Sequence[Piece], ends: NDArray[np.int64]) -> NDArray[np.float64]:
-        """For each frame, the time at which the piece that contains its last byte had been read."""
+        """Returns, for each frame, the time at which the piece that contains its last byte had been read."""
         if len(pieces) == 1:
             return np.full(ends.size, pieces[0].received)
         behind = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])
@@ -129,8 +129,8 @@ class Framer:
 
 @lru_cache(maxsize=32)
 def _positions(framing: Framing) -> tuple[NDArray[np.uint32], int]:
-    """The tables of `Checksum.by_position` for the bytes that the checksum covers; empty unless all frames have the same length and
-    a CRC."""
+    """Returns the tables of `Checksum.by_position` for the bytes that the checksum covers; empty unless all frames have the same
+    length and a CRC."""
     covered = framing.longest - framing.check_bytes - framing.covered_from
     if framing.rule != FIXED or framing.checksum.kind != CRC or not 0 < covered <= MOST_TABLES:
         return np.empty((0, 256), np.uint32), 0

@@ -48,7 +48,7 @@ class FrameCounter:
 
     @property
     def interval(self) -> float:
-        """The time between two frames [s]."""
+        """Returns the time between two frames [s]."""
         return self.tick * self.step
 
 
@@ -116,7 +116,7 @@ class Unwrapping:
             )
 
     def _steps(self, raw: Whole) -> Whole:
-        """The counts between successive frames; negative if the counter has stepped back a little."""
+        """Returns the counts between successive frames; negative if the counter has stepped back a little."""
         if self.counter.modulus == 1:
             return np.ones(raw.size, np.int64)
         steps: Whole = np.mod(np.diff(raw, prepend=self._raw), self.counter.modulus)
@@ -125,7 +125,7 @@ class Unwrapping:
         return steps
 
     def _lowest(self, received: Array, index: Whole) -> float:
-        """The smallest delay of reading in the last second, s, relative to a common constant."""
+        """Returns the smallest delay of reading in the last second, s, relative to a common constant."""
         delay = received - index * self.counter.tick
         recent = float(np.min(delay[received >= received[-1] - self.haste]))
         return (
@@ -149,8 +149,8 @@ class HostClock:
     _last: tuple[int, float] | None = None
 
     def stamp(self, index: Whole, received: Array) -> Array:
-        """The times (n,) of samples, s. The times increase strictly with the indices, also from one call to the next. `index`:
-        array of shape (n,), increasing. `received`: array of shape (n,), times of reading minus all known delays, s."""
+        """Returns the times of samples, s, shape (n,). The times increase strictly with the indices, also from one call to the
+        next. `index`: array of shape (n,), increasing. `received`: array of shape (n,), times of reading minus all known delays, s."""
         if index.size == 0:
             return np.empty(0)
         nominal = index.astype(float) * self.counter.tick

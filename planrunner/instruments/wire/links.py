@@ -358,7 +358,7 @@ def _wait_at_most(resource: Wire, seconds: float) -> None:
 
 
 def _marks_ends(address: str) -> bool:
-    """True if the bus marks the end of a message; this is not so for a TCP stream and a serial line."""
+    """Returns True if the bus marks the end of a message; this is not so for a TCP stream and a serial line."""
     upper = address.upper()
     return not (upper.startswith("ASRL") or upper.endswith("::SOCKET"))
 
@@ -383,7 +383,7 @@ def _count_steadily() -> None:
 
 
 def _nothing_came() -> type[Exception]:
-    """The exception with which the backends report a time-out."""
+    """Returns the exception with which the backends report a time-out."""
     from pyvisa.errors import VisaIOError
 
     return VisaIOError

@@ -112,8 +112,8 @@ class SerialStream:
         return cls(port, name, now, capacity, bulk=url)
 
     def take(self) -> Sequence[Piece]:
-        """The bytes received since the last call. Raises `InstrumentError` if the port no longer exists and all bytes received
-        before have been returned."""
+        """Returns the bytes received since the last call. Raises `InstrumentError` if the port no longer exists and all bytes
+        received before have been returned."""
         pieces = self.ring.take()
         if not pieces and self._failure is not None:
             raise InstrumentError(self._failure)

@@ -36,7 +36,7 @@ class ParticipantAgreement:
 
     @property
     def en(self) -> float:
-        """The E_n number; nan if neither the value nor the reference has an uncertainty."""
+        """Returns the E_n number; nan if neither the value nor the reference has an uncertainty."""
         expanded = COVERAGE * math.hypot(self.standard_uncertainty, self.reference_uncertainty)
         return (self.value - self.reference) / expanded if expanded > 0 else math.nan
 
@@ -48,7 +48,7 @@ class ParticipantAgreement:
 def agreement(
     values: Mapping[str, Sequence[tuple[float, float]]], reference: str | None = None
 ) -> tuple[ParticipantAgreement, ...]:
-    """The E_n number of every participant, by name. `values`: maps each participant to its values with their standard
+    """Returns the E_n number of every participant, by name. `values`: maps each participant to its values with their standard
     uncertainties. `reference`: the participant whose value serves as the reference value. The result is empty if there are fewer
     than two participants."""
     means = {name: _mean(found) for name, found in values.items() if found}

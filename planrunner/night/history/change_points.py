@@ -64,8 +64,8 @@ class ChangePoint:
 
 
 def change_points(values: Array, sigma: Array, level: float = LEVEL) -> tuple[ChangePoint, ...]:
-    """All changes of the level in the order of time. `values`: array of shape (n,), the values in the order of time. `sigma`: array
-    of shape (n,), positive standard deviations of the values."""
+    """Returns all changes of the level in the order of time. `values`: array of shape (n,), the values in the order of time.
+    `sigma`: array of shape (n,), positive standard deviations of the values."""
     found = sorted(_search(values, sigma, 0, len(values), level))
     edges = [0, *found, len(values)]
     points = []
@@ -107,9 +107,9 @@ def _p(z: float, n: int) -> float:
 
 
 def steps_fit_better(values: Array, sigma: Array, days: Array, changes: Sequence[ChangePoint]) -> bool:
-    """Whether levels with these changes describe the values better than one straight line over time, by the Bayesian information
-    criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays have the shape (n,). This comparison is necessary
-    because a steady drift resembles a series of changes, although no circumstance changed."""
+    """Returns True if levels with these changes describe the values better than one straight line over time, by the Bayesian
+    information criterion χ² + p·log n (Schwarz, Annals of Statistics 6, 1978). All arrays have the shape (n,). This comparison is
+    necessary because a steady drift resembles a series of changes, although no circumstance changed."""
     n, w = len(values), 1 / sigma**2
     edges = [0, *(one.index for one in changes), n]
     steps = sum(_misfit(values[a:b], w[a:b], np.ones((b - a, 1))) for a, b in pairwise(edges))

@@ -142,7 +142,7 @@ class ControlState:
         return self.standing is ControlStanding.IN_CONTROL
 
     def words(self) -> str:
-        """The state in one line."""
+        """Returns the state in one line."""
         head = f"the check standard {self.device} of bench '{self.bench}' is {self.standing.value}"
         return f"{head}: {'; '.join(self.reasons)}" if self.reasons else head
 
@@ -163,7 +163,8 @@ class ControlState:
 
 
 def state_in(index: Index, bench: Bench, now: datetime) -> ControlState | None:
-    """The state of the check standard of a bench at a moment, according to an index; None if the bench has no check standard."""
+    """Returns the state of the check standard of a bench at a moment, according to an index; None if the bench has no check
+    standard."""
     rule = bench.check_standard
     if rule is None:
         return None

@@ -46,7 +46,7 @@ class RunComparison:
 
     @property
     def differs(self) -> bool:
-        """Whether |E_n| > 1 for any coefficient."""
+        """Returns True if |E_n| > 1 for any coefficient."""
         return any(one.largest_en is not None and one.largest_en > 1 for one in self.coefficients)
 
     def to_json(self) -> JsonObject:
@@ -72,8 +72,8 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[Path]) -> RunComparison:
-    """The coefficients of several runs side by side. Raises `InputError` for a run that cannot be compared, for example a run
-    without an analysis, and `IntegrityError` for a run that was changed."""
+    """Returns the coefficients of several runs side by side. Raises `InputError` for a run that cannot be compared, for example a
+    run without an analysis, and `IntegrityError` for a run that was changed."""
     found = [_read(run) for run in runs]
     rows = [one.run for one in found if one.run is not None]
     held = [{row.quantity: row for row in one.coefficients} for one in found]

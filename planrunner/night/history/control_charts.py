@@ -78,12 +78,13 @@ class ControlCharts:
 
     @property
     def out_of_control(self) -> bool:
-        """Whether the newest value lies outside the limits of any chart."""
+        """Returns True if the newest value lies outside the limits of any chart."""
         return any(bool(chart.alarms[-1]) for chart in (self.shewhart, self.ewma, self.cusum_up, self.cusum_down))
 
 
 def between_runs(values: Array, u: Array) -> float:
-    """The scatter τ from run to run, computed from the moving ranges of the values (n,) and their standard uncertainties (n,)."""
+    """Returns the scatter τ from run to run, computed from the moving ranges of the values (n,) and their standard uncertainties
+    (n,)."""
     if len(values) < 2:
         return 0.0
     sigma = float(np.abs(np.diff(values)).mean()) / D2
@@ -91,7 +92,7 @@ def between_runs(values: Array, u: Array) -> float:
 
 
 def centre_of(values: Array, u: Array, baseline: int = BASELINE) -> Centre:
-    """The centre line of the charts, computed from the first `baseline` values. All arrays have the shape (n,)."""
+    """Returns the centre line of the charts, computed from the first `baseline` values. All arrays have the shape (n,)."""
     x, s = values[:baseline], u[:baseline]
     tau = between_runs(x, s)
     variance = s**2 + tau**2
@@ -101,8 +102,8 @@ def centre_of(values: Array, u: Array, baseline: int = BASELINE) -> Centre:
 
 
 def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) -> Chart:
-    """The Shewhart chart with limits at mean ± width·σ_i. `values`, `sigma`: arrays of shape (n,), the values and their standard
-    deviations about the mean."""
+    """Returns the Shewhart chart with limits at mean ± width·σ_i. `values`, `sigma`: arrays of shape (n,), the values and their
+    standard deviations about the mean."""
     half = width * sigma
     return _chart(values, np.broadcast_to(mean - half, values.shape), np.broadcast_to(mean + half, values.shape))
 
@@ -110,8 +111,8 @@ def shewhart(values: Array, mean: float, sigma: Array, width: float = SHEWHART) 
 def ewma(
     values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
 ) -> Chart:
-    """The exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. `values`: array of shape (n, …), the
-    values in the order of time. `sigma`: array of shape (n,), or of the shape of `values`.
+    """Returns the exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. `values`: array of shape (n,
+    …), the values in the order of time. `sigma`: array of shape (n,), or of the shape of `values`.
 
     The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default V_0 = 0, so that the first limits are narrower. `steady`: if
     True, the recursion starts instead from the limit value for the first σ, V_0 = λ/(2 − λ) σ², as in the handbook.
@@ -130,9 +131,9 @@ def ewma(
 def cusum(
     values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
 ) -> tuple[Chart, Chart]:
-    """The tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i − mean)/σ_i,
-    with the limits ±h. `values`: array of shape (n, …), the values in the order of time. `sigma`: array of shape (n,), or of the
-    shape of `values`; all elements are positive."""
+    """Returns the tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i −
+    mean)/σ_i, with the limits ±h. `values`: array of shape (n, …), the values in the order of time. `sigma`: array of shape (n,),
+    or of the shape of `values`; all elements are positive."""
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     up, down = np.empty_like(values), np.empty_like(values)
     high, low = np.zeros(values.shape[1:]), np.zeros(values.shape[1:])
@@ -145,15 +146,15 @@ def cusum(
 
 
 def control_charts(values: Sequence[float], u: Sequence[float], baseline: int = BASELINE) -> ControlCharts | None:
-    """All charts of n ≥ 2 values in the order of time, with their standard uncertainties. None if there are no limits, because the
-    values do not scatter at all and state no uncertainty."""
+    """Returns all charts of n ≥ 2 values in the order of time, with their standard uncertainties. None if there are no limits,
+    because the values do not scatter at all and state no uncertainty."""
     x, s = np.asarray(values, dtype=float), np.asarray(u, dtype=float)
     return charts_about(x, s, centre_of(x, s, baseline)) if len(x) > 1 else None
 
 
 def charts_about(x: Array, u: Array, centre: Centre) -> ControlCharts | None:
-    """All charts of the values x (n,) with the standard uncertainties u (n,) about a given centre line. None if there are no
-    limits."""
+    """Returns all charts of the values x (n,) with the standard uncertainties u (n,) about a given centre line. None if there are
+    no limits."""
     sigma = np.sqrt(u**2 + centre.between**2)
     if not (sigma > 0).all():
         return None

@@ -72,8 +72,8 @@ def open_database(index: str | None, archive: Path) -> Database:
 
 
 def _own_file(archive: Path) -> Path:
-    """The path of the index as a file next to the user's key, not in the archive. A file that comes with an archive is never
-    trusted, and SQLite must not be shared over a network file system."""
+    """Returns the path of the index as a file next to the user's key, not in the archive. A file that comes with an archive is
+    never trusted, and SQLite must not be shared over a network file system."""
     try:
         folder = state_folder() / "index"
         make_private(folder)

@@ -56,7 +56,7 @@ class DriftLine:
 
     @property
     def significant(self) -> bool:
-        """Whether the drift exceeds its expanded uncertainty."""
+        """Returns True if the drift exceeds its expanded uncertainty."""
         return abs(self.slope) > COVERAGE * self.slope_uncertainty
 
     def uncertainty(self, time: float) -> float:

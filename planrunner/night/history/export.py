@@ -34,7 +34,7 @@ def export_index(index: Index, target: Path) -> None:
 
 
 def index_tables(index: Index) -> dict[str, pa.Table]:
-    """The index as Arrow tables. The column `folder` joins the tables; times have the type timestamp in UTC."""
+    """Returns the index as Arrow tables. The column `folder` joins the tables; times have the type timestamp in UTC."""
     import pyarrow as pa
 
     runs = index.runs()

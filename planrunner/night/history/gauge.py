@@ -143,7 +143,7 @@ def gauge_study(
 
 
 def _anova(data: Array, names: tuple[str, ...]) -> list[MeanSquare]:
-    """The sums of squares of all effects, for a full table of values with shape (a₁, …, a_m, r)."""
+    """Returns the sums of squares of all effects, for a full table of values with shape (a₁, …, a_m, r)."""
     m = len(names)
     effects: dict[tuple[int, ...], Array] = {}
     found = []
@@ -168,8 +168,8 @@ def _pooled(anova: Sequence[MeanSquare]) -> list[MeanSquare]:
 
 
 def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int, item: str) -> list[VarianceComponent]:
-    """The components of variance. Each component is a linear combination of mean squares; the equations are solved from the highest
-    interaction downwards."""
+    """Returns the components of variance. Each component is a linear combination of mean squares; the equations are solved from the
+    highest interaction downwards."""
     squares = {one.factors: one for one in anova}
     combos: dict[tuple[str, ...], dict[tuple[str, ...], float]] = {(): {(): 1.0}}
     for factors in sorted((one for one in squares if one), key=len, reverse=True):
@@ -230,10 +230,10 @@ def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tup
 
 
 def _g(a: float, n: int) -> float:
-    """The coefficient 1 − 1/F(1 − a; n, ∞)."""
+    """Returns the coefficient 1 − 1/F(1 − a; n, ∞)."""
     return 1 - n / float(chi2.isf(a, n))
 
 
 def _h(a: float, n: int) -> float:
-    """The coefficient 1/F(a; n, ∞) − 1."""
+    """Returns the coefficient 1/F(a; n, ∞) − 1."""
     return n / float(chi2.ppf(a, n)) - 1

@@ -250,7 +250,7 @@ class Index:
     # -- asking ------------------------------------------------------------------------------------------------------
 
     def runs(self, wanted: RunFilter = RunFilter()) -> list[RunRow]:  # noqa: B008 - frozen
-        """The runs that pass a filter, the newest first."""
+        """Returns the runs that pass a filter, the newest first."""
         where, values = self._where(wanted)
         most = "" if wanted.limit is None else f" LIMIT {int(wanted.limit)}"
         found = self._database.query(
@@ -264,12 +264,12 @@ class Index:
         return cast(int, self._database.query(f"SELECT count(*) FROM runs WHERE {where}", values)[0][0])
 
     def run(self, folder: str) -> RunRow | None:
-        """The run in a folder; None if it is not in the index. `folder`: path relative to the archive, with slashes."""
+        """Returns the run in a folder; None if it is not in the index. `folder`: path relative to the archive, with slashes."""
         found = self._database.query(f"SELECT {_RUN} FROM runs WHERE archive = ? AND folder = ?", (self._name, folder))
         return _run_row(found[0]) if found else None
 
     def coefficients(self, folder: str) -> tuple[CoefficientRow, ...]:
-        """The coefficients of the run in a folder, by name."""
+        """Returns the coefficients of the run in a folder, by name."""
         found = self._database.query(
             f"SELECT {_named(_COEFFICIENT, 'c')} FROM runs JOIN coefficients c ON c.run_id = runs.id "
             "WHERE archive = ? AND folder = ? ORDER BY quantity",
@@ -278,7 +278,7 @@ class Index:
         return tuple(map(_coefficient_row, found))
 
     def limits(self, folder: str) -> tuple[LimitRow, ...]:
-        """The verdicts on the limits of the run in a folder."""
+        """Returns the verdicts on the limits of the run in a folder."""
         found = self._database.query(
             f"SELECT {_named(_LIMIT, 'l')} FROM runs JOIN limits l ON l.run_id = runs.id "
             "WHERE archive = ? AND folder = ? ORDER BY quantity, requirement",
@@ -287,7 +287,7 @@ class Index:
         return tuple(map(_limit_row, found))
 
     def all_coefficients(self) -> list[tuple[str, CoefficientRow]]:
-        """All coefficients of all runs, each with the folder of its run, sorted by folder and name."""
+        """Returns all coefficients of all runs, each with the folder of its run, sorted by folder and name."""
         found = self._database.query(
             f"SELECT folder, {_named(_COEFFICIENT, 'c')} FROM runs JOIN coefficients c ON c.run_id = runs.id "
             "WHERE archive = ? ORDER BY folder, quantity",
@@ -296,7 +296,7 @@ class Index:
         return [(str(folder), _coefficient_row(tuple(row))) for folder, *row in found]
 
     def all_limits(self) -> list[tuple[str, LimitRow]]:
-        """All limits of all runs, each with the folder of its run, sorted by folder and quantity."""
+        """Returns all limits of all runs, each with the folder of its run, sorted by folder and quantity."""
         found = self._database.query(
             f"SELECT folder, {_named(_LIMIT, 'l')} FROM runs JOIN limits l ON l.run_id = runs.id "
             "WHERE archive = ? ORDER BY folder, quantity, requirement",
@@ -305,7 +305,8 @@ class Index:
         return [(str(folder), _limit_row(tuple(row))) for folder, *row in found]
 
     def devices(self) -> list[DeviceSummary]:
-        """The devices, sorted by serial number; runs without a serial number belong to a device whose serial number is empty."""
+        """Returns the devices, sorted by serial number; runs without a serial number belong to a device whose serial number is
+        empty."""
         found = self._database.query(
             "SELECT device, count(*), max(created) FROM runs WHERE archive = ? GROUP BY device ORDER BY device",
             (self._name,),
@@ -313,7 +314,7 @@ class Index:
         return [DeviceSummary(str(device), cast(int, runs), str(last)) for device, runs, last in found]
 
     def quantities(self, device: str) -> list[str]:
-        """The names `estimate.coefficient` of all coefficients in the runs of a device."""
+        """Returns the names `estimate.coefficient` of all coefficients in the runs of a device."""
         found = self._database.query(
             "SELECT DISTINCT quantity FROM runs JOIN coefficients c ON c.run_id = runs.id "
             "WHERE archive = ? AND device = ? ORDER BY quantity",
@@ -322,7 +323,7 @@ class Index:
         return [str(quantity) for (quantity,) in found]
 
     def points(self, quantity: str, wanted: RunFilter = RunFilter()) -> list[HistoryPoint]:  # noqa: B008 - frozen
-        """The values of a coefficient in the runs that pass a filter, the oldest first."""
+        """Returns the values of a coefficient in the runs that pass a filter, the oldest first."""
         where, values = self._where(wanted)
         tail = f"WHERE {where} AND quantity = ? ORDER BY created, folder"
         found = self._database.query(
@@ -343,8 +344,8 @@ class Index:
         return points
 
     def history(self, device: str, quantity: str, since: str = "") -> list[HistoryPoint]:
-        """The values of a coefficient of a device over time, the oldest first. `since`: first day or moment to include; empty for
-        the whole history."""
+        """Returns the values of a coefficient of a device over time, the oldest first. `since`: first day or moment to include;
+        empty for the whole history."""
         return self.points(quantity, RunFilter(device=literal(device), since=since))
 
     def faults(self) -> list[FaultRow]:
@@ -436,8 +437,8 @@ def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
 
 
 def _apart(row: _Row, parameters: Mapping[str, str]) -> _Row:
-    """The row of a run for which values of plan parameters were given. The results must not enter the history with other parameter
-    values, so their quantities get another name."""
+    """Returns the row of a run for which values of plan parameters were given. The results must not enter the history with other
+    parameter values, so their quantities get another name."""
     return replace(row, quantity=variant_name(row.quantity, parameters)) if parameters else row
 
 

@@ -44,8 +44,8 @@ _MOST_TEXT = 2000
 
 
 def fingerprint(entries: Mapping[str, Entry]) -> str:
-    """A value that changes whenever planrunner writes to a run folder. `entries`: entries of the run folder, by name. If the last
-    change is so recent that a further change might give the same value, the value is empty."""
+    """Returns a value that changes whenever planrunner writes to a run folder. `entries`: entries of the run folder, by name. If
+    the last change is so recent that a further change might give the same value, the value is empty."""
     known = [(name, entries[name]) for name in _READ if name in entries]
     if known and abs(time.time() - max(entry.modified for _, entry in known) / 1e9) < _SETTLED:
         return ""
@@ -79,8 +79,8 @@ def read_run(archive: Path, place: str) -> IndexedRun:
 
 
 def _recorded(found: Examined | None) -> RecordedAs | None:
-    """The identity of a damaged run, as far as it can be trusted. None if the chain of its journal is broken, or if run.json or the
-    bench file differ from their digests in the journal."""
+    """Returns the identity of a damaged run, as far as it can be trusted. None if the chain of its journal is broken, or if
+    run.json or the bench file differ from their digests in the journal."""
     if found is None or found.state is None or not found.run or BENCH not in found.given:
         return None
     try:
@@ -138,7 +138,7 @@ def _indexed(place: str, mark: str, reader: RunReader) -> IndexedRun:
 
 
 def _results(analysis: StoredAnalysis) -> Results:
-    """The results of a run without tables, plots, budgets and statistics of segments, which the index does not need."""
+    """Returns the results of a run without tables, plots, budgets and statistics of segments, which the index does not need."""
     data = from_bytes(analysis.read(RESULTS))
     lean: JsonObject = {"tables": [], "plots": [], "budgets": [], "notes": [], "extra": {}, "settings": {}}
     if isinstance(data, dict):
@@ -210,7 +210,7 @@ def _scalar(root: source.Node | None, *keys: str) -> str:
 
 
 def _content(node: source.Node) -> Json:
-    """The content of a node as plain data, without its position in the file."""
+    """Returns the content of a node as plain data, without its position in the file."""
     if isinstance(node, source.Scalar):
         return node.text
     if isinstance(node, source.Sequence):
@@ -223,6 +223,6 @@ def _text(value: Json) -> str:
 
 
 def _short(text: str) -> str:
-    """A text without null characters and lone surrogates, which databases refuse."""
+    """Returns a text without null characters and lone surrogates, which databases refuse."""
     clean = text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
     return clean if len(clean) <= _MOST_TEXT else f"{clean[:_MOST_TEXT]}…"

@@ -71,7 +71,7 @@ class RunRow:
     info: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> JsonObject:
-        """One entry of `runs` in schemas/runs.schema.json."""
+        """Returns one entry of `runs` in schemas/runs.schema.json."""
         return {
             "folder": self.folder,
             "run": self.run,

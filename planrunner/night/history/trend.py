@@ -49,8 +49,8 @@ class Trend:
 
     @property
     def next_calibration(self) -> datetime | None:
-        """The date of the next calibration; None if there is no drift line or if the date is later than `HORIZON` days after the
-        last run."""
+        """Returns the date of the next calibration; None if there is no drift line or if the date is later than `HORIZON` days
+        after the last run."""
         if self.drift is None:
             return None
         left = days_left(self.drift, self.tolerance)
