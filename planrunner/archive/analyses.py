@@ -33,8 +33,8 @@ MOST_RESULTS = 2**27
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """The state of a run from which an analysis is made: the first `events` events of the journal, the digest `head` of the last of
-    these events, and the digest of the seal if the run had one."""
+    """States from which state of a run an analysis is made: the first `events` events of the journal, the digest `head` of the last
+    of these events, and the digest of the seal if the run had one."""
 
     events: int
     head: str
@@ -43,7 +43,7 @@ class Basis:
 
 @dataclass(frozen=True)
 class StoredAnalysis:
-    """A stored analysis: its number, its folder, its list of digests, and the digest of this list."""
+    """Describes a stored analysis: its number, its folder, its list of digests, and the digest of this list."""
 
     run: GuardedFolder
     number: int

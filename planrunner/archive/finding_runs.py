@@ -16,7 +16,7 @@ DEEPEST = 32
 
 @dataclass(frozen=True, slots=True)
 class FoundFolder:
-    """A run folder in an archive, or a folder that cannot be searched.
+    """Describes a run folder in an archive, or a folder that cannot be searched.
 
     `place`: path relative to the archive, with slashes. `entries`: entries of the run folder by name. `fault`: the reason why the
     folder cannot be searched; empty if it can.

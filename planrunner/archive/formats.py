@@ -1,5 +1,5 @@
-"""The versioned formats of a run folder's JSON files, their validation against `schemas/`, and the error for a folder that differs from
-what was written (exit code 4)."""
+"""Defines the versioned formats of a run folder's JSON files, and validates the files against `schemas/`. Also defines the error
+for a folder that differs from what was written (exit code 4)."""
 
 from __future__ import annotations
 

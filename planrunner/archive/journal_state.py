@@ -19,7 +19,7 @@ MOST_TURNS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
-    """A segment that counts: its files, its readings, and, if it is shorter than planned, the reason."""
+    """Describes a segment that counts: its files, its readings, and, if it is shorter than planned, the reason."""
 
     index: int
     label: str
@@ -44,7 +44,7 @@ class Begun:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """Data of a segment that were kept but do not count, with the reason."""
+    """Describes data of a segment that were kept but do not count, with the reason."""
 
     index: int
     label: str
@@ -55,7 +55,7 @@ class Rejected:
 
 @dataclass(slots=True)
 class JournalState:
-    """The state of a run according to its journal.
+    """Contains the state of a run according to its journal.
 
     `clock`, `states`: time and states that were stored with the last acknowledged segment, and from which the run can be resumed.
     `open`: the segment during which the process ended; None if the process ended between segments. `earlier_seals`: maps the

@@ -1,4 +1,4 @@
-"""The live state of a run, and answers to its prompts: two small files in the run folder, for other processes.
+"""Stores the live state of a run, and answers to its prompts, in two small files in the run folder, for other processes.
 
 The process that executes a run replaces `.live` about once a second and removes it at the end. A process that watches the run reads
 it, and writes `.answer` when a person has confirmed a prompt. Neither file belongs to the record of the run: they are not flushed
@@ -33,8 +33,8 @@ _STORAGE = Storage("flushed")
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A prompt that waits for an answer. `id`: identifier of the prompt; each prompt that is shown has a new one, so that an answer
-    cannot apply to another prompt."""
+    """Describes a prompt that waits for an answer. `id`: identifier of the prompt; each prompt that is shown has a new one, so that
+    an answer cannot apply to another prompt."""
 
     id: str
     text: str
@@ -50,8 +50,8 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A strip chart of a channel: the smallest value, the mean and the largest value of each of many short consecutive intervals;
-    NaN for an interval without samples."""
+    """Contains a strip chart of a channel: the smallest value, the mean and the largest value of each of many short consecutive
+    intervals; NaN for an interval without samples."""
 
     least: tuple[float, ...] = ()
     mean: tuple[float, ...] = ()
@@ -60,7 +60,7 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class LiveChannel:
-    """A channel of the sensor: statistics of its samples in the present segment so far, and its strip chart."""
+    """Describes a channel of the sensor: the statistics of its samples in the present segment so far, and its strip chart."""
 
     name: str
     unit: str
@@ -74,7 +74,7 @@ class LiveChannel:
 
 @dataclass(frozen=True, slots=True)
 class LiveNotice:
-    """A notice of something unusual in the run. `at`: time of the notice, UTC, ISO 8601."""
+    """Describes a notice of something unusual in the run. `at`: time of the notice, UTC, ISO 8601."""
 
     at: str
     text: str

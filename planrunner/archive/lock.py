@@ -10,7 +10,7 @@ NAME = ".lock"
 
 
 class FolderLock:
-    """An exclusive lock on a folder, held from creation to `release`.
+    """Locks a folder exclusively, from creation to `release`.
 
     Raises `InputError` if another process, or another writer of this process, holds the lock. Raises `OSError` if the lock file
     cannot be opened.

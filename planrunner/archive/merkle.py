@@ -1,4 +1,4 @@
-"""Merkle trees of a log that only grows: tree heads, inclusion proofs and consistency proofs (RFC 9162, section 2.1).
+"""Computes Merkle trees of a log that only grows: tree heads, inclusion proofs and consistency proofs (RFC 9162, section 2.1).
 
 The symbols of RFC 9162 are used: MTH is the hash of a tree, PATH an inclusion proof, PROOF a consistency proof. Hashes are SHA-256.
 """
@@ -14,7 +14,7 @@ EMPTY = hashlib.sha256(b"").digest()
 
 
 class ProofError(ValueError):
-    """The error for a proof that does not fit the tree. The message gives the reason."""
+    """Reports that a proof does not fit the tree. The message gives the reason."""
 
 
 def leaf_hash(entry: bytes) -> bytes:

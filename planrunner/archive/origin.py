@@ -33,7 +33,7 @@ _PURPOSE = b"planrunner run folder 1\n"
 
 
 class OriginUnknownError(Exception):
-    """The error if the key of this user cannot be read or made. The message gives the reason."""
+    """Reports that the key of this user cannot be read or made. The message gives the reason."""
 
 
 def state_folder() -> Path:

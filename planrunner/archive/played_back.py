@@ -1,4 +1,4 @@
-"""The segments of a recording that is played back, in the form in which a run would record them, but without a run folder."""
+"""Makes the segments of a recording that is played back, in the form in which a run would record them, but without a run folder."""
 
 from __future__ import annotations
 

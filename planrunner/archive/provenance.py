@@ -1,4 +1,4 @@
-"""The software on which a result depends: versions of the interpreter, the operating system and the libraries."""
+"""Determines the software on which a result depends: versions of the interpreter, the operating system and the libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A recording in the form that estimators use: segments with their planned state, their statistics, and their samples in blocks."""
+"""Describes a recording in the form that estimators use: segments with their planned state, their statistics, and their samples in
+blocks."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ BATCHES = 32
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Statistics of one segment, computed in one pass over its samples. The arrays describe k = `len(channels)` channels, in the
-    units of the channels.
+    """Contains the statistics of one segment, computed in one pass over its samples. The arrays describe k = `len(channels)`
+    channels, in the units of the channels.
 
     `count`: number of samples; a row with a NaN in any channel is left out, and `rejected` counts these rows. `mean`, `minimum`,
     `maximum`: arrays of shape (k,), mean, smallest and largest sample of each channel. `covariance`: array of shape (k, k),
@@ -102,7 +103,7 @@ class FindKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Find:
-    """Samples of a segment that are faulty or suspect.
+    """Describes samples of a segment that are faulty or suspect.
 
     `channel`: name of the channel; empty if all channels are affected. `first`: index of the first row in the segment, counted from
     zero. `rows`: number of rows. `time`: time of the first row, s. `seconds`: duration of the faulty or suspect samples. `size`:
@@ -176,9 +177,9 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """The smallest and the largest value of each channel and of the time steps in a block. `values`: smallest and largest value by
-    channel name; NaN if a sample is missing. `steps`: smallest and largest time step between consecutive rows, s; infinite for a
-    single row, NaN if unknown."""
+    """Contains the smallest and the largest value of each channel and of the time steps in a block. `values`: smallest and largest
+    value by channel name; NaN if a sample is missing. `steps`: smallest and largest time step between consecutive rows, s; infinite
+    for a single row, NaN if unknown."""
 
     values: Mapping[str, tuple[float, float]]
     steps: tuple[float, float]

@@ -19,8 +19,8 @@ REASON = "the process ended in this segment"
 
 @dataclass(slots=True)
 class ResumePoint:
-    """The state from which an interrupted run continues. `states`: the states that the executor and the instruments that can be
-    resumed stored together with the last acknowledged segment. `clock`: time at which the states were stored, s.
+    """Contains the state from which an interrupted run continues. `states`: the states that the executor and the instruments that
+    can be resumed stored together with the last acknowledged segment. `clock`: time at which the states were stored, s.
 
     `instruments`: descriptions that the instruments gave of themselves before the interruption. `files`: maps the name of every
     file recorded so far to its SHA-256, for the seal. `attempts`: how often each segment has been begun.

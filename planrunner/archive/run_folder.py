@@ -53,7 +53,7 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """A time stamp of the first `events` events of the journal, to be kept in the run folder.
+    """Contains a time stamp of the first `events` events of the journal, to be kept in the run folder.
 
     `token`: the reply of the authority in DER; None if there is no time stamp. `why`: the reason why there is no time stamp. `at`:
     the time that the stamp states, UTC.

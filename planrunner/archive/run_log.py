@@ -1,4 +1,5 @@
-"""The log of an archive: an append-only Merkle tree (RFC 9162) over the runs in a folder, which reveals a removed or replaced run.
+"""Manages the log of an archive: an append-only Merkle tree (RFC 9162) over the runs in a folder, which reveals a removed or
+replaced run.
 
     runs/.log/entries.jsonl   one entry per line, only ever appended: a run was begun, sealed, or taken out
     runs/.log/head.json       the tree head: number of entries and root; replaced after each entry
@@ -93,7 +94,7 @@ class LogEntry:
 
 @dataclass(frozen=True, slots=True)
 class TreeHead:
-    """A tree head: number of entries, root as 64 hexadecimal digits, and the time at which the head was made, UTC."""
+    """Contains a tree head: the number of entries, the root as 64 hexadecimal digits, and the time at which the head was made, UTC."""
 
     size: int
     root: str

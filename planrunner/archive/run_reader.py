@@ -34,7 +34,7 @@ from planrunner.plan.selection import spelt_alike
 
 @dataclass(frozen=True)
 class RunReader:
-    """A run folder in the state in which it was opened. Reading changes nothing and needs no lock.
+    """Reads a run folder in the state in which it was opened. Reading changes nothing and needs no lock.
 
     `run`: the content of run.json. `torn`: number of bytes in an incomplete last line of the journal. `first`: digest of the
     journal's first line. `basis`: the state of journal and seal that an analysis of this run is based on. `analyses`: the stored

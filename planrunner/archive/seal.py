@@ -1,5 +1,4 @@
-"""The seal: digests of everything that was recorded and the head of the journal's chain, written when a run is
-finished."""
+"""Writes the seal when a run is finished: digests of everything that was recorded, and the head of the journal's chain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The samples of one segment on disk, in Parquet files of limited length, each of which is either complete or absent.
+"""Stores the samples of one segment on disk, in Parquet files of limited length, each of which is either complete or absent.
 
 Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written as `….partial`, synced and
 renamed; its SHA-256 is computed from the bytes as they are written. A reader loads a part into memory, checks the digest of these bytes and
@@ -47,7 +47,7 @@ MOST_COLUMNS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A finished file of samples: its name within the run folder, its SHA-256, its number of rows, and its size in bytes."""
+    """Describes a finished file of samples: its name within the run folder, its SHA-256, its number of rows, and its size in bytes."""
 
     file: str
     sha256: str
@@ -325,7 +325,8 @@ def _cut(block: Block, start: int, stop: int) -> Block:
 
 
 class SegmentData:
-    """The samples of one part: the bytes of the file, which have been checked against the digest in the journal, and its footer.
+    """Contains the samples of one part: the bytes of the file, which have been checked against the digest in the journal, and its
+    footer.
 
     `folder`: the run folder. Raises `IntegrityError` if the file is missing, differs from its digest, or does not have the form
     that this version writes.

@@ -23,8 +23,8 @@ _FILE = re.compile(r"(?P<number>[0-9]{4,})-(?:after-(?P<events>[1-9][0-9]*)|seal
 
 @dataclass(frozen=True, slots=True)
 class StampName:
-    """The parts of the name of a time stamp. `events`: for a stamp of the journal, the number of events; otherwise None. `own`: for
-    a stamp of the seal, the first digits of the SHA-256 of the stamp's file; otherwise None."""
+    """Contains the parts of the name of a time stamp. `events`: for a stamp of the journal, the number of events; otherwise None.
+    `own`: for a stamp of the seal, the first digits of the SHA-256 of the stamp's file; otherwise None."""
 
     file: str
     number: int

@@ -1,4 +1,4 @@
-"""Statistics of a segment, made in one pass over its samples.
+"""Computes the statistics of a segment in one pass over its samples.
 
 Valid samples are processed in chunks of fixed size from the beginning of the segment, so the result does not depend on the division
 into blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and LeVeque, "Updating
@@ -41,7 +41,7 @@ _PER_COLUMN = 4  # times as many means as columns that a fit needs
 
 @dataclass(frozen=True, slots=True)
 class MotionCourse:
-    """The course of a motion, that is, the periodic signal that the motion causes in the samples.
+    """Describes the course of a motion, that is, the periodic signal that the motion causes in the samples.
 
     `columns`: array of shape (c, p), values of the p functions that make up the periodic signal, each averaged over c short
     intervals. Weighted by the number of samples in each interval, the columns are orthonormal and have zero mean. `samples`: array

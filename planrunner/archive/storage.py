@@ -20,8 +20,8 @@ ASIDE = ".partial"
 
 
 class Storage:
-    """File operations on a run folder that all have the same durability. Errors are raised as `OSError`, as the operating system
-    reports them."""
+    """Performs file operations on a run folder that all have the same durability. Errors are raised as `OSError`, as the operating
+    system reports them."""
 
     def __init__(self, durability: Durability = "durable"):
         if durability not in ("durable", "flushed"):

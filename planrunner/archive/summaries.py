@@ -1,4 +1,4 @@
-"""Segments that are recorded only as a summary: the means of their samples, with standard deviations and counts."""
+"""Handles segments that are recorded only as a summary: the means of their samples, with standard deviations and counts."""
 
 from __future__ import annotations
 

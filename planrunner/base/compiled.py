@@ -1,4 +1,4 @@
-"""Functions compiled by numba, with a cache of their machine code in a folder that no other user can change.
+"""Compiles functions with numba and keeps their machine code in a folder that no other user can change.
 
 Importing numba takes longer than checking a plan, so only modules with kernels import this module, and they are imported only where
 a kernel is needed. Reading the cache executes code, because numba's index and data files are pickles. The cache is therefore used

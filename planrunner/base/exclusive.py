@@ -1,4 +1,4 @@
-"""An exclusive lock on a file, held by one process at a time. The operating system releases it when the process ends for any
+"""Locks a file exclusively; one process at a time holds the lock. The operating system releases it when the process ends for any
 reason."""
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class HeldError(Exception):
 
 
 class ExclusiveFile:
-    """A lock on `path`, held from creation to `release`. The file is created if absent.
+    """Locks the file `path`, from creation to `release`. The file is created if absent.
 
     `note`: who holds the lock and why; the note is shown to others who request the lock. `mode`: permissions of the file if it is
     created. `opened`: descriptor of the file if the caller has already opened it; it is closed with the lock. Raises `HeldError` if

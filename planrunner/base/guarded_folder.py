@@ -42,8 +42,8 @@ EntryKind = Literal["file", "folder", "other"]
 
 
 class NotOrdinaryError(OSError):
-    """The error for an entry that is not a regular file (or folder) with exactly one name and of acceptable size. `strerror` gives
-    the reason, `filename` the path."""
+    """Reports that an entry is not a regular file (or folder) with exactly one name and of acceptable size. `strerror` gives the
+    reason, `filename` the path."""
 
     def __init__(self, path: Path, what: str):
         super().__init__(errno.EPERM, what, str(path))

@@ -1,4 +1,4 @@
-"""Plug-ins, found by name through entry points: instruments and their simulators, estimators, and terms and effects of the error
+"""Finds plug-ins by name through entry points: instruments and their simulators, estimators, and terms and effects of the error
 model.
 
 Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. Names are known

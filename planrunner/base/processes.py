@@ -32,11 +32,11 @@ _PAYS = {"fork": 4, "spawn": 64}
 
 
 class ProcessEndedError(Exception):
-    """The error for a process that ended before it had finished its part of the work, for example because the memory was exhausted."""
+    """Reports that a process ended before it had finished its part of the work, for example because the memory was exhausted."""
 
 
 class ClusterError(InputError):
-    """The error for a cluster that cannot be used to share the work, for example because no scheduler answers."""
+    """Reports that a cluster cannot be used to share the work, for example because no scheduler answers."""
 
 
 def processors() -> int:

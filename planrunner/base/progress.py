@@ -19,7 +19,7 @@ now = monotonic
 
 @dataclass(frozen=True, slots=True)
 class Underway:
-    """A report of the progress of some work.
+    """Reports the progress of some work.
 
     `what`: the work, such as "checking long.csv". `fraction`: completed part, 0 to 1. `time_left`: expected remaining real time
     [s].

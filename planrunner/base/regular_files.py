@@ -47,8 +47,8 @@ _NO_LINK = open_flags("O_NOFOLLOW")
 
 
 class RefusedFileError(Exception):
-    """The error for a file that is refused. `kind`: the reason in one word. `hint`: the remedy. `str()` gives the reason as a
-    sentence without the file name."""
+    """Reports that a file is refused. `kind`: the reason in one word. `hint`: the remedy. `str()` gives the reason as a sentence
+    without the file name."""
 
     def __init__(self, kind: Refusal, message: str, hint: str):
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""Text for readers that can be translated: an English template together with the values that it inserts.
+"""Makes text for readers that can be translated: an English template together with the values that it inserts.
 
 `said("{output}: {count} samples are missing.", output="gyro_x", count=3)` is the text "gyro_x: 3 samples are missing." that also keeps its
 template and its values. The template is the message id of the catalogues in `locales/`, as for gettext; `make catalogues` finds it in the
@@ -25,8 +25,8 @@ _FORMAT = re.compile(r"\+?(\.\d{1,2})?[dgef%]?")
 
 
 class Said(str):
-    """An English text with its template and the inserted values; a text without a template is not translated. `plural`: the
-    template for a `count` other than 1, if there is one."""
+    """Contains an English text with its template and the inserted values; a text without a template is not translated. `plural`:
+    the template for a `count` other than 1, if there is one."""
 
     template: str
     values: Mapping[str, Inserted]

@@ -1,4 +1,4 @@
-"""Location of the files shipped with planrunner: inside an installed wheel, or at the top of a source tree."""
+"""Finds the files shipped with planrunner: inside an installed wheel, or at the top of a source tree."""
 
 from __future__ import annotations
 

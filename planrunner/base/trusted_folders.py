@@ -26,7 +26,7 @@ OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
 
 
 class UntrustedFolderError(Exception):
-    """The error for a folder whose contents another user could change. The message gives the folder and the reason."""
+    """Reports a folder whose contents another user could change. The message gives the folder and the reason."""
 
 
 def this_user() -> int:

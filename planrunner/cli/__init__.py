@@ -100,7 +100,7 @@ def _main(arguments: list[str]) -> int:
 
 @dataclass(slots=True)
 class AnswerForm:
-    """The form of the output that the user requests. `json`: True if stdout must receive only JSON, even for errors."""
+    """States the form of the output that the user requests. `json`: True if stdout must receive only JSON, even for errors."""
 
     json: bool
 

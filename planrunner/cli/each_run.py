@@ -26,7 +26,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """The result of a command for one run: the exit code and, for `--json`, the data to print."""
+    """Contains the result of a command for one run: the exit code and, for `--json`, the data to print."""
 
     code: int
     found: JsonObject = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""The output of commands at the end of a run or an analysis, and the exit codes that follow."""
+"""Prints the output of commands at the end of a run or an analysis, and determines the exit codes that follow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The key that signs: a key file, or a key of the running ssh-agent.
+"""Finds the key that signs: a key file, or a key of the running ssh-agent.
 
 The passphrase of a key comes from a file descriptor, the environment or the terminal, never from the command line, which others can see.
 """

@@ -1,4 +1,4 @@
-"""Attitude: the body axes in East-North-Up, as a quaternion, as a matrix, or as heading, pitch and roll.
+"""Describes attitudes: the body axes in East-North-Up, as a quaternion, as a matrix, or as heading, pitch and roll.
 
 The x, y, z axes of the body point right, forward and up. If heading, pitch and roll are zero, they point east, north and up.
 Heading is the angle of the y axis from true north, clockwise as seen from above. Pitch is the angle of the y axis above the

@@ -1,4 +1,5 @@
-"""Growth of small errors of an inertial navigator at rest: the linear error equations with Schuler and 24-hour oscillations.
+"""Computes the growth of small errors of an inertial navigator at rest, by the linear error equations with Schuler and 24-hour
+oscillations.
 
 State, SI: position errors east and north, velocity errors east and north, and the tilt (φ_E, φ_N, φ_U) by which the computed attitude is
 turned from the true attitude, C_computed = (1 − φ×)·C. Inputs, in navigation axes: gyro errors ε and accelerometer errors ∇. The

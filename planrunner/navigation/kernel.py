@@ -1,4 +1,4 @@
-"""The strapdown mechanisation, sample by sample, compiled by numba.
+"""Computes the strapdown mechanisation sample by sample; the code is compiled by numba.
 
 The body axes are x, y, z; the navigation axes are East-North-Up on WGS-84. One step takes the increments of angle and velocity over
 the interval that ends at a sample (Savage, "Strapdown Inertial Navigation Integration Algorithm Design", J. Guidance, Control, and

@@ -1,4 +1,4 @@
-"""A strapdown navigator: its state, and the update of the state with blocks of increments. The module `kernel` contains the
+"""Defines a strapdown navigator: its state, and the update of the state with blocks of increments. The module `kernel` contains the
 arithmetic."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ LOOP_TIME = 100.0  # s; time constant of the damped vertical channel
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """The output of the navigator at m times (knots).
+    """Contains the output of the navigator at m times (knots).
 
     `attitude`: array of shape (m, 4), quaternions. `velocity`: array of shape (m, 3) in m/s, east, north, up. `latitude`,
     `longitude`: arrays of shape (m,) in rad. `height`: array of shape (m,) in m.

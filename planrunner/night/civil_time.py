@@ -1,4 +1,4 @@
-"""Civil time of a night: converts windows, which are stated in local time of day, to instants.
+"""Handles the civil time of a night: converts windows, which are stated in local time of day, to instants.
 
 Instants are seconds since 1970 UTC, so that durations are correct even if daylight saving begins or ends during the night. A local
 time that does not exist (clocks go forward) counts as if the clocks had not gone forward. For a local time that exists twice
@@ -17,7 +17,7 @@ from planrunner.night.suite import DAYS, NightWindow
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """One opening of a window, on one day, from the instant `opens` to the instant `closes`."""
+    """Describes one opening of a window, on one day, from the instant `opens` to the instant `closes`."""
 
     opens: float
     closes: float

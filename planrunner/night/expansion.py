@@ -29,7 +29,7 @@ Measurement = tuple[Path, str, tuple[tuple[str, str], ...]]
 
 @dataclass(frozen=True, slots=True)
 class PlannedTest:
-    """One test of a night, which is one run of a plan.
+    """Describes one test of a night, which is one run of a plan.
 
     `name`: unique name of the test, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. `entry`: name of the
     plan in the suite file. `matrix`: run information from the matrix. `parameters`: values for parameters of the plan.
@@ -73,8 +73,8 @@ class PlannedTest:
 
 @dataclass(frozen=True, slots=True)
 class StandardFirst:
-    """A check standard that is measured before the other tests of its bench. `file`: file of the plan that measures the check
-    standard. `blocks`: True if the other tests of the bench need the check standard to be in control."""
+    """Describes a check standard that is measured before the other tests of its bench. `file`: file of the plan that measures the
+    check standard. `blocks`: True if the other tests of the bench need the check standard to be in control."""
 
     device: str
     file: Path

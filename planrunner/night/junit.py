@@ -1,4 +1,5 @@
-"""JUnit XML of a night, in the form that Jenkins and GitLab read: one test suite for each plan, and one test case for each test.
+"""Writes a night as JUnit XML, in the form that Jenkins and GitLab read: one test suite for each plan, and one test case for each
+test.
 
 A failed limit is a `failure`. A fault, a refused plan and a test that did not run are an `error`, because CI systems count skipped
 tests as harmless. A known failure is `skipped`, with the reason that the suite states.

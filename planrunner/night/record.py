@@ -41,8 +41,8 @@ DONE, LIMIT_FAILED, FAULT, INTERRUPTED = 0, 1, 3, 130
 
 @dataclass(slots=True)
 class Attempt:
-    """One attempt of a test: a process that runs, resumes or estimates. `kind`: run, resume or estimate. `run`: name of the
-    attempt's run folder in the archive."""
+    """Describes one attempt of a test: a process that runs, resumes or estimates. `kind`: run, resume or estimate. `run`: name of
+    the attempt's run folder in the archive."""
 
     identity: str
     kind: str
@@ -57,7 +57,7 @@ class Attempt:
 
 @dataclass(slots=True)
 class RecordedTest:
-    """A test in the record of a night, with its result."""
+    """Contains a test in the record of a night, with its result."""
 
     about: JsonObject
     state: StateOfTest = "waiting"

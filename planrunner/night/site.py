@@ -1,4 +1,5 @@
-"""The static site of an archive: runs, devices, benches and coefficients over time, as files that a browser opens without a server.
+"""Writes the static site of an archive: runs, devices, benches and coefficients over time, as files that a browser opens without a
+server.
 
 Browsers do not let a page read data files from a file share, but they do load scripts from it. The data are therefore written as
 scripts that pass JSON to the page: `data-<digest>/runs-0.js` and so on in chunks, and one file for each device. The file `data.js`

@@ -1,4 +1,4 @@
-"""The suite as data: which plans run in a night, on which devices and benches, when, and what happens after a failure.
+"""Describes a suite as data: which plans run in a night, on which devices and benches, when, and what happens after a failure.
 
 As for plans and benches, the code that reads suites, the JSON Schema in `schemas/` and the key reference in `docs/` are all derived
 from these records.
@@ -237,7 +237,7 @@ class KnownFailure(Record):
 
 
 class NightDiagnosis(Record):
-    """A diagnosis after the night: the runs of the night, together with recent runs of the same plans."""
+    """Declares a diagnosis after the night: the runs of the night, together with recent runs of the same plans."""
 
     recent: int = key(
         Number(4, 400, integer=True),
@@ -254,7 +254,7 @@ class NightDiagnosis(Record):
 
 
 class Notification(Record):
-    """A message at the end of the night: either `webhook` or `email`."""
+    """Declares a message at the end of the night: either `webhook` or `email`."""
 
     webhook: str | None = optional(
         Text(r"https?://[^\s\x00-\x1f]{1,400}", "an http or https address"),

@@ -1,4 +1,4 @@
-"""The summary of a night: Markdown for readers and chat rooms, and annotations for GitHub Actions."""
+"""Writes the summary of a night: Markdown for readers and chat rooms, and annotations for GitHub Actions."""
 
 from __future__ import annotations
 

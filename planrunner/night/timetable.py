@@ -1,4 +1,4 @@
-"""The timetable of a night: which test begins when, on which bench, and which tests do not fit.
+"""Computes the timetable of a night: which test begins when, on which bench, and which tests do not fit.
 
 `NightCourse` holds the state of a night and the rules by which the night continues. It knows no processes and no clock: the caller
 states which tests have ended, and the time. `planrunner check` simulates the night with the planned durations (`foresee`).
@@ -35,7 +35,7 @@ _OPENINGS = 60
 
 
 class EndOfTest(Enum):
-    """The ways in which a test can end."""
+    """Lists the ways in which a test can end."""
 
     PASSED = "passed"
     LIMIT = "limit"
@@ -50,7 +50,7 @@ class EndOfTest(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BenchHours:
-    """The hours in which a bench may work, and the warm-up that it needs.
+    """States the hours in which a bench may work, and the warm-up that it needs.
 
     `openings`: None if the bench may work at any time. `warm_up`: duration of the warm-up, s. `stays_warm`: time for which the
     bench stays warm after a warm-up or a test, s; inf if it never cools down.
@@ -63,8 +63,8 @@ class BenchHours:
 
 @dataclass(frozen=True, slots=True)
 class NightHours:
-    """The hours of a night, as instants. `begins`, `closes`: instants at which the night begins and ends; `closes` is inf without a
-    window and a budget."""
+    """States the hours of a night, as instants. `begins`, `closes`: instants at which the night begins and ends; `closes` is inf
+    without a window and a budget."""
 
     begins: float
     closes: float
@@ -126,8 +126,8 @@ class _Bench:
 
 @dataclass(slots=True)
 class NightCourse:
-    """The state of a night, and the rules by which the night continues. `durations`: planned time of each test, s; None if it is
-    unknown. A test of unknown duration counts as short.
+    """Contains the state of a night, and the rules by which the night continues. `durations`: planned time of each test, s; None if
+    it is unknown. A test of unknown duration counts as short.
 
     The next action is found without examining every test: the computing time for a night grows in proportion to the number of its
     tests and dependencies, not with the square of this number.
@@ -449,7 +449,7 @@ def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A period of time in which a bench is occupied by a test; if `test` is None, by a warm-up."""
+    """Describes a period of time in which a bench is occupied by a test; if `test` is None, by a warm-up."""
 
     bench: str
     begins: float

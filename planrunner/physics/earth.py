@@ -1,4 +1,4 @@
-"""The Earth at a test site: its rotation and gravity in East-North-Up axes."""
+"""Describes the Earth at a test site: its rotation and gravity in East-North-Up axes."""
 
 from __future__ import annotations
 

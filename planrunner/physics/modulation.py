@@ -1,4 +1,4 @@
-"""The effect of a modulated sensor error on navigation: harmonics of a rotation cycle drive the Schuler loop.
+"""Computes how a modulated sensor error affects navigation: harmonics of a rotation cycle drive the Schuler loop.
 
 Velocity v and attitude error ψ are written as complex numbers (east + i·north). A gyro error ε(t) and an accelerometer error b(t)
 in the navigation frame obey v′ = −i·g·ψ + b and ψ′ = ε − i·v/R (Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd

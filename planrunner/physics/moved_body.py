@@ -1,4 +1,4 @@
-"""The input of a sensor that is moved without commands. The recorded channels that show the motion determine it.
+"""Computes the input of a sensor that is moved without commands. The recorded channels that show the motion determine it.
 
 The sensor is moved by hand, by a vehicle, or by a jig without a drive. An encoder, an attitude reference, or other gyros and
 accelerometers on the same body measure the motion. Derivatives are differences between the neighbouring samples, so the mean of a
@@ -17,7 +17,7 @@ from planrunner.physics.earth import Site
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMotion:
-    """The input of a moving sensor at n samples, along the sensor's axes.
+    """Contains the input of a moving sensor at n samples, along the sensor's axes.
 
     `attitude`: array of shape (n, 3, 3), transforms vectors from site axes to the sensor's axes; zeros if the recording does not
     show the attitude. `turn`: array of shape (n, 3), rotation rate of the sensor, rad/s, relative to the Earth if the attitude is

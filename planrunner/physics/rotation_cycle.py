@@ -1,4 +1,4 @@
-"""A cycle of stops and turns of one table axis, and the residual of a sensor error after one cycle.
+"""Describes a cycle of stops and turns of one table axis, and computes the residual of a sensor error after one cycle.
 
 Let a horizontal error of the sensor (a constant gyro drift or accelerometer bias) be written as a complex number e. In the
 navigation frame, it is e·exp(iθ(t)), where θ is the angle of the axis from the first position. The residual is the integral of
@@ -28,7 +28,7 @@ NOTHING = 1e-6  # of a period: negligible, because errors are known to a few per
 
 @dataclass(frozen=True)
 class RotationCycle:
-    """A cycle of stops and turns of one table axis.
+    """Describes a cycle of stops and turns of one table axis.
 
     `turns`: angle of each turn, rad, positive about the axis; before each turn, the axis rests for `stop` s. `rate`: rate of the
     turns, rad/s, above zero. `acceleration`: acceleration of the ramps, rad/s^2; infinite for turns without ramps. Raises

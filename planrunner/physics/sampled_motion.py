@@ -1,5 +1,5 @@
-"""The motion of the table at the samples of a segment, from the plan and the encoder, and its attenuation by averaging over bins.
-Without an encoder, the angle of a turning table is found from the outputs of the sensor."""
+"""Computes the motion of the table at the samples of a segment, from the plan and the encoder. Also computes how averaging over
+bins attenuates this motion. Without an encoder, the angle of a turning table is found from the outputs of the sensor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stimulus: the input of a sensor, at samples or averaged over segments.
+"""Computes the stimulus, which is the input of a sensor, at samples or averaged over segments.
 
 Arrays are in SI units and in the sensor's own axes; at rest, an axis that points up reads +g. Means over segments are computed in
 closed form from the planned attitude and motion, the Earth's rotation, and gravity at the site.
@@ -24,7 +24,7 @@ class StimulusError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """The input of the sensor at n times, or averaged over n segments.
+    """Contains the input of the sensor at n times, or averaged over n segments.
 
     `omega`: array of shape (n, 3) in rad/s, angular rate relative to inertial space, along the sensor's x, y, z axes.
     `specific_force`: array of shape (n, 3) in m/s^2, along the same axes. `temperature`: array of shape (n,) in K, NaN where it is
@@ -59,7 +59,7 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """The attitudes and rotations of n segments, from which the mean stimulus at any site follows.
+    """Contains the attitudes and rotations of n segments, from which the mean stimulus at any site follows.
 
     `attitude`: array of shape (n, 3, 3), attitude at the start of each segment. `mean`: array of shape (n, 3, 3), transforms a
     vector that is fixed at the site to its mean over the segment, in the sensor's axes. `spin`: array of shape (n, 3), mean

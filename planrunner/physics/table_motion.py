@@ -23,8 +23,8 @@ _GRANTED = 1 + 1e-9  # allowance for rounding at a limit
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """A requirement of a motion that an axis does not meet. `kind`: 'rings' (the table has too few axes), 'axis' (no axis has the
-    direction), 'rate', 'acceleration' or 'travel'. `message`: what the motion requires and what the axis offers."""
+    """Describes a requirement of a motion that an axis does not meet. `kind`: 'rings' (the table has too few axes), 'axis' (no axis
+    has the direction), 'rate', 'acceleration' or 'travel'. `message`: what the motion requires and what the axis offers."""
 
     kind: str
     message: str

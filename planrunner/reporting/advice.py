@@ -1,4 +1,4 @@
-"""The description of each effect that a diagnosis names: its plain name, its physics, who must act, and what to do, with the fitted
+"""Describes each effect that a diagnosis names: its plain name, its physics, who must act, and what to do, with the fitted
 parameters."""
 
 from __future__ import annotations

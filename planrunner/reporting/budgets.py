@@ -1,5 +1,5 @@
-"""Uncertainty budgets for templates: the columns of JCGM 100:2008, table H.1, and in addition the share and the source of each
-input."""
+"""Prepares uncertainty budgets for templates: the columns of JCGM 100:2008, table H.1, and in addition the share and the source of
+each input."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from planrunner.plan.schedule import Schedule
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """A reference of a certificate: an instrument of the bench, or its site, and the calibration if one is stated."""
+    """Describes a reference of a certificate: an instrument of the bench, or its site, and the calibration if one is stated."""
 
     name: str
     role: str

@@ -19,8 +19,8 @@ from planrunner.reporting.verdict import Headline, headline
 
 @dataclass(frozen=True, slots=True)
 class Traced:
-    """A reference to which the results are traceable: the site or an instrument, with the instrument's description of itself and
-    the stated calibration."""
+    """Describes a reference to which the results are traceable: the site or an instrument, with the instrument's description of
+    itself and the stated calibration."""
 
     name: Said
     identity: str = ""
@@ -32,7 +32,7 @@ class Traced:
 
 @dataclass(frozen=True, slots=True)
 class PrintedSignature:
-    """A signature of the run in the form in which pages print it (21 CFR 11.50).
+    """Contains a signature of the run in the form in which pages print it (21 CFR 11.50).
 
     `meaning`: for a person, `reviewed`, `approved` or `released`; for a bench, `recorded` or `evaluated`. `name`: name of the
     signer. `at`: time of signing according to the signer's clock, UTC. `key`: fingerprint of the signing key. `analyses`: numbers

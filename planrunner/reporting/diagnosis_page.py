@@ -83,7 +83,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """The text about one named effect: a heading that says who must act, then what to do, and the physics."""
+    """Contains the text about one named effect: a heading that says who must act, then what to do, and the physics."""
 
     heading: str
     remedy: str

@@ -1,5 +1,5 @@
-"""The pictures of a diagnosis: heat map over segments and channels, spectra, means of segments, probabilities, and confusability of
-effects."""
+"""Draws the pictures of a diagnosis: heat map over segments and channels, spectra, means of segments, probabilities, and
+confusability of effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The difference between two plans, benches or runs as a page, and as a comment in Markdown for a review.
+"""Shows the difference between two plans, benches or runs as a page, and as a comment in Markdown for a review.
 
 On the page and in the comment, texts from files are treated as data. On the page, they are escaped, and the content security policy
 prevents loading and running anything. In the comment, every text from a file is in a code element, and all characters that Markdown

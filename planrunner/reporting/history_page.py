@@ -1,5 +1,5 @@
-"""The history of a coefficient as one page: sentences, control charts, a table of the values, and the agreement of benches and
-laboratories."""
+"""Shows the history of a coefficient as one page: sentences, control charts, a table of the values, and the agreement of benches
+and laboratories."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The timetable of a night, as lines of text for the terminal and as a page with a Gantt chart."""
+"""Shows the timetable of a night, as lines of text for the terminal and as a page with a Gantt chart."""
 
 from __future__ import annotations
 

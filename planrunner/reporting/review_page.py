@@ -1,4 +1,5 @@
-"""The page on which a run is reviewed for sign-off: deviations first, then limits, results, segments and the digests of all files.
+"""Makes the page on which a run is reviewed for sign-off: deviations first, then limits, results, segments and the digests of all
+files.
 
 Every number links to its origin: a limit to its estimate, a coefficient to its budget, an estimate to its segments, and a segment to the
 digests of its files. The page is self-contained; the wording is in `templates/review.html.j2`.

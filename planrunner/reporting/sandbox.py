@@ -35,7 +35,7 @@ _REMOVED_FILTERS = ("center", "format", "indent", "pprint", "random", "wordwrap"
 
 
 class ReportError(Exception):
-    """The error for a report that cannot be written. The message gives the template, the line and the reason, for the author of the
+    """Reports that a report cannot be written. The message gives the template, the line and the reason, for the author of the
     template."""
 
 

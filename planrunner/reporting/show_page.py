@@ -1,4 +1,5 @@
-"""The `show` page of a schedule before it runs: its timeline, a picture of every orientation, and the predicted uncertainties."""
+"""Makes the `show` page of a schedule before it runs: its timeline, a picture of every orientation, and the predicted
+uncertainties."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict at the top of every page and at the end of the terminal output, and the stamp beside the verdict."""
+"""Writes the verdict at the top of every page and at the end of the terminal output, and the stamp beside the verdict."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def _and(verdict: str, beside: str, why: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """The mark next to every verdict on samples that were not measured in this run. `about`: a sentence that explains the mark.
-    `alarming`: True if no real item was measured."""
+    """Describes the mark next to every verdict on samples that were not measured in this run. `about`: a sentence that explains the
+    mark. `alarming`: True if no real item was measured."""
 
     word: str
     about: str

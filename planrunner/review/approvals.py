@@ -55,8 +55,8 @@ ApprovalStanding = Literal[
 
 @dataclass(frozen=True, slots=True)
 class ApprovedBench:
-    """A bench for which an approval is valid: its name, and the digest of its meaning, in which the approvals that it requires are
-    left out."""
+    """Describes a bench for which an approval is valid: its name, and the digest of its meaning without the approvals that it
+    requires."""
 
     name: str
     sha256: str
@@ -97,7 +97,8 @@ class StatedApproval:
 
 @dataclass(frozen=True, slots=True)
 class StatedWithdrawal:
-    """A withdrawal of approvals as a file states it. `withdrawn`: digests of the payloads of the approvals that it withdraws."""
+    """Contains a withdrawal of approvals as a file states it. `withdrawn`: digests of the payloads of the approvals that it
+    withdraws."""
 
     file: str
     envelope: Envelope
@@ -255,8 +256,8 @@ def _moment(value: Json) -> datetime:
 
 @dataclass(frozen=True, slots=True)
 class JudgedApproval:
-    """An approval with the result of its check. `why`: the reason why the approval does not count, in words; empty if it counts.
-    `key`: the signing key as the key ring lists it; None if the ring does not contain it."""
+    """Contains an approval with the result of its check. `why`: the reason why the approval does not count, in words; empty if it
+    counts. `key`: the signing key as the key ring lists it; None if the ring does not contain it."""
 
     stated: StatedApproval | DamagedApproval
     standing: ApprovalStanding
@@ -296,7 +297,7 @@ class JudgedApproval:
 
 @dataclass(frozen=True, slots=True)
 class ApprovalRequest:
-    """The plan, the bench and the time for which approvals are checked. `plan`, `bench`: digests of the meanings from
+    """States the plan, the bench and the time for which approvals are checked. `plan`, `bench`: digests of the meanings from
     `procedure_of` and `equipment_of`. `author`: the authors that the plan states.
 
     `moment`: time at which the plan is to run, with a time zone. `day`: the date at that time in the time zone of the bench.

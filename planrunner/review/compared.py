@@ -1,4 +1,4 @@
-"""The complete comparison of two plans, two benches or two runs, for tables, pages and JSON."""
+"""Compares two plans, two benches or two runs completely, for tables, pages and JSON."""
 
 from __future__ import annotations
 

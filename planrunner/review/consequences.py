@@ -21,7 +21,8 @@ from planrunner.plan.schedule import Cycle, Rock, Schedule, Spin
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """The result of checking one plan on its bench. `findings`: the findings to be shown. `schedule`: None if the plan has errors."""
+    """Contains the result of checking one plan on its bench. `findings`: the findings to be shown. `schedule`: None if the plan has
+    errors."""
 
     schedule: Schedule | None = None
     designs: Mapping[str, Design] = field(default_factory=dict)
@@ -33,8 +34,8 @@ class Forecast:
 
 @dataclass(frozen=True, slots=True)
 class PredictedChange:
-    """The predicted standard uncertainty of one coefficient, in `unit`, before and after a change; None where the plan does not
-    predict it."""
+    """Contains the predicted standard uncertainty of one coefficient, in `unit`, before and after a change; None where the plan
+    does not predict it."""
 
     estimate: str
     coefficient: str
@@ -45,7 +46,7 @@ class PredictedChange:
 
 @dataclass(frozen=True, slots=True)
 class Undetermined:
-    """The terms that the planned segments cannot determine, for one output of an estimate."""
+    """Names the terms that the planned segments cannot determine, for one output of an estimate."""
 
     estimate: str
     output: str
@@ -54,7 +55,7 @@ class Undetermined:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """One demand that two plans make on their benches, for example the largest rate.
+    """Describes one demand that two plans make on their benches, for example the largest rate.
 
     `before`, `after`: the extreme value that the first and the second plan command. `limits`: the limits of the benches of the two
     plans. All values are in `unit`. A value is None if the plan or the bench does not have it. `lowest`: True if the limits are
@@ -82,7 +83,7 @@ class Demand:
 
 @dataclass(frozen=True, slots=True)
 class Consequences:
-    """The consequences of a change of a plan.
+    """Describes the consequences of a change of a plan.
 
     `total`: planned times before and after the change, s; None without a schedule. `predicted`: coefficients whose predicted
     uncertainty differs. `lost`: terms that can no longer be determined. `won`: terms that can be determined only after the change.

@@ -1,4 +1,4 @@
-"""The difference in meaning between two plans or two benches, as data.
+"""Computes the difference in meaning between two plans or two benches, as data.
 
 Segments are matched by their labels. Segments without a match are matched by their content (renamed segments). Segments that still
 have no match are matched by their position between matched neighbours, if little of their content differs. Matched segments that

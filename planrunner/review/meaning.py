@@ -1,4 +1,4 @@
-"""The meaning of a plan or a bench: everything that affects what is done or measured, and nothing else.
+"""Computes the meaning of a plan or a bench: everything that affects what is done or measured, and nothing else.
 
 The meaning is made by reading and expanding the file: it has one entry for each segment, with inherited and default keys filled in,
 and with quantities in SI-coherent units. Comments, formatting, the order of keys, the way in which a sweep is written, units, and

@@ -1,4 +1,4 @@
-"""The difference between the results of two runs: for every coefficient, the difference and its significance.
+"""Computes the difference between the results of two runs: for every coefficient, the difference and its significance.
 
 The two results of a coefficient have independent random errors. On the same bench, they also have common errors, which do not
 change between the runs. For example, an azimuth of the site that is wrong by an arc minute is wrong in both runs. A common input
@@ -26,7 +26,7 @@ from planrunner.uncertainty.influences import BudgetLine
 
 @dataclass(frozen=True, slots=True)
 class CoefficientDifference:
-    """The difference of one coefficient between two runs, in `unit`.
+    """Contains the difference of one coefficient between two runs, in `unit`.
 
     `difference`: value in the second run minus value in the first. `common`: the fraction of the variances that comes from common
     inputs, 2·Σ (c₁u)(c₂u)/(u₁² + u₂²). `p`: the probability defined in the docstring of the module; NaN if it cannot be computed,

@@ -1,4 +1,5 @@
-"""The private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent holds.
+"""Finds the private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent
+holds.
 
 Runs may end when nobody is present, so the program never asks for the passphrase of such a key. Therefore the key file either has
 no passphrase and can be read only by its owner (like the host keys of SSH), or its passphrase is in an environment variable.
@@ -31,7 +32,7 @@ ENDING = ".pem"
 
 
 class BenchKeyError(Exception):
-    """The error if the private key of a bench cannot be used. The message gives the reason."""
+    """Reports that the private key of a bench cannot be used. The message gives the reason."""
 
 
 def keys_folder() -> Path:

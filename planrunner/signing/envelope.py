@@ -16,7 +16,7 @@ from planrunner.signing.keys import PublicKey, Signer
 
 
 class EnvelopeError(ValueError):
-    """The error for a text that is not an envelope as planrunner writes it. The message gives the reason."""
+    """Reports that a text is not an envelope as planrunner writes it. The message gives the reason."""
 
 
 def pae(kind: str, payload: bytes) -> bytes:

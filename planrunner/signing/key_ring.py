@@ -1,4 +1,4 @@
-"""The key ring of a laboratory: a YAML file with the public keys of its members and benches.
+"""Reads the key ring of a laboratory: a YAML file with the public keys of its members and benches.
 
 planrunner_keys: 1
 keys:

@@ -1,4 +1,4 @@
-"""Ed25519 keys (RFC 8032): private keys in files with a passphrase, public keys as lines in OpenSSH format.
+"""Handles Ed25519 keys (RFC 8032): private keys in files with a passphrase, public keys as lines in OpenSSH format.
 
 Ed25519 is the only algorithm, so that nobody can choose a weaker algorithm for a signature. A public key is written as in
 `~/.ssh/id_ed25519.pub` and is named by its fingerprint, as `ssh-keygen -l` shows it.

@@ -1,4 +1,4 @@
-"""Electronic signatures of sealed runs: `signatures/<number>-<meaning>.dsse.json` in the run folder.
+"""Makes and reads electronic signatures of sealed runs: `signatures/<number>-<meaning>.dsse.json` in the run folder.
 
 A signature is a DSSE envelope with an in-toto Statement v1 whose predicate is a test result
 (https://in-toto.io/attestation/test-result/v0.1). Its subjects are files, each with its digest: the seal, the files with which the

@@ -1,4 +1,4 @@
-"""Time stamps of an authority (RFC 3161): requests, replies, and their verification with the certificate of the authority, offline."""
+"""Requests time stamps from an authority (RFC 3161), and verifies the replies offline with the certificate of the authority."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class StampError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class StampAuthority:
-    """The certificates that verify time stamps: those of the authority itself, or those of the root and intermediate authorities
-    above it. `revocations`: lists of revoked certificates; each list is signed with one of these certificates."""
+    """Contains the certificates that verify time stamps: those of the authority itself, or those of the root and intermediate
+    authorities above it. `revocations`: lists of revoked certificates; each list is signed with one of these certificates."""
 
     certificates: tuple[x509.Certificate, ...]
     revocations: tuple[x509.CertificateRevocationList, ...] = ()

@@ -1,4 +1,4 @@
-"""Combined uncertainty: the scatter of the data (type A) and stated uncertainties (type B), with a budget for each coefficient.
+"""Combines uncertainties: the scatter of the data (type A) and stated uncertainties (type B), with a budget for each coefficient.
 
 The module applies the law of propagation of uncertainty for independent inputs (JCGM 100:2008, 5.1.2) to all coefficients together,
 which also gives their covariance (H.2.4). Effective degrees of freedom follow from the Welch–Satterthwaite formula (G.4.1). An
@@ -22,7 +22,7 @@ NEGLIGIBLE = 1e-6  # of the combined uncertainty: smaller contributions are not 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A coefficient that was estimated from the data, with its type A standard uncertainty and degrees of freedom."""
+    """Describes a coefficient that was estimated from the data, with its type A standard uncertainty and degrees of freedom."""
 
     name: str
     value: float

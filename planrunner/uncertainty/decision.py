@@ -16,7 +16,7 @@ _LEAST_FREEDOM = 0.5  # of χ²; with fewer, a measure of scatter is known too p
 
 
 class CoefficientRole(StrEnum):
-    """The kind of quantity that a coefficient is. The kind determines how the value scatters about the true value.
+    """States which kind of quantity a coefficient is. The kind determines how the value scatters about the true value.
 
     `LOCATION`: a quantity such as a constant, a slope or an angle, whose value scatters about the true value as Student's t.
     `SCALE`: a measure of scatter s, such as a standard deviation, for which ν·s²/σ² follows χ² with ν degrees of freedom.
@@ -51,7 +51,7 @@ def expanded_uncertainty(
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A verdict and the numbers on which it is based.
+    """Contains a verdict and the numbers on which it is based.
 
     `probability`: probability that the true value conforms, computed only from the value and its uncertainty (JCGM 106, 7).
     `guard_band`: distance that the value must keep from the limits, in their unit (0 for the simple rule). `coverage_factor`: the

@@ -1,4 +1,4 @@
-"""Derivatives of a formula, computed by evaluating the formula itself. No gradient is written by hand.
+"""Computes the derivatives of a formula by evaluating the formula itself. No gradient is written by hand.
 
 The complex step (Squire and Trapp, SIAM Review 40, 1998, 110) uses the relation f(x + i·h) = f(x) + i·h·f′(x) + O(h²). As nothing
 is subtracted, h can be so small that only rounding errors remain. The formula must be analytic. It may contain sums, products,

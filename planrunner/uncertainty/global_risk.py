@@ -1,4 +1,5 @@
-"""Global risks of a decision rule (JCGM 106:2012, 9.5): the fraction of wrong decisions among all items that a laboratory tests.
+"""Computes the global risks of a decision rule (JCGM 106:2012, 9.5): the fraction of wrong decisions among all items that a
+laboratory tests.
 
 Global risks require prior knowledge of the distribution of the quantity over the items, which is assumed to be normal. The measured
 value is assumed to scatter about the true value of an item as Student's t (normal for infinitely many degrees of freedom), with the
@@ -20,7 +21,8 @@ _REACH = 9.0  # standard deviations of the prior that are integrated over; the r
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """The knowledge of the quantity before the measurement: mean and standard deviation of its normal distribution over the items."""
+    """Describes what is known of the quantity before the measurement: the mean and the standard deviation of its normal
+    distribution over the items."""
 
     mean: float
     standard_deviation: float

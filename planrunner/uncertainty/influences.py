@@ -16,8 +16,8 @@ from planrunner.base.dataclass import dataclass
 
 
 class Aspect(StrEnum):
-    """A property of an output that is stated with an uncertainty, such as its resolution. Each output of a sensor has a separate
-    input quantity for each property."""
+    """Names a property of an output that is stated with an uncertainty, such as its resolution. Each output of a sensor has a
+    separate input quantity for each property."""
 
     BIAS_INSTABILITY = "bias instability"
     RESOLUTION = "resolution"

@@ -1,5 +1,4 @@
-"""Propagation of distributions by the adaptive Monte Carlo method, and validation of the interval ± k·u by this method (JCGM
-101:2008).
+"""Propagates distributions by the adaptive Monte Carlo method, and validates the interval ± k·u by this method (JCGM 101:2008).
 
 Random draws are made in blocks of 10⁴ until the results have stabilised. The results are the estimate, the standard uncertainty,
 and the two ends of the interval, each averaged over the blocks. They have stabilised when twice the standard deviation of each
@@ -49,7 +48,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Propagated:
-    """The result of a propagation of distributions.
+    """Contains the result of a propagation of distributions.
 
     `intervals`: the result for each coefficient. `draws`: number of draws that were made. `stabilised`: True if the results
     stabilised before the largest number of draws was reached. `spread`: array of shape (m,), half-width of the 95 % confidence
@@ -65,8 +64,8 @@ class Propagated:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """The result of the validation by clause 8 for one coefficient. `low`, `high`: distances between the ends of value ± U and the
-    ends of the Monte Carlo interval. `tolerance`: the tolerance δ of clause 8."""
+    """Contains the result of the validation by clause 8 for one coefficient. `low`, `high`: distances between the ends of value ± U
+    and the ends of the Monte Carlo interval. `tolerance`: the tolerance δ of clause 8."""
 
     low: float
     high: float

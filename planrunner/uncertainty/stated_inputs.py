@@ -1,4 +1,5 @@
-"""Uncertainties that the bench and the plan state: the type B inputs of budgets, each with its source and calibration date."""
+"""Collects the uncertainties that the bench and the plan state: the type B inputs of budgets, each with its source and calibration
+date."""
 
 from __future__ import annotations
 

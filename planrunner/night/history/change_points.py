@@ -47,7 +47,7 @@ class CauseCandidate:
 
 @dataclass(frozen=True, slots=True)
 class ChangePoint:
-    """A change in the level of a coefficient.
+    """Describes a change in the level of a coefficient.
 
     `index`: index of the first value after the change. `step`, `standard_uncertainty`: size of the change and its standard
     uncertainty, in the unit of the values. `p`: p-value of the change. `begin`, `end`: the change divides the stretches [begin,

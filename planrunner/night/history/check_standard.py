@@ -44,7 +44,7 @@ CHECK_STANDARD_FORMAT = 1
 
 
 class ControlStanding(Enum):
-    """The possible states of a check standard, such as in control and out of control."""
+    """Lists the possible states of a check standard, such as in control and out of control."""
 
     IN_CONTROL = "in control"
     OUT_OF_CONTROL = "out of control"
@@ -57,7 +57,7 @@ class ControlStanding(Enum):
 
 
 class ControlTest(Enum):
-    """The kinds of comparison in which a value of a check standard is tested."""
+    """Lists the kinds of comparison in which a value of a check standard is tested."""
 
     REFERENCE = "reference"
     SHEWHART = "Shewhart"
@@ -67,7 +67,8 @@ class ControlTest(Enum):
 
 @dataclass(frozen=True)
 class ControlLimits:
-    """The limits of the newest value in a comparison that tests each value alone: with a reference value, or in the Shewhart chart."""
+    """Contains the limits of the newest value in a comparison that tests each value alone: with a reference value, or in the
+    Shewhart chart."""
 
     test: ControlTest
     centre: float
@@ -77,7 +78,7 @@ class ControlLimits:
 
 @dataclass(frozen=True)
 class CoefficientControl:
-    """The state of a coefficient of the check standard.
+    """Contains the state of a coefficient of the check standard.
 
     `trend`: history of the coefficient, the newest value last. `limits`: limits of the newest value in each comparison that has
     limits. `charts`: control charts of this history; None if there are too few values. `failed`: comparisons in which the newest
@@ -121,7 +122,7 @@ class CoefficientControl:
 
 @dataclass(frozen=True)
 class ControlState:
-    """The state of a bench's check standard at one moment.
+    """Contains the state of a bench's check standard at one moment.
 
     `run`: newest run of the check standard; None if there is none. `reasons`: reasons why the check standard is not in control, in
     words. `damaged`: unreadable runs of the archive that measured the check standard or may have measured it. `left_out`: folders

@@ -1,4 +1,4 @@
-"""Control charts of a coefficient over time; every value has its own standard uncertainty.
+"""Computes control charts of a coefficient over time; every value has its own standard uncertainty.
 
 The variance of value i about the mean is σ_i² = u_i² + τ², where u_i is the stated standard uncertainty of the value. The scatter τ
 from run to run is the part that the stated uncertainties do not include, for example the scatter of mounting and switch-on. The

@@ -1,4 +1,4 @@
-"""Drift of a coefficient compared with its uncertainty, and the date on which the device should be calibrated again.
+"""Compares the drift of a coefficient with its uncertainty, and determines the date on which the device should be calibrated again.
 
 The drift is a weighted straight line through the values, x = a + b·(t − t̄), with the covariance of its two parameters. At a later time t
 the value is predicted with the variance
@@ -38,7 +38,7 @@ the next calibration is a date."""
 
 @dataclass(frozen=True, slots=True)
 class DriftLine:
-    """A straight line fitted to the values of a coefficient over time.
+    """Contains a straight line fitted to the values of a coefficient over time.
 
     `slope`, `slope_uncertainty`: slope and its standard uncertainty, in units of the values per day. `level`: value of the line at
     the mean time `middle`. `between`: τ, the scatter from run to run. `stated`: ū, the root mean square of the stated

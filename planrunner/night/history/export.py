@@ -1,4 +1,4 @@
-"""Export of an index to Parquet files or a DuckDB database, for analyses with other tools."""
+"""Exports an index to Parquet files or a DuckDB database, for analyses with other tools."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gauge repeatability and reproducibility: how much device, operator, bench and repetition contribute to the variance of a
+"""Computes gauge repeatability and reproducibility: how much device, operator, bench and repetition contribute to the variance of a
 measurement.
 
 The model is a balanced, fully crossed random-effects model with all interactions, for one to three factors. Each mean square has
@@ -30,12 +30,12 @@ CONFIDENCE = 0.95
 
 
 class UnbalancedError(ValueError):
-    """The error for values that do not fill all cells of the design. The message states which values are missing."""
+    """Reports that values do not fill all cells of the design. The message states which values are missing."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeanSquare:
-    """One mean square of the analysis of variance.
+    """Contains one mean square of the analysis of variance.
 
     `factors`: the factors whose effect or interaction the mean square measures; empty for the mean square of the repetitions. `df`:
     degrees of freedom of the mean square."""

@@ -1,4 +1,4 @@
-"""The index of the run folders in an archive: the runs with their coefficients and verdicts.
+"""Indexes the run folders in an archive: the runs with their coefficients and verdicts.
 
 The run folders are the record; the index is a copy for quick answers. It can be made again from the folders at any time. Each run
 is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is refreshed or rebuilt.

@@ -1,4 +1,5 @@
-"""Rows of the index: runs, their coefficients and verdicts, and folders that could not be read. All times are UTC, ISO 8601."""
+"""Describes the rows of the index: runs, their coefficients and verdicts, and folders that could not be read. All times are UTC,
+ISO 8601."""
 
 from __future__ import annotations
 
@@ -92,9 +93,9 @@ class RunRow:
 
 @dataclass(frozen=True, slots=True)
 class CoefficientRow:
-    """A coefficient of the newest analysis of a run. `quantity`: name of the coefficient in the form `estimate.coefficient`.
-    `value`, `standard_uncertainty`: value and standard uncertainty in `unit`. `period`: period of a circular quantity in `unit`;
-    inf for any other quantity. Numbers that could not be computed are nan."""
+    """Contains a coefficient of the newest analysis of a run. `quantity`: name of the coefficient in the form
+    `estimate.coefficient`. `value`, `standard_uncertainty`: value and standard uncertainty in `unit`. `period`: period of a
+    circular quantity in `unit`; inf for any other quantity. Numbers that could not be computed are nan."""
 
     quantity: str
     value: float
@@ -107,7 +108,7 @@ class CoefficientRow:
 
 @dataclass(frozen=True, slots=True)
 class LimitRow:
-    """A limit of the plan with its verdict. `lower`, `upper`: the limits in `unit`."""
+    """Contains a limit of the plan with its verdict. `lower`, `upper`: the limits in `unit`."""
 
     quantity: str
     requirement: str
@@ -120,7 +121,7 @@ class LimitRow:
 
 @dataclass(frozen=True, slots=True)
 class RecordedAs:
-    """The identity of a run, as recorded when it began: the names of its bench and its plan, and its device."""
+    """Contains the identity of a run, as recorded when it began: the names of its bench and its plan, and its device."""
 
     bench: str
     plan: str
@@ -129,8 +130,8 @@ class RecordedAs:
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """A folder of the archive that is not in the index, and the reason. `recorded`: the identity of the run, if it can still be
-    trusted."""
+    """Describes a folder of the archive that is not in the index, and the reason. `recorded`: the identity of the run, if it can
+    still be trusted."""
 
     folder: str
     message: str
@@ -139,7 +140,7 @@ class FaultRow:
 
 @dataclass(frozen=True, slots=True)
 class IndexedRun:
-    """The result of reading a run folder: the run with its coefficients and limits, or the fault.
+    """Contains the result of reading a run folder: the run with its coefficients and limits, or the fault.
 
     `fingerprint`: value that changes whenever planrunner writes to the folder; empty if the folder must be read again next time.
     `recorded`: identity of a run with a fault. `parameters`: values that were given for parameters of the run's plan.
@@ -157,8 +158,8 @@ class IndexedRun:
 
 @dataclass(frozen=True, slots=True)
 class RunFilter:
-    """A filter for runs; a criterion that is empty matches all runs. A text matches values that are equal to it; a text with `*` or
-    `?` is a pattern. `since`, `until`: first and last moment, ISO 8601 in UTC. If `until` is a day, the whole day is included."""
+    """Selects runs; a criterion that is empty matches all runs. A text matches values that are equal to it; a text with `*` or `?`
+    is a pattern. `since`, `until`: first and last moment, ISO 8601 in UTC. If `until` is a day, the whole day is included."""
 
     device: str = ""
     plan: str = ""
@@ -172,7 +173,7 @@ class RunFilter:
 
 @dataclass(frozen=True, slots=True)
 class HistoryPoint:
-    """The value of a coefficient in one run of a device, with the limits in the plan of that run."""
+    """Contains the value of a coefficient in one run of a device, with the limits in the plan of that run."""
 
     run: RunRow
     coefficient: CoefficientRow

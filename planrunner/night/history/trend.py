@@ -1,5 +1,5 @@
-"""The history of one coefficient of one device: control charts, changes of level and candidates for their causes, drift and the
-next calibration, and the agreement of benches and laboratories."""
+"""Computes the history of one coefficient of one device: control charts, changes of level and candidates for their causes, drift
+and the next calibration, and the agreement of benches and laboratories."""
 
 from __future__ import annotations
 
