@@ -79,10 +79,10 @@ def _settle(bundles: Array, fixed: Array, others: Array, criterion: str, start: 
 def shares(
     bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
 ) -> tuple[Array, float]:
-    """Returns the fractions (N,) of a resource, such as the time, that each bundle should get, and the remaining excess. The
-    fractions add up to 1. `bundles` (N, p, p) is the information of each bundle if that bundle gets the whole resource. The excess
-    is the ratio of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at the optimum (Kiefer
-    and Wolfowitz; multiplicative steps as in `continuous`).
+    """Computes the best fractions of a resource, such as the time, for each of N bundles, shape (N,). Also returns the remaining
+    excess. The fractions add up to 1. `bundles` (N, p, p) is the information of each bundle if that bundle gets the whole resource.
+    The excess is the ratio of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at the
+    optimum (Kiefer and Wolfowitz; multiplicative steps as in `continuous`).
 
     `fixed`: array of shape (p, p), information that does not depend on the fractions. Raises ValueError if the bundles cannot
     determine all terms.

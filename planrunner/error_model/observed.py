@@ -465,17 +465,17 @@ class Observed:
 
     @cached_property
     def warmth(self) -> Array:
-        """Returns the temperature (N,) minus the reference temperature, K."""
+        """Returns the temperature minus the reference temperature [K], shape (N,)."""
         return self.temperature - REFERENCE_TEMPERATURE
 
     @cached_property
     def overvoltage(self) -> Array:
-        """Returns the supply voltage (N,) minus the nominal supply voltage of the sensor, V."""
+        """Returns the supply voltage minus the nominal supply voltage of the sensor [V], shape (N,)."""
         return np.zeros(len(self.time)) if self.excess_voltage is None else self.excess_voltage
 
     @cached_property
     def overpressure(self) -> Array:
-        """Returns the ambient pressure (N,) minus the standard atmosphere, Pa."""
+        """Returns the ambient pressure minus the standard atmosphere [Pa], shape (N,)."""
         return np.zeros(len(self.time)) if self.excess_pressure is None else self.excess_pressure
 
     @property

@@ -52,8 +52,8 @@ def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Ro
 
 
 def own_frame(matrix: Array) -> Array:
-    """Returns the rotations R (3, 3, n) from the frame of matrices A (3, 3, n) to the triads' own frames: A = L·R, where L is lower
-    triangular.
+    """Returns the rotations R from the frame of matrices A to the triads' own frames: A = L·R, where L is lower triangular. A and R
+    have the shape (3, 3, n).
 
     The x axis of the own frame lies along the first row of the matrix, and the y axis in the plane of the first two rows. Raises
     ValueError if the rows are not linearly independent.

@@ -56,13 +56,13 @@ class Alignment:
 
     @property
     def tilt_covariance(self) -> Array:
-        """Returns the covariance (3, 3) of the tilt and azimuth errors, rad²."""
+        """Returns the covariance of the tilt and azimuth errors [rad²], shape (3, 3)."""
         return self.covariance[TILT, TILT]
 
 
 def coarse(rate: Array, force: Array) -> Array:
-    """Returns the body axes (3, 3) as columns in East-North-Up. `rate`, `force`: arrays of shape (3,), mean rate and mean specific
-    force in body axes."""
+    """Computes the attitude at rest. Returns the body axes as columns in East-North-Up, shape (3, 3). `rate`, `force`: arrays of
+    shape (3,), mean rate and mean specific force in body axes."""
     up = force / np.linalg.norm(force)
     east = np.cross(rate, up)
     east /= np.linalg.norm(east)

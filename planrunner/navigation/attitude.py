@@ -16,7 +16,7 @@ from planrunner.base.arrays import Array
 
 
 def matrix(quaternion: Array) -> Array:
-    """Returns the body axes (…, 3, 3) as columns in East-North-Up, from quaternions (…, 4)."""
+    """Converts quaternions (…, 4) to matrices (…, 3, 3) whose columns are the body axes in East-North-Up."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -45,7 +45,7 @@ def quaternion(rotation: Array) -> Array:
 
 
 def small_rotation(vector: Array) -> Array:
-    """Returns the rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
+    """Converts a rotation vector (3,) [rad] to a rotation matrix (3, 3) by Rodrigues' formula."""
     angle = float(np.linalg.norm(vector))
     skew = np.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]])
     if angle == 0:

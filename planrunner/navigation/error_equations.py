@@ -86,8 +86,8 @@ class ErrorEquations:
             yield covariance
 
     def responses(self, start: Array, inputs: Array, seconds: float) -> Array:
-        """Returns the states (n, 7, k) after each of n intervals of `seconds`. `start`: array of shape (7, k), initial states.
-        `inputs`: array of shape (n, 6, k), averaged over each interval."""
+        """Computes the states after each of n intervals of `seconds`. Returns an array of shape (n, 7, k). `start`: array of shape
+        (7, k), initial states. `inputs`: array of shape (n, 6, k), averaged over each interval."""
         transition, response = self.step(seconds)
         found = np.empty((len(inputs), *start.shape))
         state = start
@@ -97,8 +97,8 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """Returns the tilt (3, 6) after an alignment at rest, for a constant error of 1 rad/s or 1 m/s² in each input. It is the
-        tilt of the stationary solution.
+        """Computes the tilt after an alignment at rest, for a constant error of 1 rad/s or 1 m/s² in each input. Returns an array
+        of shape (3, 6). It is the tilt of the stationary solution.
 
         For the errors ε and ∇: φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), which is the limit of
         gyrocompassing.

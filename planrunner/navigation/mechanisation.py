@@ -105,7 +105,7 @@ class Navigator:
 
     @property
     def rotation(self) -> Array:
-        """Returns the body axes (3, 3) as columns in East-North-Up."""
+        """Returns the body axes as columns in East-North-Up, shape (3, 3)."""
         return attitude.matrix(self.state[:4])
 
     @property

@@ -110,8 +110,8 @@ def quickest_move(
 
 
 def quickest_ends(axes: Sequence[TableAxis], target: Array, starts: Array, azimuth: float = 0.0) -> Array:
-    """Returns the joint angles (n, joints) that `quickest_move` gives from each of n starts (n, joints). Do not modify the result:
-    it is cached."""
+    """Computes the joint angles that `quickest_move` gives from each of n starts. Starts and results have the shape (n, joints). Do
+    not modify the result: it is cached."""
     return _quickest_ends(tuple(axes), np.asarray(target, dtype=float).tobytes(), starts.tobytes(), azimuth)
 
 

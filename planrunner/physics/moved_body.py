@@ -45,7 +45,8 @@ class BodyMotion:
 
 
 def averaged(values: Array, size: int) -> Array:
-    """Returns the means (n // size, …) of every `size` consecutive values (n, …). If the last group is incomplete, it is left out."""
+    """Averages every `size` consecutive values (n, …). Returns an array of shape (n // size, …). If the last group is incomplete,
+    it is left out."""
     whole = len(values) - len(values) % size
     return np.asarray(values[:whole].reshape(-1, size, *values.shape[1:]).mean(axis=1))
 
@@ -86,8 +87,8 @@ def by_force(force: Array) -> BodyMotion:
 
 
 def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
-    """Returns the attitudes (n, 3, 3) of a body that starts at the attitude `start` and rotates at the rate omega (n, 3) in its own
-    axes.
+    """Computes the attitudes of a body that starts at the attitude `start` and rotates at the rate `omega` in its own axes. The
+    rate has the shape (n, 3), the attitudes have the shape (n, 3, 3).
 
     Between two samples, the body rotates at the mean of the two rates. The attitude relative to inertial space is the product of
     these rotations. Meanwhile, the site turns at the Earth's rate. All partial products are computed in about log₂ n steps, each of
@@ -117,5 +118,6 @@ def rates_of(time: Array, attitude: Array) -> Array:
 
 
 def slope(time: Array, values: Array) -> Array:
-    """Returns the time derivative (n, …) of values (n, …), computed from the neighbours of each sample (`numpy.gradient`)."""
+    """Computes the time derivative of values (n, …) from the neighbours of each sample (`numpy.gradient`). The result has the shape
+    of the values."""
     return np.asarray(np.gradient(values, time, axis=0))

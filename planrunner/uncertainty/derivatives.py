@@ -28,7 +28,8 @@ def jacobian(formula: Formula, at: Array) -> Array:
 
 
 def value_and_jacobian(formula: Formula, at: Array) -> tuple[Array, Array]:
-    """Returns the values (q,) of a formula and the derivative ∂formula/∂x, shape (q, p), at x (p,), p > 0. Calls the formula once."""
+    """Computes the values of a formula at x (p,), with p > 0, and its derivative ∂formula/∂x. The values have the shape (q,), the
+    derivative has the shape (q, p). Calls the formula once."""
     found = formula(cast(Array, at[:, None] + 1j * _STEP * np.eye(len(at))))
     return found.real[:, 0], np.asarray(found.imag / _STEP)
 

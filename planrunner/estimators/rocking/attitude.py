@@ -132,8 +132,8 @@ class LevelState:
         return np.stack(pair, axis=-1)
 
     def attitude(self, tilts: Array, heading: Array | float) -> Array:
-        """Returns the attitude C (…, 3, 3) for tilts (…, 2) about the level axes and a rotation `heading` (…) about the vertical
-        axis."""
+        """Computes the attitude C from tilts about the level axes, shape (…, 2), and a rotation `heading` about the vertical axis,
+        shape (…). Returns an array of shape (…, 3, 3)."""
         about = dict(zip(self.level, np.moveaxis(tilts, -1, 0), strict=True))
         turns = (
             turned(self.other, about[self.other]) @ turned(self.sine, about[self.sine]) @ turned(self.vertical, heading)

@@ -62,7 +62,7 @@ class Curve:
     knots: Array
 
     def columns(self, temperature: Array) -> Array:
-        """Returns the design matrix (n, order + 1) at the temperatures (n,), degC."""
+        """Returns the design matrix at n temperatures [degC], shape (n, order + 1)."""
         if self.form == "polynomial":
             return np.asarray((temperature - self.reference)[:, None] ** np.arange(self.order + 1))
         return natural_spline(self.knots, temperature)

@@ -32,8 +32,8 @@ def as_recording_begins(segments: Sequence[Segment], site: Site, table: TableMod
 
 
 def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[float | None]) -> Array:
-    """Returns the mean angular rate (n, 3) relative to inertial space in the fixture's frame, rad/s. The segments must have the
-    attitudes that they have at the start of the recording.
+    """Returns the mean angular rate relative to inertial space, in the fixture's frame [rad/s], shape (n, 3). The segments must
+    have the attitudes that they have at the start of the recording.
 
     `durations`: recorded durations of the segments, s. Raises `EstimationError` for an unknown orientation.
     """
