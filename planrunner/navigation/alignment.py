@@ -70,8 +70,8 @@ def coarse(rate: Array, force: Array) -> Array:
 
 
 class FineAlignment:
-    """The Kalman filter of the fine alignment. It takes the velocities of the navigator at one output time (knot) after another; at
-    the end, it returns the attitude."""
+    """Estimates the fine alignment with a Kalman filter. It takes the velocities of the navigator at one output time (knot) after
+    another; at the end, it returns the attitude."""
 
     def __init__(
         self,
@@ -149,7 +149,7 @@ class FineAlignment:
         self._passed[-1] = step @ self._passed[-1]
 
     def _followed(self) -> Array:
-        """The errors (16, 6, m) that remain because of sensor errors in each of the m intervals."""
+        """Returns the errors that remain because of sensor errors in each of the m intervals, shape (16, 6, m)."""
         found, since = np.zeros((_ALL, INPUTS, len(self._left))), _UNCHANGED
         for k in reversed(range(len(self._left))):
             found[:, :, k] = since @ self._left[k]

@@ -27,7 +27,7 @@ def matrix(quaternion: Array) -> Array:
 
 
 def quaternion(rotation: Array) -> Array:
-    """Returns the quaternion (4,), scalar first, of a rotation matrix (3, 3). The largest component is computed first (Shepperd, J.
+    """Converts a rotation matrix (3, 3) to a quaternion (4,), scalar first. The largest component is computed first (Shepperd, J.
     Guidance and Control 1, 1978)."""
     r, trace = rotation, float(np.trace(rotation))
     squares = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
@@ -54,14 +54,14 @@ def small_rotation(vector: Array) -> Array:
 
 
 def turned_about_up(before: Array, after: Array) -> Array:
-    """Returns the angle [rad] of the rotation about the vertical that leads from one attitude to another, both (…, 3, 3);
-    right-handed."""
+    """Returns the angle [rad] of the rotation about the vertical that leads from one attitude to another; right-handed. Both
+    attitudes have the shape (…, 3, 3)."""
     change = after @ np.swapaxes(before, -1, -2)
     return np.asarray(np.arctan2(change[..., 1, 0] - change[..., 0, 1], change[..., 0, 0] + change[..., 1, 1]))
 
 
 def angles(rotation: Array) -> Array:
-    """Heading (0 … 2π), pitch and roll of an attitude, shape (3,), rad."""
+    """Returns heading (0 … 2π), pitch and roll of an attitude [rad], shape (3,)."""
     heading = math.atan2(rotation[0, 1], rotation[1, 1]) % (2 * math.pi)
     pitch = math.atan2(rotation[2, 1], math.hypot(rotation[2, 0], rotation[2, 2]))
     roll = math.atan2(-rotation[2, 0], rotation[2, 2])
@@ -69,8 +69,8 @@ def angles(rotation: Array) -> Array:
 
 
 def angle_sensitivities(rotation: Array) -> Array:
-    """Returns the derivatives ∂(heading, pitch, roll)/∂φ (3, 3) if an attitude C is rotated by a small φ [rad] in navigation axes:
-    C → (1 + φ×)·C."""
+    """Returns the derivatives ∂(heading, pitch, roll)/∂φ, shape (3, 3). φ [rad] is a small rotation of an attitude C in navigation
+    axes: C → (1 + φ×)·C."""
     step = 1e-6
     columns = []
     for axis in range(3):

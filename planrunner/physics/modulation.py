@@ -24,9 +24,9 @@ def schuler_rate(site: Site) -> float:
 
 
 def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
-    """Returns the factor by which a rotation cycle increases the free Schuler oscillation due to a constant gyro drift: the largest
-    amplitude within `seconds`, divided by the amplitude that the same drift causes without rotation. The result is 0 if the cycle
-    is so short that none of its harmonics lies near the Schuler rate.
+    """Returns the factor by which a rotation cycle increases the free Schuler oscillation that a constant gyro drift causes. It is
+    the largest amplitude within `seconds`, divided by the amplitude that the same drift causes without rotation. The result is 0 if
+    the cycle is so short that none of its harmonics lies near the Schuler rate.
 
     A drift ε(t) leaves an oscillation of the size |∫ ε·exp(−iωt) dt| at each of the two free rates ω. The sum of the two sizes is
     the semi-major axis of the ellipse that the velocity describes. Without rotation, this axis is 2·|ε|/ω_s. Over n cycles, the
@@ -48,7 +48,7 @@ def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
 def forced_velocity(
     cycle: RotationCycle, gyro: complex, accelerometer: complex, site: Site, harmonic: int
 ) -> tuple[complex, complex]:
-    """Returns the velocity errors [m/s], as east + i·north, that are forced at plus and at minus `harmonic` times the frequency of
+    """Computes the velocity errors [m/s], as east + i·north, that are forced at plus and at minus `harmonic` times the frequency of
     the cycle.
 
     `gyro` [rad/s], `accelerometer` [m/s^2]: constant sensor errors, given for the orientation at the first position. A harmonic of

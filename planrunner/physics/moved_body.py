@@ -52,7 +52,7 @@ def averaged(values: Array, size: int) -> Array:
 
 
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
-    """Returns the motion, computed from unit quaternions (n, 4), real part first, that transform vectors from the sensor's axes to
+    """Computes the motion from unit quaternions (n, 4), real part first. They transform vectors from the sensor's axes to
     East-North-Up. `force`: array of shape (n, 3), measured specific force; by default, the specific force of a sensor that only
     rotates."""
     from scipy.spatial.transform import Rotation
@@ -65,9 +65,9 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 
 
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
-    """Returns the motion, computed from measured angular rates (n, 3) relative to inertial space. `start`: array of shape (3, 3),
-    attitude at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, the
-    specific force of a sensor that only rotates. If the attitude is unknown, the specific force is zero unless `force` is given."""
+    """Computes the motion from measured angular rates (n, 3) relative to inertial space. `start`: array of shape (3, 3), attitude
+    at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, the specific
+    force of a sensor that only rotates. If the attitude is unknown, the specific force is zero unless `force` is given."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))
@@ -81,7 +81,7 @@ def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: 
 
 
 def by_force(force: Array) -> BodyMotion:
-    """Returns the motion, of which only the measured specific force (n, 3) is known; all other quantities are zero."""
+    """Returns a motion of which only the specific force is known, as measured, shape (n, 3); all other quantities are zero."""
     n = len(force)
     return BodyMotion(np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), force)
 
@@ -108,7 +108,7 @@ def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
 
 
 def rates_of(time: Array, attitude: Array) -> Array:
-    """Returns the angular rates in the body's axes, as differences between the two neighbours of each sample, shape (n, 3).
+    """Computes the angular rates in the body's axes from the two neighbours of each sample. Returns an array of shape (n, 3).
     `attitude`: array of shape (n, 3, 3), transforms vectors to the body's axes."""
     from scipy.spatial.transform import Rotation
 

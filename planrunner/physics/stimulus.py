@@ -123,8 +123,8 @@ class Poses:
 
 
 def mean_while_turning(axis: Array, turned: float | None) -> Array:
-    """Returns the matrix that transforms a vector fixed at the site to its mean in axes that rotate with the table, about the unit
-    vector `axis` by the angle `turned` [rad], shape (3, 3).
+    """Returns the matrix (3, 3) that transforms a vector fixed at the site to its mean in rotating axes. These axes rotate with the
+    table about the unit vector `axis`, by the angle `turned` [rad].
 
     Let p be the part of the vector along the axis, q the other part, and r = axis × vector. At the angle θ, the vector in these
     axes is p + q·cos θ − r·sin θ; its mean over 0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns, for which `turned` is

@@ -66,8 +66,8 @@ def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedConditio
 def influences_on_several(
     formula: Callable[[Sequence[C]], Array], stated: Iterable[StatedCondition[C]]
 ) -> tuple[Influence, ...]:
-    """Returns the influences of stated inputs on the m results of a formula that is evaluated for k conditions in one call; it
-    returns an array (k, m)."""
+    """Computes the influences of stated inputs on the m results of a formula. The formula is evaluated for k conditions in one call
+    and returns an array of shape (k, m)."""
     inputs = [one for one in stated if one.parts]
     moved: list[C] = []
     for one in inputs:

@@ -1,4 +1,5 @@
-"""Decision rules: whether a measured value conforms to a limit, taking its uncertainty into account (JCGM 106:2012)."""
+"""Applies decision rules: decides whether a measured value conforms to a limit, taking its uncertainty into account (JCGM
+106:2012)."""
 
 from __future__ import annotations
 
@@ -30,8 +31,9 @@ class CoefficientRole(StrEnum):
 
 @lru_cache(maxsize=4096)
 def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
-    """Returns the factor k of the expanded uncertainty: the quantile of Student's t for a two-sided interval (JCGM 100:2008, G.3),
-    or of the normal distribution for infinite degrees of freedom. If there are no degrees of freedom, the factor is infinite."""
+    """Returns the factor k of the expanded uncertainty (JCGM 100:2008, G.3). It is the quantile of Student's t for a two-sided
+    interval, or of the normal distribution for infinite degrees of freedom. If there are no degrees of freedom, the factor is
+    infinite."""
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 + confidence / 2
@@ -162,7 +164,7 @@ def conformance_probability(
 
 
 def scale_freedom(value: float, standard_uncertainty: float) -> float:
-    """Returns the degrees of freedom ν of a measure of scatter s, from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3). The result is 0 if ν
+    """Computes the degrees of freedom ν of a measure of scatter s from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3). The result is 0 if ν
     is too small for χ², or so large that the distribution is normal."""
     if not (value > 0 and standard_uncertainty > 0):
         return 0.0
