@@ -18,8 +18,8 @@ _PART = r"[A-Za-z0-9_.-]{1,80}"
 
 
 class CheckedCoefficient(Record):
-    """How a coefficient of the check standard is compared. Without `reference`, the coefficient is compared with the mean of its
-    own earlier values."""
+    """States how a coefficient of the check standard is compared. Without `reference`, the coefficient is compared with the mean of
+    its own earlier values."""
 
     reference: Quantity | None = optional(
         QuantityOf(None, uncertain=True),

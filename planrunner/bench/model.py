@@ -265,7 +265,7 @@ class Bench(Record):
     )
 
     def calibrations(self) -> tuple[tuple[str, Calibration], ...]:
-        """Name and record of each calibrated object."""
+        """Returns name and record of each calibrated object."""
         fixed = self.fixture.calibration if self.fixture else None
         found = [("the site's survey", self.site.survey), ("the fixture", fixed)]
         found += [(f"'{name}'", entry.calibration) for name, entry in self.instruments.items()]

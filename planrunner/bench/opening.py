@@ -41,7 +41,7 @@ class NotSafeError(InstrumentError):
 
 @dataclass(frozen=True, slots=True)
 class SafetyFailure:
-    """An instrument that could not be made safe or disconnected, and the reason."""
+    """Names an instrument that could not be made safe or disconnected, and the reason."""
 
     instrument: str
     message: str

@@ -59,7 +59,7 @@ APPROVALS = RecordOf(ApprovalRule, _check)
 
 
 class SigningSpec(Record):
-    """The bench's own key. The bench file contains only its public part."""
+    """Declares the key with which the bench signs. The bench file contains only its public part."""
 
     key: str = key(
         Text(r"ssh-ed25519 [A-Za-z0-9+/=]{20,200}( [^\x00-\x1f]{0,200})?", "a public key of OpenSSH"),

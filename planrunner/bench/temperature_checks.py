@@ -81,7 +81,7 @@ class Temperatures:
             self._log.warning("physics-soak", mark, message, hint)
 
     def return_time(self) -> float:
-        """Time [s] until the chamber is back at ambient temperature."""
+        """Returns the time [s] until the chamber is back at ambient temperature."""
         return 0.0 if self._chamber is None else self._chamber.seconds_to_change(self._set - self._chamber.ambient)
 
     def _head_for(self, kelvin: float, now: float) -> float:

@@ -154,7 +154,7 @@ def _excess(parts: Sequence[Array | None], segments: Sequence[ObservedSegment]) 
 
 @dataclass(frozen=True)
 class Observed:
-    """A recording together with its plan: S segments, N samples and K channels.
+    """Contains a recording together with its plan: S segments, N samples and K channels.
 
     `labels`, `motions`: label and planned motion of each segment.
     `attitude`: array of shape (S, 3, 3); its rows are the sensor's axes in East-North-Up at table angle 0.

@@ -107,7 +107,7 @@ class LinearModel(Protocol):
     def of_motion(self) -> bool: ...
 
     def columns(self, stimulus: Stimulus) -> Array:
-        """The design matrix, shape (n, p), SI."""
+        """Returns the design matrix in SI units, shape (n, p)."""
 
 
 def columns_of(model: LinearModel, poses: Poses, site: Site) -> Array:
@@ -163,6 +163,7 @@ def term_names() -> Choice:
 
 
 def error_model(names: Sequence[str]) -> ErrorModel:
-    """The error model that consists of the named terms. Raises `InputError` for a term that is not installed or cannot be loaded."""
+    """Makes the error model that consists of the named terms. Raises `InputError` for a term that is not installed or cannot be
+    loaded."""
     terms: list[Term] = [plugins.load(plugins.TERMS, name) for name in dict.fromkeys(names)]
     return ErrorModel(tuple(terms))

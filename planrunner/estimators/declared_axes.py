@@ -29,7 +29,7 @@ _AXES = "xyz"
 
 @dataclass(frozen=True, slots=True)
 class AxisResponse:
-    """The response of one output along each axis.
+    """Contains the response of one output along each axis.
 
     `axis`: the declared axis (0, 1, 2). `unit`: the unit in which the output is recorded. `ratios`: for each axis along which the
     output was excited, the response in `unit` divided by the true value.

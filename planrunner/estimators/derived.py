@@ -27,8 +27,8 @@ from planrunner.uncertainty.monte_carlo import Draws, about, influence_draws, t_
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """The name and the unit of one derived quantity. `unit`: unit of the value. `period`: period of a circular quantity such as an
-    angle, in this unit."""
+    """States the name and the unit of one derived quantity. `unit`: unit of the value. `period`: period of a circular quantity such
+    as an angle, in this unit."""
 
     name: str
     unit: str

@@ -63,8 +63,8 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """An expected recording and the assumptions that it needs. `segments`: the expected recording. `assumed`: sentences about the
-    assumptions for the used outputs; empty if plan and bench state everything."""
+    """Contains an expected recording and the assumptions that it needs. `segments`: the expected recording. `assumed`: sentences
+    about the assumptions for the used outputs; empty if plan and bench state everything."""
 
     segments: tuple[RecordedSegment, ...]
     assumed: tuple[str, ...]

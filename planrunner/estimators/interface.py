@@ -197,8 +197,8 @@ class DesignBlock:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """An error, a warning or a note of an estimator about planned segments. The command `check` prints it as a finding at the key
-    `key` of the estimate.
+    """Contains an error, a warning or a note of an estimator about planned segments. The command `check` prints it as a finding at
+    the key `key` of the estimate.
 
     `code`: code of the finding, such as `physics-release`; docs/findings.md lists all codes. `error`: True if the plan must not
     run. `note`: True if the remark only informs, so that the plan need not be changed. `conditions`: True if the remark explains
@@ -237,7 +237,7 @@ class Foresight:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What an estimator states about the planned segments.
+    """Contains what an estimator states about the planned segments.
 
     `blocks`: one block per output; empty if the estimator has no linear model. `notes`: notes on the planned segments. `extra`:
     plain data for the designs of other estimates that use this one. An estimator that gives coefficients at certain temperatures

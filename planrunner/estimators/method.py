@@ -100,8 +100,8 @@ class Method(ABC, Generic[P, Q]):
         """Makes tables, plots and notes for readers."""
 
     def known(self, request: DesignRequest[P]) -> Known:
-        """What this estimator knows about the outputs. Everything else is derived from the names and units of the outputs. This
-        function does not reject unsuitable segments; `design` does."""
+        """Returns what this estimator knows about the outputs. Everything else is derived from the names and units of the outputs.
+        This function does not reject unsuitable segments; `design` does."""
         return Known()
 
     def estimate(self, request: EstimateRequest[P]) -> Estimate:

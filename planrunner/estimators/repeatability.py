@@ -148,7 +148,7 @@ class ScatterQuantities(Quantities):
 
 
 class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
-    """The estimator with the name `repeatability`."""
+    """Implements the estimator `repeatability`."""
 
     name = "repeatability"
     summary = "Scatter of coefficients or means between repeats, and between days or switch-ons"

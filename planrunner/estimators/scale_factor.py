@@ -99,7 +99,7 @@ class LineQuantities(Quantities):
 
 
 class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
-    """The estimator with the name `scale_factor`."""
+    """Implements the estimator `scale_factor`."""
 
     name = "scale_factor"
     summary = "Scale factor, bias, nonlinearity and asymmetry from recordings at known rates"

@@ -33,7 +33,7 @@ _LEAST = 0.01  # of a variance that flicker within the segments leaves for white
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlickerEvidence:
-    """The n observations of a channel, in its unit, which follow a linear model and may contain flicker.
+    """Contains the n observations of a channel, in its unit. They follow a linear model and may contain flicker.
 
     `columns`: array of shape (n, p), columns of the model. `values`: array of shape (n,), the observations. `sigma`: array of shape
     (n,), standard deviations of the noise of the observations. `freedom`: degrees of freedom of this noise. `flicker`: array of
@@ -113,9 +113,9 @@ def _spread(flicker: Array) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnstatedFlicker:
-    """The flicker of a channel for which the bench file states no bias instability. `influence`: influence of flicker with B = 1,
-    in the unit of the channel, on the coefficients of an estimate. `evidence`: the observations from which B can be bounded; None
-    if the noise of the channel is not known."""
+    """Describes the flicker of a channel for which the bench file states no bias instability. `influence`: influence of flicker
+    with B = 1, in the unit of the channel, on the coefficients of an estimate. `evidence`: the observations from which B can be
+    bounded; None if the noise of the channel is not known."""
 
     channel: str
     influence: Influence

@@ -151,7 +151,7 @@ class Instrument(Protocol):
     """The methods that every instrument has."""
 
     def identify(self) -> Mapping[str, str]:
-        """Manufacturer, model, serial number and further details, as the instrument reports them."""
+        """Returns manufacturer, model, serial number and further details, as the instrument reports them."""
 
     def make_safe(self) -> None:
         """Brings the instrument to its safe state (table stopped, chamber at ambient temperature). It can be called repeatedly. It
@@ -168,7 +168,7 @@ class HoldsOrientation(Protocol):
         """Starts a move to the attitude (3, 3), in which the table comes to rest; returns the expected time [s]."""
 
     def holding(self) -> bool:
-        """True if the commanded state has been reached and is held."""
+        """Returns True if the commanded state has been reached and is held."""
 
 
 @runtime_checkable
@@ -211,7 +211,8 @@ class HasModes(Protocol):
 @runtime_checkable
 class Readable(Protocol):
     def read(self) -> Mapping[str, float]:
-        """A few current readings for the journal. Each key is the name of a reading, followed by its unit, such as `name_unit`."""
+        """Returns a few current readings for the journal. Each key is the name of a reading, followed by its unit, such as
+        `name_unit`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,8 +343,8 @@ class Counting(Protocol):
 @runtime_checkable
 class Remarking(Protocol):
     def remarks(self) -> Sequence[str]:
-        """Unusual events since the last call, such as a repeated exchange or a reopened link. Each event is one line of text for
-        the journal."""
+        """Returns remarks on unusual events since the last call, such as a repeated exchange or a reopened link. Each event is one
+        line of text for the journal."""
 
 
 @runtime_checkable
@@ -351,6 +352,6 @@ class Resumable(Protocol):
     """A simulated instrument that can continue from a saved state after a crash. A real instrument has no state to restore."""
 
     def checkpoint(self) -> Mapping[str, Json]:
-        """The state as JSON data."""
+        """Returns the state as JSON data."""
 
     def restore(self, state: Mapping[str, Json]) -> None: ...

@@ -112,7 +112,7 @@ class WindowLevels:
 
     @property
     def length(self) -> float:
-        """Median length of the windows, s."""
+        """Returns the median length of the windows, s."""
         return float(np.median(self.end - self.begin)) if len(self.begin) else 0.0
 
     @property

@@ -61,7 +61,7 @@ NOMINAL_TERMS = (
 
 
 class DiagnosisSpec(Record):
-    """How a recording of the plan is diagnosed."""
+    """Declares how a recording of the plan is diagnosed."""
 
     nominal: tuple[str, ...] = key(
         ListOf(Choice(NOMINAL_TERMS)),
@@ -86,7 +86,7 @@ class DiagnosisSpec(Record):
 
 
 class MonteCarloSpec(Record):
-    """How the Monte Carlo draws are made."""
+    """Declares how the Monte Carlo draws are made."""
 
     digits: int = key(
         Number(1, 2, integer=True),

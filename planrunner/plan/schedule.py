@@ -197,7 +197,7 @@ class Segment:
 
     @property
     def seconds(self) -> float:
-        """Planned time of the segment, s. A dwell of unknown length counts as zero."""
+        """Returns the planned time of the segment, s. A dwell of unknown length counts as zero."""
         return self.transition + self.waiting + (self.dwell or 0.0)
 
     @property

@@ -181,8 +181,8 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 
 
 class MotionSpec(Record):
-    """What the sensor does while the segment records. Give one of rate, rock, cycle and recorded; if none is given, the sensor is
-    at rest."""
+    """Declares what the sensor does while the segment records. Give one of rate, rock, cycle and recorded; if none is given, the
+    sensor is at rest."""
 
     rate: Quantity | None = optional(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY), "Constant rate about the rotation axis.", "300 deg/s"

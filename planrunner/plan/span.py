@@ -27,7 +27,7 @@ class Span:
 
     @property
     def seconds(self) -> float:
-        """Duration of the interval, s."""
+        """Returns the duration of the interval, s."""
         return self.end - self.start
 
     def of(self, time: Array, period: float) -> slice:

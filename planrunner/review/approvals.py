@@ -269,7 +269,7 @@ class JudgedApproval:
         return "" if self.key is None else self.key.person
 
     def to_json(self) -> JsonObject:
-        """JSON data according to schemas/approval.schema.json."""
+        """Returns JSON data according to schemas/approval.schema.json."""
         known = {
             "file": self.stated.file,
             "standing": self.standing,

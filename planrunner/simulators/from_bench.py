@@ -44,7 +44,7 @@ class DeclaresLine(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Spoken:
-    """A simulated table or chamber: its controller, the form of its messages, and its address."""
+    """Describes a simulated table or chamber: its controller, the form of its messages, and its address."""
 
     name: str
     role: str

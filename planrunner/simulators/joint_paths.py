@@ -99,7 +99,7 @@ class Path:
         return Path((*kept, *pieces), arrival)
 
     def state(self, time: float) -> tuple[float, float, float]:
-        """Angle [rad], rate [rad/s] and acceleration [rad/s^2] at one time."""
+        """Returns the angle [rad], the rate [rad/s] and the acceleration [rad/s^2] at one time."""
         piece = self.current(time)
         angle, rate = piece.at(time)
         acceleration = piece.acceleration if isinstance(piece, Glide) else (piece.at(time + 1e-4)[1] - rate) / 1e-4

@@ -62,9 +62,9 @@ class RunsFreely(Protocol):
 
 @dataclass(slots=True)
 class LiveWorld:
-    """The virtual world and its instruments, with a running clock. `table`, `chamber`: the virtual instruments, which know the true
-    state; None if the bench has none. `recorders`: functions that are called before each change of the world; the argument is the
-    present time."""
+    """Runs the virtual world and its instruments with a running clock. `table`, `chamber`: the virtual instruments, which know the
+    true state; None if the bench has none. `recorders`: functions that are called before each change of the world; the argument is
+    the present time."""
 
     world: World
     clock: Clock

@@ -38,7 +38,7 @@ class Amendment:
     amends: int | None = None
 
     def to_json(self, amended: StoredAnalysis) -> JsonObject:
-        """JSON data according to schemas/amendment.schema.json."""
+        """Returns JSON data according to schemas/amendment.schema.json."""
         return {
             "planrunner_amendment": FORMAT,
             "amends": amended.number,

@@ -52,7 +52,7 @@ _LEAST = 1e-12  # probability with which a run counts that gives an effect none
 
 @dataclass(frozen=True, slots=True)
 class RunOrigin:
-    """A run, and the names of its device, bench and occasion.
+    """Names a run, and its device, bench and occasion.
 
     `created`: time when the run began, UTC, ISO 8601. `lot`: production lot of the device; empty if not stated. `seal`: SHA-256 of
     the seal; empty for a run that is not sealed.
@@ -124,7 +124,7 @@ class FleetDiagnosis:
         return next(one for one in ("simulated", "replayed", "measured") if one in found)
 
     def to_json(self) -> JsonObject:
-        """JSON data according to `schemas/fleet.schema.json`."""
+        """Returns JSON data according to `schemas/fleet.schema.json`."""
         return {
             "planrunner_fleet": FLEET_FORMAT,
             "runs": [

@@ -27,7 +27,7 @@ from planrunner.tasks.approvals import ring_of
 
 @dataclass(frozen=True, slots=True)
 class EvaluationApproval:
-    """Whether approvals cover the evaluation of one analysis.
+    """States whether approvals cover the evaluation of one analysis.
 
     `analysis`: number of the analysis. `covered`: True if approvals cover its evaluation. `words`: who approved the evaluation, or
     why no approval covers it. `fault`: description of what was changed; empty if nothing was changed.

@@ -32,7 +32,7 @@ class RunList:
     faults: tuple[FaultRow, ...]
 
     def to_json(self) -> JsonObject:
-        """JSON data according to schemas/runs.schema.json."""
+        """Returns JSON data according to schemas/runs.schema.json."""
         return {
             "planrunner_runs": RUNS_FORMAT,
             "total": self.total,

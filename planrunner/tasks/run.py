@@ -112,7 +112,7 @@ class Evaluated:
 
 @dataclass(frozen=True, slots=True)
 class Retake:
-    """Recorded segments to reject and repeat: their labels, and the reason."""
+    """Names recorded segments to reject and repeat: their labels, and the reason."""
 
     labels: tuple[str, ...]
     reason: str

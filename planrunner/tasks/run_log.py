@@ -58,7 +58,7 @@ class LogVerification:
         return tuple(one for one in self.findings if one.severity != "error")
 
     def to_json(self) -> JsonObject:
-        """JSON data according to schemas/log-verification.schema.json."""
+        """Returns JSON data according to schemas/log-verification.schema.json."""
         content, signed = self.content, self.signed
         return {
             "log": str(self.path),

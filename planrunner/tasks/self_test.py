@@ -23,7 +23,8 @@ from planrunner.tasks.run import analyse_run, start
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A known answer and the value that this installation computes. `difference`: absolute value of the relative difference."""
+    """Contains a known answer and the value that this installation computes. `difference`: absolute value of the relative
+    difference."""
 
     case: str
     quantity: str

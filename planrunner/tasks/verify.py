@@ -65,7 +65,7 @@ class Verification:
         return self.found.seal is not None and self.found.state is not None and self.found.state.finished
 
     def to_json(self) -> JsonObject:
-        """JSON data according to schemas/verification.schema.json."""
+        """Returns JSON data according to schemas/verification.schema.json."""
         found = self.found
         parts = found.files.values()
         return {
@@ -112,7 +112,7 @@ def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority
 
 
 def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[EvaluationApproval, ...]:
-    """Whether approvals cover the evaluation of each analysis. Adds faults to the findings of `found`."""
+    """Determines whether approvals cover the evaluation of each analysis. Adds faults to the findings of `found`."""
     evaluations = tuple(evaluation_approvals(found, ring))
     for one in evaluations:
         if one.fault:

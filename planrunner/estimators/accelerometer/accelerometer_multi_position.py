@@ -23,7 +23,7 @@ from planrunner.plan.selection import Detection
 
 
 class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, AxesQuantities | MagnitudeQuantities]):
-    """The estimator with the name `accelerometer_multi_position`."""
+    """Implements the estimator `accelerometer_multi_position`."""
 
     name = "accelerometer_multi_position"
     summary = "Bias, scale factor and misalignment of an accelerometer triad from many positions"

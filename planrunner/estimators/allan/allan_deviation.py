@@ -106,7 +106,7 @@ class AllanDeviationParameters(Record):
 
 
 class AllanDeviation:
-    """The estimator with the name `allan_deviation`."""
+    """Implements the estimator `allan_deviation`."""
 
     summary = "Allan deviations with confidence intervals, and noise coefficients N, B, K, Q with uncertainties"
     Parameters = AllanDeviationParameters

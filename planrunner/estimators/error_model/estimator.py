@@ -97,7 +97,7 @@ class ModelQuantities(Quantities):
 
 
 class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
-    """The estimator with the name `error_model`."""
+    """Implements the estimator `error_model`."""
 
     name = "error_model"
     summary = (

@@ -75,7 +75,7 @@ class CompensationResidualParameters(Record):
 
 
 class CompensationResidual:
-    """The estimator with the name `compensation_residual`."""
+    """Implements the estimator `compensation_residual`."""
 
     summary = "Residuals in verification positions after compensation with each of two or more sets of coefficients"
     Parameters = CompensationResidualParameters

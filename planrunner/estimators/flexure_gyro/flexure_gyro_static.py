@@ -85,7 +85,7 @@ class StaticQuantities(Quantities):
 
 
 class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
-    """The estimator with the name `flexure_gyro_static`."""
+    """Implements the estimator `flexure_gyro_static`."""
 
     name = "flexure_gyro_static"
     summary = "Static coefficients of a two-axis flexure gyro from positions at rest"

@@ -124,7 +124,7 @@ class ImuQuantities(Quantities):
 
 
 class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
-    """The estimator with the name `imu_multi_position`."""
+    """Implements the estimator `imu_multi_position`."""
 
     name = "imu_multi_position"
     summary = "Bias, scale factor, misalignment and g-sensitivity of IMU triads from positions and rates"

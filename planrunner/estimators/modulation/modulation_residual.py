@@ -67,7 +67,7 @@ class ModulationResidualParameters(Record):
 
 
 class ModulationResidual:
-    """The estimator with the name `modulation_residual`."""
+    """Implements the estimator `modulation_residual`."""
 
     summary = "Navigation errors with and without rotation of the sensor: suppression, CEP rates, residual modulation"
     Parameters = ModulationResidualParameters

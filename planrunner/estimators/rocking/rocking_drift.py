@@ -69,7 +69,7 @@ UNIT = "deg/h"
 
 
 class RockingDrift:
-    """The estimator with the name `rocking_drift`."""
+    """Implements the estimator `rocking_drift`."""
 
     summary = (
         "Drift of a platform while its base rocks, determined from gravity as measured by its accelerometers, "

@@ -13,7 +13,7 @@ from planrunner.estimators.strapdown.navigating import StrapdownNavigationParame
 
 
 class StrapdownNavigation:
-    """The estimator with the name `strapdown_navigation`."""
+    """Implements the estimator `strapdown_navigation`."""
 
     summary = "Inertial navigation by strapdown mechanisation: attitude, velocity and position errors, CEP rate"
     Parameters = StrapdownNavigationParameters

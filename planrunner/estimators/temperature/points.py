@@ -67,7 +67,7 @@ class Points:
 
     @property
     def sigma(self) -> Array:
-        """Positive standard uncertainties (n,) for the weights. If some uncertainties are not known, all are 1."""
+        """Returns the positive standard uncertainties for the weights, shape (n,). If some uncertainties are not known, all are 1."""
         known = np.isfinite(self.uncertainty).all() and bool((self.uncertainty > 0).all())
         return self.uncertainty if known else np.ones(len(self.value))
 

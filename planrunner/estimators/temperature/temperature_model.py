@@ -135,7 +135,7 @@ class Curves(Quantities):
 
 
 class TemperatureModel(Method[TemperatureModelParameters, Curves]):
-    """The estimator with the name `temperature_model`."""
+    """Implements the estimator `temperature_model`."""
 
     name = "temperature_model"
     summary = "Coefficients or outputs as functions of temperature: a polynomial or a spline, whose order is chosen by cross-validation"

@@ -102,7 +102,7 @@ class FixtureQuantities(Quantities):
 
 
 class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
-    """The estimator with the name `fixture_angles`."""
+    """Implements the estimator `fixture_angles`."""
 
     name = "fixture_angles"
     summary = "Angles of the axes in a fixture, from spins about one axis in two or more orientations of the fixture"

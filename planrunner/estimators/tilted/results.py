@@ -45,7 +45,7 @@ HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeat
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One reported result: its index in `TiltedResults.vector`, and the factor that converts it to `unit`."""
+    """Describes one reported result: its index in `TiltedResults.vector`, and the factor that converts it to `unit`."""
 
     at: int
     quantity: str

@@ -78,7 +78,7 @@ from planrunner.uncertainty.influences import Influence
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TiltedQuantities(Quantities):
-    """The results of a scale-factor test in a tilted fixture.
+    """Contains the results of a scale-factor test in a tilted fixture.
 
     `kept`: labels of the segments in complete series. `units`: for each axis, the unit of the rate and the unit of the output.
     `scatter`: type A uncertainty on the chosen basis. `within`: type A uncertainty from the noise within the segments alone.
@@ -99,7 +99,7 @@ class TiltedQuantities(Quantities):
 
 
 class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
-    """The estimator with the name `scale_factor_tilted`."""
+    """Implements the estimator `scale_factor_tilted`."""
 
     name = "scale_factor_tilted"
     summary = "Scale factors of several axes in one tilted mounting, over rates, repeats and temperatures"

@@ -59,7 +59,7 @@ class NoiseOfMeans:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """The type A uncertainty of the mean quantities of the groups.
+    """Contains the type A uncertainty of the groups' mean quantities.
 
     `covariance`: array of shape (g, 5·m, 5·m), covariance of the mean quantities of each group; the groups are independent of each
     other. `degrees_of_freedom`: array of shape (g, 5·m), degrees of freedom of the variances. `pooled`: array of shape (5·m,), True
@@ -268,7 +268,8 @@ def _correlation(products: Array) -> Array:
 
 
 def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -> float:
-    """Half of the drift of an axis's zero, as a root mean square over temperatures and repeats, without the contribution of noise.
+    """Returns half of the drift of an axis's zero, as a root mean square over temperatures and repeats. The contribution of noise
+    is removed.
 
     `sigma`: array of shape (N,), standard uncertainty of each segment's mean. `shared`: True to return only the part that all
     repeats have in common; this part includes noise.

@@ -351,8 +351,8 @@ def _acting(log_evidence: Mapping[str, float]) -> int:
 
 
 def log_prior(name: str, acting: int) -> float:
-    """Log prior of a hypothesis. All sets with the same number of effects have the same prior, if the plan can excite their
-    effects."""
+    """Returns the log prior of a hypothesis. All sets with the same number of effects have the same prior, if the plan can excite
+    their effects."""
     if name in PRIORS:
         return float(np.log(PRIORS[name]))
     parts = name.split("+")

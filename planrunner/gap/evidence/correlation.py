@@ -77,11 +77,11 @@ class Correlation:
         self.log_det = 2 * float(np.log(np.diagonal(self._factor, axis1=1, axis2=2)).sum())
 
     def apart(self, columns: Array) -> Array:
-        """Independent coefficients (M, …), from standardised ones."""
+        """Converts standardised coefficients (M, …) to independent ones."""
         return self._times(self._inverse, columns)
 
     def joined(self, columns: Array) -> Array:
-        """Standardised coefficients (M, …), from independent ones."""
+        """Converts independent coefficients (M, …) to standardised ones."""
         return self._times(self._factor, columns)
 
     def whole(self) -> Array:

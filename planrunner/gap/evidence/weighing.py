@@ -91,7 +91,7 @@ def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, w
 
 
 def lasting(observed: Observed) -> tuple[Array, Array]:
-    """Start and end times [s] of the segments, (S,) each."""
+    """Returns the start and end times [s] of the segments, each of shape (S,)."""
     size, twice = observed.bin_size, 2 * observed.sample_rate
     last = observed.time[observed.bounds[1:] - 1] + (size + 1) / twice
     return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last

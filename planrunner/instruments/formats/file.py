@@ -76,7 +76,8 @@ class SampleRows(Protocol):
     def count(self) -> int: ...
 
     def numbers(self, column: str) -> Array:
-        """The values (count,) of a column. A missing number is NaN. Raises `InstrumentError` for a value that is not a number."""
+        """Returns the values of a column, shape (count,). A missing number is NaN. Raises `InstrumentError` for a value that is not
+        a number."""
 
     def times(self, column: str, where: str) -> Array:
         """Returns the times [s] in a column of dates or times of day, shape (count,). A missing time is NaN. `where`: a text that

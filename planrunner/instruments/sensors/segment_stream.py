@@ -27,7 +27,7 @@ class Arriving(Protocol):
     def ring(self) -> Ring: ...
 
     def take(self) -> Sequence[Piece]:
-        """All bytes that have arrived since the last call, oldest first."""
+        """Returns all bytes that have arrived since the last call, oldest first."""
 
 
 class SegmentStream:

@@ -37,7 +37,7 @@ BACKLOG = 0.1
 
 
 class FirstFrames:
-    """The first frames after connecting, and what they show.
+    """Contains the first frames after connecting, and what they show.
 
     `seconds`: time between the first and the last good frame, not counting frames that waited in buffers. `heard`: time of the last
     good frame. `haste`: seconds of the bench's clock per second of real time; it is needed because the buffers follow real time.

@@ -94,8 +94,8 @@ class InertialAxis:
         return self.step * rate if self.counted else self.step
 
     def scale(self, off: Array, drawn: float) -> Array:
-        """True scale factor in the output's unit per SI input. `off`: difference [K] from the reference temperature. `drawn`:
-        relative error that was drawn at switch-on."""
+        """Returns the true scale factor in the output's unit per SI input. `off`: difference [K] from the reference temperature.
+        `drawn`: relative error that was drawn at switch-on."""
         return self.nominal * (1 + self.error + drawn + _polynomial(self.error_temperature, off))
 
     def drift(self, off: Array, since: Array, drawn: float) -> Array:

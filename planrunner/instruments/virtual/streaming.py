@@ -22,7 +22,7 @@ _SAMPLES = np.arange(BLOCK + 1, dtype=float)
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """How the dwell of one segment is sampled.
+    """Describes how the dwell of one segment is sampled.
 
     `start`: start time of the dwell, s. `rate`: sample rate, Hz. `count`: number of samples in all blocks. `hold`: number of
     samples in about one second; slow quantities of the sensor are held constant over this number of samples. `size`: number of

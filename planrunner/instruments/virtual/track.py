@@ -37,7 +37,7 @@ class TrackProgress:
     period: float | None = None
 
     def follow(self, times: Array) -> tuple[Array, Array, Array]:
-        """Distance [m], velocity [m/s] and acceleration [m/s^2] along the track at `times` [s]."""
+        """Returns the distance [m], the velocity [m/s] and the acceleration [m/s^2] along the track at `times` [s]."""
         elapsed = np.maximum(times - self.start, 0.0)
         if self.period is not None:
             circular = 2 * math.pi / self.period

@@ -148,7 +148,7 @@ class ControlState:
         return f"{head}: {'; '.join(self.reasons)}" if self.reasons else head
 
     def to_json(self) -> JsonObject:
-        """JSON data according to schemas/check-standard.schema.json."""
+        """Returns JSON data according to schemas/check-standard.schema.json."""
         return {
             "planrunner_check_standard": CHECK_STANDARD_FORMAT,
             "bench": self.bench,

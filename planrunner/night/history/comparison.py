@@ -50,7 +50,7 @@ class RunComparison:
         return any(one.largest_en is not None and one.largest_en > 1 for one in self.coefficients)
 
     def to_json(self) -> JsonObject:
-        """JSON data according to schemas/comparison.schema.json."""
+        """Returns JSON data according to schemas/comparison.schema.json."""
         return {
             "planrunner_comparison": COMPARISON_FORMAT,
             "runs": [{**run.to_json(), "folder": name} for name, run in zip(self.names, self.runs, strict=True)],

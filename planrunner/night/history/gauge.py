@@ -83,7 +83,7 @@ class GaugeStudy:
     unused: int
 
     def to_json(self, quantity: str, unit: str) -> JsonObject:
-        """JSON data according to schemas/gauge.schema.json."""
+        """Returns JSON data according to schemas/gauge.schema.json."""
         return {
             "planrunner_gauge": GAUGE_FORMAT,
             "quantity": quantity,

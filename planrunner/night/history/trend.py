@@ -57,7 +57,7 @@ class Trend:
         return None if left >= HORIZON else moment(self.points[-1]) + timedelta(days=left)
 
     def to_json(self) -> JsonObject:
-        """JSON data according to schemas/history.schema.json."""
+        """Returns JSON data according to schemas/history.schema.json."""
         charts, drift, due = self.charts, self.drift, self.next_calibration
         return {
             "planrunner_history": HISTORY_FORMAT,
