@@ -247,10 +247,10 @@ class Observed:
 
     @cached_property
     def unknown_phase(self) -> Array:
-        """Returns a complex amplitude for each segment and channel, SI, shape (S, K). It describes the part of the channel's
-        nominal input that varies once per turn and whose phase is unknown. If the angle θ of the table were right, this part would
-        be the real part of the amplitude times exp(iθ). The amplitude is zero in segments whose table angle is known or can be seen
-        from gravity."""
+        """Returns a complex amplitude for each segment and channel, SI, shape (S, K). The amplitude describes the part of the
+        channel's nominal input that varies once per turn and whose phase is unknown. If the angle θ of the table were right, this
+        part would be the real part of the amplitude times exp(iθ). The amplitude is zero in segments whose table angle is known or
+        can be seen from gravity."""
         out = np.zeros((len(self), len(self.channels)), dtype=complex)
         for index, (motion, source) in enumerate(zip(self.motions, self.angle_from, strict=True)):
             if source is AngleFrom.NOTHING and isinstance(motion, Spin):

@@ -33,7 +33,7 @@ _LEAST = 0.01  # of a variance that flicker within the segments leaves for white
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlickerEvidence:
-    """Contains the n observations of a channel, in its unit. They follow a linear model and may contain flicker.
+    """Contains the n observations of a channel, in its unit. The observations follow a linear model and may contain flicker.
 
     `columns`: array of shape (n, p), columns of the model. `values`: array of shape (n,), the observations. `sigma`: array of shape
     (n,), standard deviations of the noise of the observations. `freedom`: degrees of freedom of this noise. `flicker`: array of

@@ -99,7 +99,7 @@ def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Arra
 
 
 def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Array:
-    """Returns the sign of the last change of temperature up to each segment, shape (S,). It comes from setpoints if they are
+    """Returns the sign of the last change of temperature up to each segment, shape (S,). The sign comes from setpoints if they are
     planned, otherwise from mean temperatures."""
     signs, last, before = [], 0.0, None
     for item, mean in zip(recording, means, strict=True):

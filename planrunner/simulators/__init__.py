@@ -1,2 +1,2 @@
-"""Simulates instruments in a separate process, which is reached over loopback TCP and pseudo-terminals. They share no code with the
-drivers."""
+"""Simulates instruments in a separate process, which is reached over loopback TCP and pseudo-terminals. The simulated instruments
+share no code with the drivers."""

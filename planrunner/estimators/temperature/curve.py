@@ -207,9 +207,9 @@ class RampScatter:
 
 @dataclass(frozen=True, slots=True)
 class SummedCovariance:
-    """Contains the covariance of m coefficients as a sum of independent mean squares. They come from noise and from the scatter of
-    ramps; each mean square has its own degrees of freedom. `parts`: pairs of a matrix (m, m) and its degrees of freedom, one pair
-    for each mean square; the first matrix may have negative eigenvalues."""
+    """Contains the covariance of m coefficients as a sum of independent mean squares. The mean squares come from noise and from the
+    scatter of ramps; each mean square has its own degrees of freedom. `parts`: pairs of a matrix (m, m) and its degrees of freedom,
+    one pair for each mean square; the first matrix may have negative eigenvalues."""
 
     parts: tuple[tuple[Array, float], ...]
 

@@ -1,4 +1,5 @@
-"""Computes the evidence for the effects that act only on the noise. It compares white noise and resolution with their declarations.
+"""Computes the evidence for the effects that act only on the noise. White noise and resolution are compared with their
+declarations.
 
 A declaration can be wrong: with probability 0.8 it is correct within a few per cent. Otherwise it is wrong by up to a factor of
 two, either by the same factor in all channels or by a different factor in each triad. Only larger deviations, or deviations of the

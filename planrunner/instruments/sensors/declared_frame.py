@@ -47,8 +47,8 @@ class FieldOfFrame(ScaledNumber):
 
 
 class CounterOfFrame(Record):
-    """Declares the bench-file keys of the counter in a frame. It counts through all values of its type, or up to `modulus` − 1, and
-    then starts again from zero."""
+    """Declares the bench-file keys of the counter in a frame. The counter counts through all values of its type, or up to `modulus`
+    − 1, and then starts again from zero."""
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Position of its first byte.", 14, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")

@@ -1,5 +1,5 @@
-"""Drives the sensors KVH 1775 and DSP-1760. They send rotations and accelerations as floating-point numbers in the binary output
-formats A, B and C.
+"""Drives the sensors KVH 1775 and DSP-1760. The sensors send rotations and accelerations as floating-point numbers in the binary
+output formats A, B and C.
 
 In all formats, a frame consists of a sync, six numbers, a status, a sequence number and a CRC-32. In format B, a time stamp
 precedes the status. In format C, the sequence number determines whether a frame contains the temperature or a component of the

@@ -1,4 +1,5 @@
-"""Simulates an inertial sensor: gyros and accelerometers on the table of the virtual world. They integrate their input.
+"""Simulates an inertial sensor: gyros and accelerometers on the table of the virtual world. The gyros and accelerometers integrate
+their input.
 
 A sample is the mean over its sampling interval; its time is the end of the interval. The error model is in `inertial_axis.py`; it
 shares no formula with the estimators."""

@@ -1,5 +1,5 @@
-"""Simulates the stabilised element of a virtual platform. It is caged to the base, then released and fixed in inertial space except
-for its drift.
+"""Simulates the stabilised element of a virtual platform. The element is caged to the base, then released and fixed in inertial
+space except for its drift.
 
 In axes of the element, the drift angle is the sum of a constant rate, a rate caused by rocking, a random walk, and a transient
 after caging: during the first minute, the element leaves the dead region of the levelling loops. Rocking causes drift by

@@ -1,5 +1,5 @@
-"""Simulates a position/rate table with one to three axes and their limits. It has a pointing error at every orientation, and a rate
-error."""
+"""Simulates a position/rate table with one to three axes and their limits. The table has a pointing error at every orientation, and
+a rate error."""
 
 from __future__ import annotations
 

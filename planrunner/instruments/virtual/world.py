@@ -1,7 +1,7 @@
 """Simulates the surroundings of the sensor: attitude of the table, temperatures, and input of the sensor at any time.
 
-It depends only on the last command and the time since then, not on the number of queries. A resumed run is therefore identical to
-an uninterrupted one, to the bit. The drivers of table and chamber change the world; the sensor reads it.
+The surroundings depend only on the last command and the time since then, not on the number of queries. A resumed run is therefore
+identical to an uninterrupted one, to the bit. The drivers of table and chamber change the world; the sensor reads it.
 """
 
 from __future__ import annotations
