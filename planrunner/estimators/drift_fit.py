@@ -221,7 +221,7 @@ def _doubted(
     found = fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
-    return (DoubtedDrift(course, _not_corrected(course, found, noises, basis), probability),)
+    return (DoubtedDrift(course, _not_corrected(course, fits(matrix), found, noises, basis), probability),)
 
 
 def _hidden(
@@ -234,10 +234,12 @@ def _hidden(
 ) -> tuple[DoubtedDrift, ...]:
     """Makes a `DoubtedDrift` for each recorded temperature that changed and that the segments hardly separate from a coefficient. A
     temperature is left out if it is already in doubt, or if it cannot be separated at all."""
-    known = {one.course.name for one in doubted}
+    known, plain = {one.course.name for one in doubted}, fits(matrix)
     return tuple(
         DoubtedDrift(
-            one.course, _not_corrected(one.course, fits(joined(matrix, (one.course,))), noises, basis), one.probability
+            one.course,
+            _not_corrected(one.course, plain, fits(joined(matrix, (one.course,))), noises, basis),
+            one.probability,
         )
         for one in suspected
         if one.course.changed and np.isfinite(one.growth) and one.course.name not in known
@@ -245,15 +247,21 @@ def _hidden(
 
 
 def _not_corrected(
-    course: DriftCourse, found: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise], basis: str
+    course: DriftCourse,
+    plain: Sequence[LinearFit],
+    found: Sequence[LinearFit],
+    noises: Sequence[WithinSegmentNoise],
+    basis: str,
 ) -> Array:
     """Returns the sizes (m, r) of a drift function as an error that is not corrected: √(a² + u²) of each fitted amplitude a and its
-    standard uncertainty u. `found`: the fits of the outputs with the drift function. If the uncertainties are based on residuals,
-    u follows from the residuals of these fits."""
+    standard uncertainty u. `plain`, `found`: the fits of the outputs without and with the drift function. If the uncertainties are
+    based on residuals, u follows from the residuals of the fits with the drift function. If these fits have no degrees of freedom, u
+    follows from the residuals of the fits without the drift function."""
     r = course.columns.shape[1]
     amplitudes = np.array([one.coefficients[-r:] for one in found])
     by_noise = [noise.known and basis != "residual" for noise in noises]
-    scales = [1.0 if known else one.variance_factor for one, known in zip(found, by_noise, strict=True)]
+    scattering = found if found[0].degrees_of_freedom else plain
+    scales = [1.0 if known else one.variance_factor for one, known in zip(scattering, by_noise, strict=True)]
     variances = np.array([scale * np.diag(one.cofactor)[-r:] for one, scale in zip(found, scales, strict=True)])
     return np.asarray(np.sqrt(amplitudes**2 + variances))
 

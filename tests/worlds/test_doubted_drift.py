@@ -86,6 +86,32 @@ def test_a_temperature_that_looks_like_coefficients_is_an_error_that_is_not_corr
     assert "but the uncertainties include the change that it would cause" in text
 
 
+def test_a_temperature_that_leaves_no_residuals_is_in_the_uncertainty() -> None:
+    """Seven positions: a drift with temperature fits the means exactly. With one spare observation, the residuals without the drift
+    measure the drift alone, so that the standard uncertainty of its amplitude is the amplitude itself."""
+    seven = replace(EIGHT, plan=EIGHT.plan.replace("segments: P*", "segments: [P1, P2, P3, P4, P5, P6, P7]"))
+    world = WORLDS["temperature drift, recorded"]
+    _, made = recorded(EIGHT, world, np.random.default_rng([13, 1]))
+
+    def with_keys(keys: str) -> Estimate:
+        asked = replace(seven, plan=seven.plan.replace("P7]", f"P7], {keys}"))
+        one = estimated(asked, known(asked, world), made)
+        assert isinstance(one, Estimate), one
+        return one
+
+    found, without = with_keys("uncertainty: residual"), with_keys("uncertainty: residual, drift: none")
+    fitted = with_keys("uncertainty: within_segment, drift: temperature")
+    assert sum(item.name[0] in "UV" for item in found.coefficients) == 12
+    for item in found.coefficients:
+        assert np.isfinite(item.standard_uncertainty), item.name
+        if item.name[0] in "UV":
+            change = fitted[item.name].value - without[item.name].value
+            together = np.hypot(without[item.name].standard_uncertainty, np.sqrt(2) * change)
+            assert item.standard_uncertainty == pytest.approx(together, rel=1e-6)
+    [text] = [text for text in found.warnings if "hard to distinguish from" in text]
+    assert "but the uncertainties include the change that it would cause" in text
+
+
 @pytest.mark.slow
 def test_intervals_of_a_unit_that_warms_up_hold_the_truth() -> None:
     """150 runs: each coefficient within four binomial standard deviations of 95 %, and a warning that names the drift in all but two."""
