@@ -131,8 +131,13 @@ class PlaysBack(OnlyRead):
     """Base class for drivers that play back a recording. Samples, orientations, rates and temperatures all come from the recording."""
 
     def look_over(self, segments: Sequence[Segment], log: Findings) -> None:
-        """Examines the recording before the segments are played back, and adds errors and warnings to `log`."""
-        raise NotImplementedError
+        """Examines the recording before the segments are played back, and adds errors and warnings to `log`. If a driver has no such
+        method of its own, its method `foresee` examines the recording, and the reasons of an `UnservedError` are added to `log`."""
+        if isinstance(self, Foresees):
+            try:
+                self.foresee(segments)
+            except UnservedError as error:
+                log.extend(error.findings)
 
 
 class TakesEffects(OnlyRead):
