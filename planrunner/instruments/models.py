@@ -110,10 +110,10 @@ class ChamberModel:
 class NoiseModel:
     """Describes the noise of one output, in the unit of the output.
 
-    `white`: random-walk coefficient N [unit·√s]; the mean over T seconds has the variance N²/T. `bias_instability`: floor of the
-    flicker noise [unit]. `resolution`: size of one count [unit]. `counted`: True if the part of a sample that does not fill a count
-    is carried to the next sample, so that only the two ends of a mean are rounded. `states_flicker`: True if the bench file
-    declares a bias instability, which may be zero.
+    `white`: random-walk coefficient N [unit·√s]; the mean over T seconds has the variance N²/T. `bias_instability`: coefficient B
+    of IEEE Std 952 [unit]; the flat part of the Allan deviation is 0.664·B. `resolution`: size of one count [unit]. `counted`: True
+    if the part of a sample that does not fill a count is carried to the next sample, so that only the two ends of a mean are
+    rounded. `states_flicker`: True if the bench file declares a bias instability, which may be zero.
     """
 
     white: float = 0.0

@@ -112,7 +112,9 @@ class ChannelColumn(Record):
         "0.085 deg/sqrt(h)",
     )
     bias_instability: Quantity | None = optional(
-        QuantityOf(None, "not negative"), "Flicker floor of the output.", "2 deg/h"
+        QuantityOf(None, "not negative"),
+        "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
+        "2 deg/h",
     )
     resolution: Quantity | None = optional(QuantityOf(None, "not negative"), "One count.", "0.0005 deg/s")
     full_scale: Quantity | None = optional(QuantityOf(None, "positive"), "Full scale, for both signs.", "2000 deg/s")

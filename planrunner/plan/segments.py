@@ -60,8 +60,7 @@ class Tolerated(Record):
 
 
 class StabilitySpec(Tolerated):
-    """Declares a wait until the readings have settled: each reading must stay within its limit for the time `for`, without
-    interruption."""
+    """Declares a wait until the readings have settled: each stays within its limit for the time `for`, without interruption."""
 
     for_: Quantity = key(
         QuantityOf("time", "positive"),
@@ -181,8 +180,7 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 
 
 class MotionSpec(Record):
-    """Declares what the sensor does while the segment records. Give one of rate, rock, cycle and recorded; if none is given, the
-    sensor is at rest."""
+    """Declares what the sensor does while it records: one of rate, rock, cycle and recorded; without these, the sensor is at rest."""
 
     rate: Quantity | None = optional(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY), "Constant rate about the rotation axis.", "300 deg/s"

@@ -31,7 +31,9 @@ class GyroKnowledge(Record):
         "0.15 deg/sqrt(h)",
     )
     bias_instability: Quantity | None = optional(
-        QuantityOf("angular rate", "not negative"), "Flicker floor of the output.", "0.3 deg/h"
+        QuantityOf("angular rate", "not negative"),
+        "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
+        "0.3 deg/h",
     )
 
 
@@ -47,7 +49,9 @@ class AccelerometerKnowledge(Record):
         "0.07 m/s/sqrt(h)",
     )
     bias_instability: Quantity | None = optional(
-        QuantityOf("acceleration", "not negative"), "Flicker floor of the output.", "0.05 mg"
+        QuantityOf("acceleration", "not negative"),
+        "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
+        "0.05 mg",
     )
 
 
