@@ -7,15 +7,17 @@ import pytest
 from coverage_experiment import NAMES, SCENARIOS, coverage, flicker_in_segments
 
 RUNS = 1_000
+DOUBTED = 0.214
+"""Fraction of the runs without a drift in which a drift is in doubt (decision 86). Their intervals are wider and may all hold the truth."""
 
 
 def joint_tolerance() -> tuple[int, int]:
     """The range that each binomial count may take, jointly at 1 % (Šidák) for 12 coefficients on two bases in seven experiments, if every
-    interval covers 95 %."""
+    interval covers 95 %, or 100 % in the runs in which a drift is in doubt."""
     from scipy.stats import binom
 
     each = 1 - 0.99 ** (1 / (12 * 2 * 7))
-    return int(binom.ppf(each / 2, RUNS, 0.95)), int(binom.ppf(1 - each / 2, RUNS, 0.95))
+    return int(binom.ppf(each / 2, RUNS, 0.95)), int(binom.ppf(1 - each / 2, RUNS, 0.95 + 0.05 * DOUBTED))
 
 
 @pytest.mark.slow
