@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom, t
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.closure import FOLDS, Amplitudes, KnownCause, NotMeasured, dealt_by_motion, measured
+from planrunner.gap.answer.closure import FOLDS, Amplitudes, KnownCause, NotMeasured, closure, dealt_by_motion, measured
 from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
 from planrunner.plan.schedule import Rock
 from tests.gap.turntable import kept, record
@@ -179,3 +179,20 @@ def test_what_one_segment_alone_shows_cannot_be_seen_to_close(rocks: int, resolv
         assert found.closure.reason is NotMeasured.NOT_REPEATED
         assert found.closure.repetition is not None
         assert found.closure.repetition.shrinks_by > 0.8
+
+
+def test_the_repetition_is_that_of_the_named_effect() -> None:
+    """Another hypothesis explains hardly anything, but its single form is more probable than each of the two forms of the named effect:
+    the gap shrinks as it does if the named effect is the only hypothesis."""
+    found = _rocking(1)
+    assert found.grounds is not None and found.grounds.noise is not None
+    weighing, noise = found.grounds.weighing, found.grounds.noise
+    named = max(found.grounds.choices, key=lambda choice: choice.probability)
+    forms = [replace(named, probability=0.3)] * 2
+    turned = [raw * np.resize([1.0, -1.0], len(raw))[:, None] for raw in named.raw]
+    other = replace(named, effect="other", raw=tuple(turned), probability=0.4)
+    alone = closure(weighing, noise, forms, 0.4, named.effect).repetition
+    beside = closure(weighing, noise, [*forms, other], 0.0, named.effect).repetition
+    assert alone is not None and beside is not None
+    assert alone.shrinks_by > 0.8
+    assert beside.shrinks_by == pytest.approx(alone.shrinks_by, abs=0.1)

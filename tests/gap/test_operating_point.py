@@ -67,7 +67,7 @@ def test_the_interval_includes_the_uncertainty_of_bias_and_scale_factor() -> Non
             used = choices if told else [replace(choice, point=None) for choice in choices]
             likeliest = max(used, key=lambda choice: choice.probability)
             noise = measured_noise(weighing, likeliest, np.zeros(len(weighing.base)), False, True)
-            found = closure(weighing, noise, used, 0.0)
+            found = closure(weighing, noise, used, 0.0, "gyro_dead_zone")
             gap, difference, _ = predictions(weighing, noise, used, coefficients)
             true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
             held[told] += bool(found.interval_90[0] <= true <= found.interval_90[1])

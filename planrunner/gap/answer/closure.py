@@ -304,9 +304,11 @@ def _probable_shapes(best: Weighed, candidate: Candidate) -> list[tuple[Weighed,
     ]
 
 
-def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], beyond: float) -> Closure:
+def closure(
+    weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], beyond: float, named: str
+) -> Closure:
     """Computes the closure. `choices`: the effects and sets of effects among which each fold chooses again. `beyond`: probability
-    that none of `choices` is the whole cause."""
+    that none of `choices` is the whole cause. `named`: the effect or set of the verdict, which is one of `choices`."""
     if not choices:
         return not_measured(NotMeasured.NO_EFFECT)
     if len(weighing.observed) < FEWEST:
@@ -319,7 +321,7 @@ def closure(weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoi
     if _told(choices[likeliest].widths, alone, likeliest, folds) < TOLD:
         return replace(
             not_measured(NotMeasured.NOT_REPEATED),
-            repetition=_repetition(weighing, noise, choices, [fit.amplitudes for fit in fits], shares, beyond),
+            repetition=_repetition(weighing, noise, choices, [fit.amplitudes for fit in fits], shares, beyond, named),
         )
     amplitudes = [fit.amplitudes for fit in fits]
     every = [np.ones(len(fold.channel), dtype=bool) for fold in folds]
@@ -343,12 +345,15 @@ def _repetition(
     amplitudes: Sequence[Amplitudes],
     shares: Array,
     beyond: float,
+    named: str,
 ) -> Repetition | None:
-    """By how much the most probable choice, fitted to all segments, would reduce the gap in a repetition of these segments, in which
-    only the noise differs; None if the data do not determine this. The nominal parameters are fitted to each repetition. `amplitudes`:
-    those of each choice; `shares`: the probabilities of the choices."""
+    """By how much the most probable form of the named effect or set, fitted to all segments, would reduce the gap in a repetition of
+    these segments, in which only the noise differs; None if the data do not determine this. The nominal parameters are fitted to
+    each repetition. `amplitudes`: those of each choice; `shares`: the probabilities of the choices."""
     fits = _fits(weighing, noise, [replace(choice, point=None) for choice in choices])
-    likeliest = int(np.argmax(shares if shares.any() else [fit.log_bayes for fit in fits]))
+    own = np.array([choice.effect == named for choice in choices])
+    ranks = shares if shares[own].any() else np.array([fit.log_bayes for fit in fits])
+    likeliest = int(np.argmax(np.where(own, ranks, -np.inf)))
     signatures = [np.concatenate(fit.columns) for fit in fits]
     moving = [_projected_change(fit, choice) for fit, choice in zip(fits, choices, strict=True)]
     difference = signatures[likeliest] @ fits[likeliest].amplitudes.mean

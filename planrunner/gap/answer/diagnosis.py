@@ -239,7 +239,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         tuple(ambiguity_set(found.probability, said)),
         absorbed,
         tuple(_parameters(weighing, said, found, by_id, effects, exact, apart, ratios)),
-        replace(_closure(weighing, noise, choices, max(beyond, 0.0), said), unpredicted=unpredicted),
+        replace(_closure(weighing, noise, choices, max(beyond, 0.0), key, said), unpredicted=unpredicted),
         unknown_form(weighing, found) if "unknown" in (said.kind, said.residue, *said.members) else None,
         rest,
         pictures(weighing, usable, after),
@@ -249,12 +249,17 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
 
 
 def _closure(
-    weighing: Weighing, noise: MeasuredNoise | None, choices: Sequence[FoldChoice], beyond: float, said: Verdict
+    weighing: Weighing,
+    noise: MeasuredNoise | None,
+    choices: Sequence[FoldChoice],
+    beyond: float,
+    named: str,
+    said: Verdict,
 ) -> Closure:
     """Returns the closure, or the reason why there is none."""
     if noise is None:
         return not_measured(NotMeasured.RANDOM if said.effects else NotMeasured.NO_EFFECT)
-    return closure(weighing, noise, choices, beyond)
+    return closure(weighing, noise, choices, beyond, named)
 
 
 def _given(candidates: Sequence[Candidate], names: Sequence[str]) -> list[Member]:
