@@ -13,7 +13,7 @@ from recorded import from_samples
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.error_model.estimator import ErrorModelEstimator
-from planrunner.estimators.error_model.within import errors_of_phase
+from planrunner.estimators.error_model.within import errors_of_phase, known_in_batches
 from planrunner.estimators.interface import EstimateRequest, EstimationError
 from planrunner.estimators.method import designed
 from planrunner.plan.schedule import Spin
@@ -161,3 +161,12 @@ def test_an_unknown_phase_has_the_moments_of_all_phases() -> None:
     assert found.shape == (5, 8)
     assert found.T @ found == pytest.approx(errors.T @ errors / len(errors), abs=0.1)
     assert errors_of_phase(turning[1:2]).shape == (0, 1)
+
+
+@pytest.mark.parametrize(("turns", "columns"), [(1.0, 1), (3.0, 1), (0.7, 3)])
+def test_whole_turns_in_each_batch_leave_nothing_to_fit_but_the_mean(turns: float, columns: int) -> None:
+    """The batch means of an input once per turn are then zero, apart from rounding errors."""
+    angle = 2 * np.pi * turns * np.arange(16 * 50 + 7) / 50
+    found = known_in_batches(3e-4 * np.exp(1j * angle), 50)
+    assert found.shape == (16, columns)
+    assert known_in_batches(np.zeros(16 * 50, complex), 50).shape == (16, 1)

@@ -41,6 +41,7 @@ _RESOLVED = 1e-12  # of the largest eigenvalue of JᵀJ, for columns of size one
 _REWEIGHTED = 2.0  # change of a weight from which the shapes are sought anew
 _KEPT = 12  # evaluations of the columns
 _MOVED_ROUNDS = 3
+_ROUNDING = 1e-9  # of the largest value of an input once per turn: a mean that is smaller is a rounding error
 _BATCHES = 16  # of a segment, for the judgement whether its noise is white
 _FEWEST_SEGMENTS = 3  # whose contributions to a contrast can be compared
 _IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
@@ -531,14 +532,23 @@ class _Problem:
             length = (part.stop - part.start) // _BATCHES
             if length < 4 or not own > 0:
                 continue
-            within = np.array([left[part], self._turning[part].real, self._turning[part].imag])[:, : length * _BATCHES]
-            batches, *turning = within.reshape(3, _BATCHES, length).mean(axis=2)
-            known = np.array([np.ones(_BATCHES), *(one for one in turning if one.any())]).T
+            batches = left[part][: length * _BATCHES].reshape(_BATCHES, length).mean(axis=1)
+            known = known_in_batches(self._turning[part], length)
             rest = batches - known @ np.linalg.lstsq(known, batches, rcond=None)[0]
             variance = own**2 / length + self.output.flicker**2 * math.log(_BATCHES) / math.pi
             total += float(np.sum(rest**2)) / variance
             freedom += _BATCHES - known.shape[1]
         return total / freedom if freedom and chdtrc(freedom, total) < SIGNIFICANCE else 1.0
+
+
+def known_in_batches(turning: NDArray[np.complex128], length: int) -> Array:
+    """Returns the columns (_BATCHES, k) that are fitted to the batch means of a segment: a constant, and the batch means of the two
+    parts of an input once per turn. A part is left out if its batch means are rounding errors, as with whole turns in each batch.
+    `turning`: array of shape (n,), as `errors_of_phase` takes it. `length`: number of samples in a batch."""
+    within = turning[: length * _BATCHES]
+    parts = np.array([within.real, within.imag]).reshape(2, _BATCHES, length).mean(axis=2)
+    least = _ROUNDING * np.max(np.abs(within))
+    return np.array([np.ones(_BATCHES), *(one for one in parts if np.max(np.abs(one)) > least)]).T
 
 
 def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
