@@ -35,8 +35,9 @@ from planrunner.instruments.formats.guessing import (
 )
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_motion import TurnComparison, turns_compared
+from planrunner.physics.earth import EARTH_RATE
 from planrunner.plan.span import Span
-from planrunner.plan.units import STANDARD_GRAVITY
+from planrunner.plan.units import STANDARD_GRAVITY, unit
 
 FileRows = Iterator[tuple[int, Array, dict[str, Array]]]
 WINDOW = 0.5
@@ -178,7 +179,8 @@ class Look:
         means = [_at_rest(self.windows, (span,), self.windows.mean[gyro.column]) / gyro.per_unit for span in self.still]
         within = max(float(np.nanmax(one) - np.nanmin(one)) for one in means)
         step = float(np.max(np.abs(np.diff([np.nanmean(one) for one in means]))))
-        return step > max(_RATES_DIFFER * gyro.noise, _ABOVE_DRIFT * within)
+        of_earth = 0.0 if gyro.counts else 2 * EARTH_RATE / unit(gyro.unit).factor
+        return step > max(_RATES_DIFFER * gyro.noise, _ABOVE_DRIFT * within, of_earth)
 
     def mean_in(self, span: Span, channel: LikelyChannel) -> float:
         """Returns the mean of a channel in an interval, in the unit of the channel."""

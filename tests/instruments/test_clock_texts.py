@@ -61,6 +61,8 @@ def test_a_date_with_a_time(text: str, expected: datetime) -> None:
         ("12:00:00:005", 43200.005),
         ("00:01.25", 1.25),
         ("59:59.9", 3599.9),
+        ("60:00.5", 3600.5),
+        ("125:00.0", 7500),
         ("120000.005", 43200.005),
     ],
 )
@@ -68,7 +70,9 @@ def test_a_time_of_day(text: str, expected: float) -> None:
     assert seconds_of(text, "here") == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("text", ["25:61:00", "noon", "2026-02-30 12:00:00", "2026-13-01 12:00:00", "", "1.5"])
+@pytest.mark.parametrize(
+    "text", ["25:61:00", "noon", "2026-02-30 12:00:00", "2026-13-01 12:00:00", "1:60:00", "", "1.5"]
+)
 def test_what_is_no_time(text: str) -> None:
     with pytest.raises(InstrumentError, match="here"):
         seconds_of(text, "here")

@@ -130,7 +130,8 @@ def _seconds(parts: dict[str, pa.Array]) -> tuple[Array, NDArray[np.bool_]]:
     zone = pc.replace_substring(parts["z"], ":", "")
     sign = np.where(np.asarray(pc.starts_with(zone, "-"), bool), -1.0, 1.0)
     ahead = _number(pc.utf8_slice_codeunits(zone, 1, 3)) * 3600 + _number(pc.utf8_slice_codeunits(zone, 3, 5)) * 60
-    seconds = np.where((hours < 25) & (minutes < 60) & (whole < 61), seconds - sign * ahead, np.nan)
+    alone = np.asarray(pc.equal(parts["h"], ""), bool)  # minutes without hours continue after 59
+    seconds = np.where((hours < 25) & (alone | (minutes < 60)) & (whole < 61), seconds - sign * ahead, np.nan)
     dated = ~np.asarray(pc.equal(parts["a"], ""), bool)
     return np.where(dated, seconds + DAY * _days(parts, dated), seconds), dated
 

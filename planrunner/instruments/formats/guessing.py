@@ -109,7 +109,8 @@ _INTEGRATED = {
 }
 """The unit of a sensor whose increments have the unit in the name."""
 _NO_SAMPLE = re.compile(
-    r"time|covar|varian|std|sigma|clip|(?:^|[^a-z])dt(?:[^a-z]|$)|abs|norm|magnitude|resultant|status|valid",
+    r"(?<!real)(?<!real[_ -])(?<!run)time|covar|varian|std|sigma|clip|(?:^|[^a-z])dt(?:[^a-z]|$)|(?<![a-z])abs|(?-i:Abs)|norm|magnitude"
+    r"|resultant|status|valid(?!ation)",
     re.IGNORECASE,
 )
 """Names of columns that belong to a sensor, but are not one of its outputs."""
@@ -352,7 +353,9 @@ def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | N
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
     found: dict[str, str] = {}
     for column in dict.fromkeys(known):
-        if column in numbers or not (guessed_channel(column).sensed or _TIME.search(column)):
+        if column in numbers or known.count(column) > 1:
+            continue
+        if not (guessed_channel(column).sensed or _TIME.search(column)):
             continue
         file = open_file(path, name, TimeStamps(None, period=1.0), {column: column}, given)
         try:
@@ -384,8 +387,9 @@ def sensors_in_rows(path: Path, name: str, numbers: Sequence[str], given: Format
     file = open_file(path, name, TimeStamps(None, period=1.0), {}, given)
     if not isinstance(file, TextFile):
         return "", ()
-    for column in file.columns()[:MOST_COLUMNS]:
-        if column and column not in numbers:
+    known = file.columns()[:MOST_COLUMNS]
+    for column in known:
+        if column and column not in numbers and known.count(column) == 1:
             words = file.words(column)
             if {"accel", "gyro"} <= {guessed_channel(word).sensed for word in words}:
                 return column, words
