@@ -20,7 +20,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark
 from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.recording_file import RecordingFile
-from planrunner.instruments.sample_rates import constant_rates
+from planrunner.instruments.sample_rates import RowsAtOneRate, SampleRates
 from planrunner.plan.span import ROUNDING, Span
 
 GAP = 1.5
@@ -82,15 +82,15 @@ class _Seen:
 class _Pass:
     """What one pass over a recording has found so far.
 
-    `period`: usual sample period, s. `local`: sample period [s] at the last row; NaN before the first. `faults`: descriptions of the
-    first rows whose time is wrong. `wrong`: total number of rows whose time is wrong. `missing`: number of missing values of each
+    `period`: usual sample period, s. `divider`: divides the rows where the sample rate changes. `faults`: descriptions of the first
+    rows whose time is wrong. `wrong`: total number of rows whose time is wrong. `missing`: number of missing values of each
     channel. `lowest`, `highest`: smallest and largest value of each channel. `rates`: each time [s] at which the sample rate
     changes, with the new rate [Hz].
     """
 
     period: float
     seen: list[_Seen]
-    local: float = math.nan
+    divider: SampleRates = field(default_factory=SampleRates)
     rows: int = 0
     first: float = math.nan
     last: float = math.nan
@@ -124,19 +124,24 @@ class _Pass:
         if self.wrong:
             return  # where segments lie cannot be said
         complete = np.all([np.isfinite(values) for values in columns.values()], axis=0)
-        for rows, period in constant_rates(time, self.local):
-            if period != self.local and not math.isnan(self.local):
-                self.rates.append((float(time[rows.start]), 1 / period))
-            self.local = period
-            self._take_wanted(time[rows], complete[rows], wanted)
+        for part in self.divider.take(time, complete):
+            self._take_part(part, wanted)
 
-    def _take_wanted(self, time: Array, complete: NDArray[np.bool_], wanted: Sequence[Wanted]) -> None:
+    def finish(self, wanted: Sequence[Wanted]) -> None:
+        """Processes the last rows of the recording."""
+        for part in self.divider.rest():
+            self._take_part(part, wanted)
+
+    def _take_part(self, part: RowsAtOneRate, wanted: Sequence[Wanted]) -> None:
         """Adds rows with one sample rate to the intervals to which they belong."""
+        time, period = part.time, self.period if math.isnan(part.period) else part.period
+        if part.changed:
+            self.rates.append((float(time[0]), 1 / period))
         for one, seen in zip(wanted, self.seen, strict=True):
-            if one.span.start <= time[-1] + self.local and one.span.end > time[0]:
-                part = one.played.of(time, self.local)
-                if part.start < part.stop:
-                    seen.take(time[part], complete[part], self.local)
+            if one.span.start <= time[-1] + period and one.span.end > time[0]:
+                rows = one.played.of(time, period)
+                if rows.start < rows.stop:
+                    seen.take(time[rows], part.data[rows], period)
 
 
 def scan(
@@ -168,6 +173,7 @@ def scan(
         log.warning("recording-corrupt", Mark(name), f"left out: {remark}", hint)
     if found.wrong:
         return None
+    found.finish(wanted)
     for one, seen in zip(wanted, found.seen, strict=True):
         _on_segment(one, seen, found, name, log)
     _on_gaps(wanted, found, name, log)

@@ -1,46 +1,108 @@
-"""Divides the times of a recording at the places where its sample rate changes."""
+"""Divides the rows of a recording at the places where its sample rate changes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
+from planrunner.base.dataclass import dataclass
 
 _ROWS = 64
 """Rows over which the rate is determined."""
 _OTHER = 0.2
-"""Relative difference from which the rate counts as another one. Lost rows and jitter do not change the median step so much."""
+"""Relative difference from which the rate counts as another one."""
 
 
-def constant_rates(times: Array, period: float) -> Iterator[tuple[slice, float]]:
-    """Yields the parts of `times` that have one sample rate, each with its sample period [s].
+@dataclass(frozen=True, slots=True)
+class RowsAtOneRate:
+    """Consecutive rows with one sample rate. `time`: (n,), s. `data`: array with n rows that belongs to these times. `period`: sample
+    period, s; NaN if a single row does not show it. `changed`: whether the rate has changed before the first of these rows."""
 
-    `times`: (n,), increasing times, s. `period`: sample period before these times, s; NaN if there are none. A change of the rate
-    counts if it lasts for 128 rows.
+    time: Array
+    data: NDArray[Any]
+    period: float
+    changed: bool
+
+
+class SampleRates:
+    """Divides rows at the places where the sample rate changes. The rows come in batches of any size.
+
+    A change of the rate counts if it lasts for 128 rows, and if both the median and the mean of the steps of time change. Jitter and
+    rounded times change the median but not the mean. Lost rows and pauses change the mean but not the median.
     """
-    count = (len(times) - 1) // _ROWS
-    steps = np.diff(times)
-    if count < 2 or not np.isfinite(steps).all() or not (steps > 0).all():
-        known = math.isnan(period) and len(steps) > 0
-        yield slice(0, len(times)), float(np.median(steps)) if known else period
-        return
-    medians = np.median(steps[: count * _ROWS].reshape(count, _ROWS), axis=1)
-    edges = _ROWS * np.arange(count + 1)
-    period = float(medians[0]) if math.isnan(period) else period
-    begin = 0
-    if np.abs(medians / period - 1).max() <= _OTHER:
-        yield slice(0, len(times)), period
-        return
-    for k in range(count - 1):
-        first, second = medians[k : k + 2]
-        if min(abs(first / period - 1), abs(second / period - 1)) > _OTHER and abs(second / first - 1) < _OTHER:
-            around = steps[edges[max(k - 1, 0)] : edges[k + 1]]
-            earlier = np.flatnonzero(np.abs(np.log(around / period)) < np.abs(np.log(around / first)))
-            place = int(edges[max(k - 1, 0)]) + (int(earlier[-1]) + 2 if len(earlier) else 0)
-            if place > begin:
-                yield slice(begin, place), period
-            begin, period = place, float(first)
-    yield slice(begin, len(times)), period
+
+    def __init__(self) -> None:
+        self._period = math.nan
+        self._time: Array = np.empty(0)
+        self._data: NDArray[Any] = np.empty(0)
+        self._changed = False
+        self._means: list[float] = []
+
+    def take(self, time: Array, data: NDArray[Any]) -> list[RowsAtOneRate]:
+        """Takes the next rows and returns the rows whose rate is known. `time`: (n,), increasing times, s. `data`: array with n rows."""
+        if len(self._time):
+            time, data = np.concatenate([self._time, time]), np.concatenate([self._data, data])
+        return self._divided(time, data, final=False)
+
+    def rest(self) -> list[RowsAtOneRate]:
+        """Returns the last rows, after all rows were taken."""
+        return self._divided(self._time, self._data, final=True)
+
+    def _divided(self, time: Array, data: NDArray[Any], final: bool) -> list[RowsAtOneRate]:
+        """Divides rows. If `final` is false, keeps the last rows, because the rows after them show whether the rate changes."""
+        found: list[RowsAtOneRate] = []
+        steps = np.diff(time)
+        count = len(steps) // _ROWS
+        increasing = bool((steps > 0).all() and np.isfinite(steps).all())
+        if not final and increasing and count < 3:
+            self._time, self._data = time, data
+            return found
+        begin = 0
+        if increasing and count >= 2:
+            begin = self._changes(time, data, found)
+        elif math.isnan(self._period) and len(steps):
+            self._period = float(np.median(steps))
+        keep = len(time) if final or not increasing else max(begin, _ROWS * (count - 2))
+        self._add(time[begin:keep], data[begin:keep], found)
+        self._time, self._data = time[keep:].copy(), data[keep:].copy()
+        return found
+
+    def _changes(self, time: Array, data: NDArray[Any], found: list[RowsAtOneRate]) -> int:
+        """Adds the rows before the last change to `found`. Returns the first row after this change."""
+        steps = np.diff(time)
+        count = len(steps) // _ROWS
+        edges = _ROWS * np.arange(count + 1)
+        medians = np.median(steps[: edges[-1]].reshape(count, _ROWS), axis=1)
+        means = np.diff(time[edges]) / _ROWS
+        if math.isnan(self._period):
+            self._period = float(medians[0])
+        begin = own = 0
+        if np.abs(medians / self._period - 1).max() > _OTHER:
+            for k in range(count - 1):
+                first, second = medians[k : k + 2]
+                if _differ(first, self._period) and _differ(second, self._period) and not _differ(second, first):
+                    usual = float(np.median([*self._means, *means[own:k]] or [self._period]))
+                    if not (_differ(means[k], usual) and _differ(means[k + 1], usual)):
+                        continue
+                    low = max(k - 1, 0)
+                    around = steps[edges[low] : edges[k + 1]]
+                    earlier = np.flatnonzero(np.abs(np.log(around / self._period)) < np.abs(np.log(around / first)))
+                    place = int(edges[low]) + (int(earlier[-1]) + 2 if len(earlier) else 0)
+                    self._add(time[begin:place], data[begin:place], found)
+                    begin, own, self._period, self._changed = max(place, begin), k + 1, float(first), True
+                    self._means = []
+        self._means = [*self._means, *means[own : max(count - 2, own)].tolist()][:_ROWS]
+        return begin
+
+    def _add(self, time: Array, data: NDArray[Any], found: list[RowsAtOneRate]) -> None:
+        if len(time):
+            found.append(RowsAtOneRate(time, data, self._period, self._changed))
+            self._changed = False
+
+
+def _differ(one: float, other: float) -> bool:
+    return abs(one / other - 1) > _OTHER

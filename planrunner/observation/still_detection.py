@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
 
@@ -13,7 +12,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
-from planrunner.instruments.sample_rates import constant_rates
+from planrunner.instruments.sample_rates import SampleRates
 from planrunner.observation.refusals import EstimationError
 from planrunner.plan.selection import Detection
 from planrunner.plan.span import Span
@@ -40,14 +39,17 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
 
     A sample is still if the standard deviation of every channel, in a window of the length `detection.window` around the sample, is
     below `detection.threshold`. A span is a run of still samples with a duration of at least `at_least`. A span therefore begins
-    and ends half a window away from the motion. Rows with a missing value are left out. A window that lasts more than 1.5 times
-    `detection.window`, because rows are missing, does not count as still. Raises `EstimationError` if a channel is missing or is
-    not an acceleration.
+    and ends half a window away from the motion. A change of the sample rate ends a span. Rows with a missing value are left out. A
+    window that lasts more than 1.5 times `detection.window`, because rows are missing, does not count as still. Raises
+    `EstimationError` if a channel is missing or is not an acceleration.
     """
     limits = _limits(recorded, detection)
     found: list[StillSpan] = []
     current: _Growing | None = None
-    for times, values, quiet, length in _centred(recorded, detection, limits):
+    for times, values, quiet, length, restarts in _centred(recorded, detection, limits):
+        if restarts and current is not None:
+            _close(current, detection, found)
+            current = None
         edges = np.flatnonzero(np.diff(quiet)) + 1
         for low, high in zip(np.append(0, edges), np.append(edges, len(quiet)), strict=True):
             if high <= low:
@@ -96,16 +98,16 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
 
 def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
-) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int]]:
-    """Yields the samples that are centres of windows, in pieces: times, values (n, k), whether each sample is still, and the number
-    of samples per window. Rows with a missing number are left out. A window that lasts more than 1.5 times its nominal length,
-    because rows are missing, does not count as still."""
+) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int, bool]]:
+    """Yields the samples that are centres of windows, in pieces: times, values (n, k), whether each sample is still, the number of
+    samples per window, and whether the sample rate has changed before the piece. Rows with a missing number are left out. A window
+    that lasts more than 1.5 times its nominal length, because rows are missing, does not count as still."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
-    length = 0
+    length, restarted = 0, False
     for added, own, restarts in _at_one_rate(recorded, detection.channels):
         if restarts:
-            times, values, length = np.empty(0), np.empty((0, len(limits))), 0
+            times, values, length, restarted = np.empty(0), np.empty((0, len(limits))), 0, True
         times = np.concatenate([times, added])
         values = np.vstack([values, own])
         if not length and len(times) > 1:
@@ -115,23 +117,22 @@ def _centred(
         quiet = np.all(_sliding_variance(values, length) < limits**2, axis=1)
         quiet &= times[length - 1 :] - times[: len(times) - length + 1] <= 1.5 * window
         middle = slice(length // 2, length // 2 + len(quiet))
-        yield times[middle], values[middle], quiet, length
+        yield times[middle], values[middle], quiet, length, restarted
+        restarted = False
         times, values = times[len(quiet) :], values[len(quiet) :]
 
 
 def _at_one_rate(recorded: RecordedSegment, channels: Sequence[str]) -> Iterator[tuple[Array, Array, bool]]:
     """Yields the complete rows, in pieces with one sample rate: times (n,), values (n, k), and whether the rate has changed before
     the piece."""
-    period = math.nan
+    divider = SampleRates()
     for block in recorded.blocks(channels):
         own = np.column_stack([block.channels[name] for name in channels])
         complete = np.isfinite(own).all(axis=1)
-        time, own = block.time[complete], own[complete]
-        if not len(time):
-            continue
-        for rows, own_period in constant_rates(time, period):
-            yield time[rows], own[rows], own_period != period and not math.isnan(period)
-            period = own_period
+        for part in divider.take(block.time[complete], own[complete]):
+            yield part.time, part.data, part.changed
+    for part in divider.rest():
+        yield part.time, part.data, part.changed
 
 
 def _sliding_variance(values: Array, length: int) -> Array:

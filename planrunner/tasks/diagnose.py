@@ -539,8 +539,9 @@ def recorded_file(
     table = segments
     if table is None and columns is not None:
         table = recording.parent / Path(columns.table).name
-    pauses = None if columns is not None else parameters.pauses
-    parameters = replace(parameters, file=recording.name, continued_by=(), segments=columns, pauses=pauses)
+    parameters = replace(parameters, file=recording.name, continued_by=(), segments=columns)
+    if segments is not None:
+        parameters = replace(parameters, pauses=None, stretches=None)
     try:
         player = RecordingPlayer.open(parameters, (recording,), table, VirtualClock(), notice=notice)
         player.foresee(sound.schedule.segments)

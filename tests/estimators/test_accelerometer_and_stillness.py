@@ -168,6 +168,21 @@ def test_missing_numbers_count_like_missing_rows(as_rows: bool, lost: int, spans
     assert len(times(recorded)) == spans
 
 
+def test_a_still_span_ends_where_the_sample_rate_changes_in_a_pause() -> None:
+    """100 Hz in one pose, a pause, 50 Hz in another pose: no span contains both poses."""
+    time = np.concatenate([np.arange(3000) / 100, 90 + np.arange(1500) / 50])
+    values = np.random.default_rng(0).normal(0, 0.01, (4500, 3))
+    values[:3000, 2] += 9.8
+    values[3000:, 0] += 9.8
+    channels = {name: values[:, k] for k, name in enumerate(CHANNELS)}
+    first, second = still_spans(
+        from_samples(segment("t"), time, channels, dict.fromkeys(CHANNELS, "m/s^2"), 700), detection()
+    )
+    assert first.span.end < 31 and second.span.start > 89
+    np.testing.assert_allclose(first.mean, [0, 0, 9.8], atol=0.003)
+    np.testing.assert_allclose(second.mean, [9.8, 0, 0], atol=0.003)
+
+
 def test_span_statistics_equal_the_samples_own() -> None:
     recorded, _ = made_by_hand(64)
     first = still_spans(recorded, detection())[0]

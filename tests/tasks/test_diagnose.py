@@ -470,6 +470,17 @@ def test_the_answer_does_not_depend_on_the_order_of_the_plan(tmp_path, capsys, m
     assert again["posterior"] == pytest.approx(found["posterior"], abs=1e-6)
 
 
+@pytest.mark.parametrize("stated", ["stretches: {other: {start: 0 s, end: 1 s}}", "pauses: 5 s"])
+def test_a_named_table_replaces_the_segments_of_the_bench_file(tmp_path, stated):
+    laboratory(tmp_path)
+    bench = tmp_path / "bench.yaml"
+    lines = bench.read_text(encoding="utf-8").splitlines()
+    (own,) = [line for line in lines if line.strip().startswith("segments:")]
+    replace(bench, own.strip(), stated)
+    given = tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
+    assert {item.label for item in recorded_file(*given).segments} == {row.label for row in listed()}
+
+
 def test_segments_that_share_samples_are_refused(tmp_path):
     laboratory(tmp_path)
     replace(tmp_path / "plan.yaml", "dwell: 6 s", "dwell: recorded")
