@@ -90,7 +90,7 @@ class _Pass:
 
     period: float
     seen: list[_Seen]
-    divider: SampleRates = field(default_factory=SampleRates)
+    divider: SampleRates[np.bool_] = field(default_factory=SampleRates)
     rows: int = 0
     first: float = math.nan
     last: float = math.nan
@@ -132,7 +132,7 @@ class _Pass:
         for part in self.divider.rest():
             self._take_part(part, wanted)
 
-    def _take_part(self, part: RowsAtOneRate, wanted: Sequence[Wanted]) -> None:
+    def _take_part(self, part: RowsAtOneRate[np.bool_], wanted: Sequence[Wanted]) -> None:
         """Adds rows with one sample rate to the intervals to which they belong."""
         time, period = part.time, self.period if math.isnan(part.period) else part.period
         if part.changed:

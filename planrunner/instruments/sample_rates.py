@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
+RowValue = TypeVar("RowValue", bound=np.generic)
+"""Type of the values that belong to the times."""
 _ROWS = 64
 """Rows over which the rate is determined."""
 _OTHER = 0.2
@@ -18,17 +20,17 @@ _OTHER = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class RowsAtOneRate:
+class RowsAtOneRate(Generic[RowValue]):
     """Consecutive rows with one sample rate. `time`: (n,), s. `data`: array with n rows that belongs to these times. `period`: sample
     period, s; NaN if a single row does not show it. `changed`: whether the rate has changed before the first of these rows."""
 
     time: Array
-    data: NDArray[Any]
+    data: NDArray[RowValue]
     period: float
     changed: bool
 
 
-class SampleRates:
+class SampleRates(Generic[RowValue]):
     """Divides rows at the places where the sample rate changes. The rows come in batches of any size.
 
     A change of the rate counts if it lasts for 128 rows, and if both the median and the mean of the steps of time change. Jitter and
@@ -38,23 +40,23 @@ class SampleRates:
     def __init__(self) -> None:
         self._period = math.nan
         self._time: Array = np.empty(0)
-        self._data: NDArray[Any] = np.empty(0)
+        self._data: NDArray[RowValue] | None = None
         self._changed = False
         self._means: list[float] = []
 
-    def take(self, time: Array, data: NDArray[Any]) -> list[RowsAtOneRate]:
+    def take(self, time: Array, data: NDArray[RowValue]) -> list[RowsAtOneRate[RowValue]]:
         """Takes the next rows and returns the rows whose rate is known. `time`: (n,), increasing times, s. `data`: array with n rows."""
-        if len(self._time):
+        if self._data is not None:
             time, data = np.concatenate([self._time, time]), np.concatenate([self._data, data])
         return self._divided(time, data, final=False)
 
-    def rest(self) -> list[RowsAtOneRate]:
+    def rest(self) -> list[RowsAtOneRate[RowValue]]:
         """Returns the last rows, after all rows were taken."""
-        return self._divided(self._time, self._data, final=True)
+        return [] if self._data is None else self._divided(self._time, self._data, final=True)
 
-    def _divided(self, time: Array, data: NDArray[Any], final: bool) -> list[RowsAtOneRate]:
+    def _divided(self, time: Array, data: NDArray[RowValue], final: bool) -> list[RowsAtOneRate[RowValue]]:
         """Divides rows. If `final` is false, keeps the last rows, because the rows after them show whether the rate changes."""
-        found: list[RowsAtOneRate] = []
+        found: list[RowsAtOneRate[RowValue]] = []
         steps = np.diff(time)
         count = len(steps) // _ROWS
         increasing = bool((steps > 0).all() and np.isfinite(steps).all())
@@ -71,7 +73,7 @@ class SampleRates:
         self._time, self._data = time[keep:].copy(), data[keep:].copy()
         return found
 
-    def _changes(self, time: Array, data: NDArray[Any], found: list[RowsAtOneRate]) -> int:
+    def _changes(self, time: Array, data: NDArray[RowValue], found: list[RowsAtOneRate[RowValue]]) -> int:
         """Adds the rows before the last change to `found`. Returns the first row after this change."""
         steps = np.diff(time)
         count = len(steps) // _ROWS
@@ -98,7 +100,7 @@ class SampleRates:
         self._means = [*self._means, *means[own : max(count - 2, own)].tolist()][:_ROWS]
         return begin
 
-    def _add(self, time: Array, data: NDArray[Any], found: list[RowsAtOneRate]) -> None:
+    def _add(self, time: Array, data: NDArray[RowValue], found: list[RowsAtOneRate[RowValue]]) -> None:
         if len(time):
             found.append(RowsAtOneRate(time, data, self._period, self._changed))
             self._changed = False

@@ -14,7 +14,7 @@ from planrunner.instruments.sample_rates import SampleRates
 
 def parts(times: np.ndarray, batch: int = 65536) -> list[list[Any]]:
     """The parts of `times` that have one rate: first row, row after the last, period. `batch`: rows that are given at once."""
-    divider = SampleRates()
+    divider: SampleRates[np.int_] = SampleRates()
     found: list[list[Any]] = []
     taken = [
         part
