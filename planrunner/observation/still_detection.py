@@ -66,7 +66,7 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
 
 
 def _limits(recorded: RecordedSegment, detection: Detection) -> Array:
-    """The threshold (k,) in the unit of each channel."""
+    """Returns the threshold in the unit of each channel, shape (k,)."""
     return detection_limits(detection, recorded.units, f"segment '{recorded.label}'")
 
 
@@ -136,7 +136,7 @@ def _at_one_rate(recorded: RecordedSegment, channels: Sequence[str]) -> Iterator
 
 
 def _sliding_variance(values: Array, length: int) -> Array:
-    """The sample variance in every window of `length` rows, shape (n − length + 1, k).
+    """Returns the sample variance in every window of `length` rows, shape (n − length + 1, k).
 
     `values`: array of shape (n, k), without missing numbers."""
     centred = values - values.mean(axis=0)
@@ -163,7 +163,7 @@ class _Growing:
 
     @property
     def span(self) -> Span:
-        """The time from the first sample to one sample period after the last."""
+        """Returns the time from the first sample to one sample period after the last."""
         return Span(self.start, self.last + self.period)
 
     def add(self, times: Array, values: Array) -> None:

@@ -91,7 +91,7 @@ class Diagnosed:
         return [advice(effect_named(name), fitted) for name in self.diagnosis.verdict.named if name != "unknown"]
 
     def to_json(self) -> JsonObject:
-        """The diagnosis according to `schemas/diagnosis.schema.json`."""
+        """Returns the diagnosis according to `schemas/diagnosis.schema.json`."""
         named = [one.to_json() for one in self.advice()]
         wrong = [_declaration(one) for one in self.declarations]
         found = {
@@ -105,7 +105,7 @@ class Diagnosed:
 
 
 def _declaration(wrong: WrongDeclaration) -> JsonObject:
-    """A corrected declaration as JSON data according to `declarations` of `schemas/diagnosis.schema.json`."""
+    """Returns a corrected declaration as JSON data according to `declarations` of `schemas/diagnosis.schema.json`."""
     from planrunner.error_model.effects.about import about
     from planrunner.error_model.effects.interface import effect_named
 
@@ -188,7 +188,7 @@ def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]
 
 
 def _without(observed: Observed, stated: Mapping[str, Mapping[str, str]], nominal: tuple[str, ...]) -> Observed:
-    """The samples after subtracting the effects whose values are stated. Raises `InputError` for an effect that cannot be
+    """Returns the samples after subtracting the effects whose values are stated. Raises `InputError` for an effect that cannot be
     subtracted."""
     if not stated:
         return observed
@@ -300,7 +300,7 @@ def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | No
 
 
 def _lasting(item: RecordedSegment) -> RecordedSegment:
-    """The segment; if the plan states no dwell, its dwell is the recorded length."""
+    """Returns the segment; if the plan states no dwell, its dwell is the recorded length."""
     if item.segment.dwell is not None:
         return item
     return replace(item, segment=replace(item.segment, dwell=item.statistics.duration))
@@ -316,7 +316,7 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
 def corrected_observation(
     recorded: Recorded, nominal: Sequence[str]
 ) -> tuple[Observed, tuple[WrongDeclaration, ...], Findings]:
-    """The same as `observe`, but also returns the corrected wrong declarations."""
+    """Does the same as `observe`, but also returns the corrected wrong declarations."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.hypotheses.declarations import corrected
     from planrunner.observation.poses import poses, unknown_orientations
@@ -376,7 +376,7 @@ def corrected_observation(
 
 
 def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
-    """The message and the hint of the warning about a wrong declaration."""
+    """Returns the message and the hint of the warning about a wrong declaration."""
     from planrunner.error_model.effects.about import about
     from planrunner.error_model.effects.interface import effect_named
 
@@ -390,8 +390,8 @@ _EXAMINE = "examine the recording; an error of single samples does not cause a g
 
 
 def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:
-    """The recording without spikes and repeated samples, as estimates use it; the log names these samples. Bursts and stretches
-    with clipped or stuck samples are kept, because the diagnosis explains them."""
+    """Returns the recording without spikes and repeated samples, as estimates use it; the log names these samples. Bursts and
+    stretches with clipped or stuck samples are kept, because the diagnosis explains them."""
     from planrunner.observation.screening import screened, without_bad
 
     used = {"", *(output.name for output in sensor.outputs)}
@@ -434,7 +434,7 @@ def _name_outliers(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
 
 
 def _outputs(plan: Plan) -> tuple[str, ...]:
-    """The outputs to analyse; empty means all. Raises `InputError` for an output that the plan's sensor does not have."""
+    """Returns the outputs to analyse; empty means all. Raises `InputError` for an output that the plan's sensor does not have."""
     spec, known = plan.diagnosis, plan.sensor.outputs
     if spec is None or not spec.outputs:
         return known
@@ -446,7 +446,7 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
 
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
-    """The segments that the plan's `diagnosis` selects by their labels, or the intervals at rest that are detected in these
+    """Returns the segments that the plan's `diagnosis` selects by their labels, or the intervals at rest that are detected in these
     segments, in the order of time."""
     return in_time_order(_meant(recorded))
 
@@ -479,7 +479,7 @@ def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
 
 
 def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
-    """The part of a segment's samples that lies within a span, as a separate segment."""
+    """Returns the part of a segment's samples that lies within a span, as a separate segment."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         for block in item.blocks(channels):
@@ -560,8 +560,8 @@ def recorded_file(
 
 
 def _bench_for_others(bench: str, plan: Path | None) -> str:
-    """A bench in a form in which a plan in another folder can name it. `plan`: plan file that names the bench; None if the command
-    line names it."""
+    """Returns a bench in a form in which a plan in another folder can name it. `plan`: plan file that names the bench; None if the
+    command line names it."""
     path = Path(bench) if plan is None else plan.parent / bench
     return bench if bench in shipped_benches() else str(path.resolve())
 
@@ -579,7 +579,7 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
 
 
 def _with_axis(outputs: Sequence[str]) -> tuple[str, ...] | None:
-    """The outputs whose names state an axis; None if there are none."""
+    """Returns the outputs whose names state an axis; None if there are none."""
     from planrunner.error_model.observed import axis_of
 
     return tuple(name for name in outputs if axis_of(name) is not None) or None
@@ -618,7 +618,7 @@ def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None
 
 
 def _moved(item: RecordedSegment, seconds: float, before: str) -> RecordedSegment:
-    """The segment, delayed by the given time, with a label that no other run contains."""
+    """Returns the segment, delayed by the given time, with a label that no other run contains."""
     segment = replace(item.segment, label=before + item.label, start=item.segment.start + seconds)
     known = item.statistics
     statistics = replace(known, start=known.start + seconds, end=known.end + seconds)
