@@ -30,6 +30,8 @@ class Size:
 
 
 FULL, SMALL = Size(200, 5, "2 min"), Size(4, 1, "1 s")
+_IDLE = 5.0
+"""Seconds for which the processes of a cluster are watched while they have nothing to do."""
 
 
 def run(size: Size = FULL) -> Figures:
@@ -44,6 +46,7 @@ def run(size: Size = FULL) -> Figures:
         ):
             for cluster in (single, double):
                 warm_up(runs, cluster)
+            idle = idle_time(double)
             pairs, processes = [], []
             for _ in range(size.turns):
                 pairs.append((turn(runs, single), turn(runs, double)))
@@ -63,6 +66,7 @@ def run(size: Size = FULL) -> Figures:
         "processor time of scheduler and command / of two workers": statistics.median(
             two.handing_over for _, two in pairs
         ),
+        "processor time of a scheduler and two workers without work / of one processor": idle,
         "peak memory of a worker [MB]": memory,
         "peak memory of the command [MB]": peak_memory(),
     }
@@ -108,6 +112,14 @@ def turn(runs: list[Path], cluster: Cluster) -> Turn:
     seconds = estimated(runs, Workers(1, cluster.address))
     handing, computing = (now - then for now, then in zip(used(), before, strict=True))
     return Turn(seconds, handing / computing if computing else 0.0)
+
+
+def idle_time(cluster: Cluster) -> float:
+    """Returns the processor time that a cluster without work uses, as a fraction of that of one processor."""
+    processes = [cluster.scheduler, *cluster.workers]
+    before = sum(processor_time(one.pid) for one in processes)
+    time.sleep(_IDLE)
+    return (sum(processor_time(one.pid) for one in processes) - before) / _IDLE
 
 
 def process(_: int) -> int:
