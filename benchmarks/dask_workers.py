@@ -1,7 +1,7 @@
 """Estimates all runs of an archive on one and on two Dask workers. Each worker is a process on this machine.
 
-A cluster with one worker, a cluster with two, this process alone and two processes without Dask take turns: the speed of a machine may
-change by the minute, and is then the same for all. Two processes without Dask show how much this machine can gain from two processors.
+A cluster with one worker and a cluster with two take turns: the speed of a machine may change by the minute, and is then the same for
+both.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ def run(size: Size = FULL) -> Figures:
         make_archive(archive, size.runs)
         runs = sorted(archive.iterdir())
         estimated(runs[:1], ALONE)
+        alone = estimated(runs, ALONE)
         with (
             dask_cluster(_folder(folder, "one"), 1) as single,
             dask_cluster(_folder(folder, "two"), 2) as double,
@@ -47,22 +48,16 @@ def run(size: Size = FULL) -> Figures:
             for cluster in (single, double):
                 warm_up(runs, cluster)
             idle = idle_time(double)
-            pairs, processes = [], []
-            for _ in range(size.turns):
-                pairs.append((turn(runs, single), turn(runs, double)))
-                processes.append((estimated(runs, ALONE), estimated(runs, Workers(2))))
+            pairs = [(turn(runs, single), turn(runs, double)) for _ in range(size.turns)]
             memory = max(peak_of(worker.pid) for worker in double.workers)
     ratios = sorted(one.seconds / two.seconds for one, two in pairs)
     return {
-        f"{size.runs} runs in this process [runs/s]": size.runs / statistics.median(alone for alone, _ in processes),
+        f"{size.runs} runs in this process [runs/s]": size.runs / alone,
         "on one worker [runs/s]": size.runs / statistics.median(one.seconds for one, _ in pairs),
         "on two workers [runs/s]": size.runs / statistics.median(two.seconds for _, two in pairs),
         f"two workers / one, median of {size.turns} turns (target ≥ 1.8)": statistics.median(ratios),
         "the lowest of the turns": ratios[0],
         "the highest": ratios[-1],
-        "two processes without Dask / this process, median of the same turns": statistics.median(
-            alone / two for alone, two in processes
-        ),
         "processor time of scheduler and command / of two workers": statistics.median(
             two.handing_over for _, two in pairs
         ),

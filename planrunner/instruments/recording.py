@@ -110,16 +110,15 @@ class RecordingPlayer(PlaysBack):
         """
         columns = {name: channel.column for name, channel in parameters.channels.items()}
         parts = [RecordedFile(path, name) for path, name in zip(paths, parameters.files, strict=True)]
-        pause = parameters.pause_between_files
-        file = open_recording(
-            parts, _stamps(parameters), columns, parameters.format, None if pause is None else pause.value
-        )
+        pause, stamps = parameters.pause_between_files, _stamps(parameters)
+        file = open_recording(parts, stamps, columns, parameters.format, None if pause is None else pause.value)
         _check_time(file, parameters)
         spans = None
         stated = parameters.segments
         if stated is not None and table is not None:
+            columns_of_table = (stated.label, stated.start, stated.end)
             spans = read_segment_table(
-                table, stated.table, (stated.label, stated.start, stated.end), stated.unit, stated.trim.value
+                table, stated.table, columns_of_table, stated.unit, stated.trim.value, file.origin, stamps.dates
             )
         if parameters.stretches is not None:
             spans = stated_stretches(parameters, file.origin)

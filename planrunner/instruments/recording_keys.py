@@ -8,7 +8,7 @@ from typing import Final, Literal
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings
 from planrunner.instruments.formats.choice import Format, FormatChoice
-from planrunner.instruments.formats.clock import DAY, seconds_of
+from planrunner.instruments.formats.clock import DAY, DateOrder, seconds_of
 from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.parameters import nominal_supply
 from planrunner.plan.kinds import (
@@ -147,11 +147,11 @@ class ChannelColumn(Record):
         return otherwise if value is None else width(value) / unit(self.unit).factor
 
 
-def seconds_in_unit(cell: str, unit: str, where: str) -> float:
+def seconds_in_unit(cell: str, unit: str, where: str, dates: DateOrder) -> float:
     """Returns the time [s] that a cell of a table states. `unit`: one of `TIME_UNITS`. `where`: a text that names the file and the
-    cell; it is used in messages. Raises `ValueError` if the cell is not a number, and `InstrumentError` if it is not a date or a
-    time of day although it should be one."""
-    return seconds_of(cell, where) if unit in WRITTEN else float(cell) * SECONDS[unit]
+    cell; it is used in messages. `dates`: the order of day and month. Raises `ValueError` if the cell is not a number, and
+    `InstrumentError` if it is not a date or a time of day although it should be one."""
+    return seconds_of(cell, where, dates) if unit in WRITTEN else float(cell) * SECONDS[unit]
 
 
 def check_time(time: TimeColumn, log: Findings) -> None:

@@ -16,9 +16,10 @@ import numpy as np
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import InputError, closest
 from planrunner.base.progress import Announce, Pace
+from planrunner.instruments.formats.clock import DAY, DateOrder
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import RecordingFile
-from planrunner.instruments.recording_keys import RecordingParameters, seconds_in_unit
+from planrunner.instruments.recording_keys import WRITTEN, RecordingParameters, seconds_in_unit
 from planrunner.plan.selection import closest_label
 from planrunner.plan.source import read_text
 from planrunner.plan.span import Span
@@ -45,18 +46,33 @@ class SegmentTable:
         return self.spans[label]
 
 
-def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], unit: str, trim: float) -> SegmentTable:
+def read_segment_table(
+    path: Path, name: str, columns: tuple[str, str, str], unit: str, trim: float, origin: float, dates: DateOrder
+) -> SegmentTable:
     """Reads the table of segments at `path`.
 
     `columns`: names of three columns: that of the labels, that of the start times, and that of the end times. `unit`: unit of the
-    start and end times, one of `TIME_UNITS`. `trim`: time [s] omitted at both ends of each segment.
+    start and end times, one of `TIME_UNITS`. `trim`: time [s] omitted at both ends of each segment. `origin`: time of the first row
+    of the recording, s. `dates`: order of day and month in the recording, which also applies to the table.
+
+    If the unit is `time_of_day`, the times continue after midnight: each start lies within half a day of the end before it, and the
+    first start within half a day of the first row of the recording.
 
     Raises `InstrumentError` with the line of the fault.
     """
     spans: dict[str, Span] = {}
     lines: dict[str, int] = {}
-    for label, line, row in labelled_rows(path, name, columns):
-        spans[label], lines[label] = _span(label, row, columns[1:], f"{name}, line {line}", unit, trim), line
+    rows, near = list(labelled_rows(path, name, columns)), origin
+    if unit in WRITTEN:
+        dates.decide_for([row[column] or "" for _, _, row in rows for column in columns[1:]])
+    for label, line, row in rows:
+        where = f"{name}, line {line}"
+        start, end = (_time(row, column, where, unit, dates) for column in columns[1:])
+        if unit == "time_of_day":
+            start += DAY * round((near - start) / DAY)
+            end += DAY * math.ceil((start - end) / DAY)
+            near = end
+        spans[label], lines[label] = _span(label, start, end, where, trim), line
     if not spans:
         raise InstrumentError(f"{name} contains no segments")
     return SegmentTable(name, spans, lines)
@@ -106,22 +122,21 @@ def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tup
         raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
 
 
-def _span(label: str, row: LabelledRow, columns: Sequence[str], where: str, unit: str, trim: float) -> Span:
-    """Returns the interval that a row states. `columns`: names of the columns with the start time and the end time. `unit`: unit of
-    these times."""
-    times = []
-    for column in columns:
-        try:
-            times.append(seconds_in_unit(row[column] or "", unit, f"{where}, column '{column}'"))
-        except ValueError:
-            raise InstrumentError(
-                f"{where}: '{(row[column] or '')[:40]}' in column '{column}' is not a number"
-            ) from None
-    start, end = times[0] + trim, times[1] - trim
-    if not (math.isfinite(start) and math.isfinite(end)) or times[1] <= times[0]:
+def _time(row: LabelledRow, column: str, where: str, unit: str, dates: DateOrder) -> float:
+    """Returns the time [s] that a cell states."""
+    try:
+        return seconds_in_unit(row[column] or "", unit, f"{where}, column '{column}'", dates)
+    except ValueError:
+        raise InstrumentError(f"{where}: '{(row[column] or '')[:40]}' in column '{column}' is not a number") from None
+
+
+def _span(label: str, begin: float, stop: float, where: str, trim: float) -> Span:
+    """Returns the interval between two times [s] after trimming."""
+    start, end = begin + trim, stop - trim
+    if not (math.isfinite(start) and math.isfinite(end)) or stop <= begin:
         raise InstrumentError(f"{where}: the segment '{label}' does not end after it starts")
     if end <= start:
-        message = f"the segment '{label}' lasts {times[1] - times[0]:g} s, and nothing remains after {trim:g} s are trimmed from both ends"
+        message = f"the segment '{label}' lasts {stop - begin:g} s, and nothing remains after {trim:g} s are trimmed from both ends"
         raise InstrumentError(f"{where}: {message}")
     return Span(start, end)
 

@@ -17,6 +17,7 @@ import numpy as np
 from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json
 from planrunner.base.findings import Findings, Mark
+from planrunner.instruments.formats.clock import DateOrder
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, SummaryChannels, UnservedError
 from planrunner.instruments.recording_keys import SECONDS, WRITTEN, RecordingParameters, RowColumns, seconds_in_unit
 from planrunner.instruments.recording_segments import LabelledRow, labelled_rows
@@ -60,10 +61,8 @@ class SummaryPlayer(PlaysBack):
         """Opens a player for the table at `path`. Raises `InstrumentError` with the line of the fault."""
         columns = parameters.summary
         assert columns is not None
-        for key, stated in (
-            ("time", parameters.time), ("segments", parameters.segments), ("pauses", parameters.pauses)
-        ):  # fmt: skip
-            if stated is not None:
+        for key in ("time", "segments", "stretches", "pauses"):
+            if getattr(parameters, key) is not None:
                 raise InstrumentError(
                     f"`{key}` belongs to a recording of samples, `summary` to a table of means: keep one of them"
                 )
@@ -135,9 +134,12 @@ def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) 
     """Reads the rows of a table; returns them by label. Raises `InstrumentError` with the line of the fault."""
     name = parameters.file
     rows: dict[str, SummaryRow] = {}
-    begin = 0.0
-    for label, line, cells in labelled_rows(path, name, _columns(parameters, columns)):
-        rows[label] = _row_of(cells, f"{name}, line {line}", line, begin, parameters, columns)
+    begin, dates = 0.0, DateOrder()
+    table = list(labelled_rows(path, name, _columns(parameters, columns)))
+    if columns.start is not None and columns.unit in WRITTEN:
+        dates.decide_for([cells[columns.start] or "" for _, _, cells in table])
+    for label, line, cells in table:
+        rows[label] = _row_of(cells, f"{name}, line {line}", line, begin, parameters, columns, dates)
         begin = rows[label].start + rows[label].count / parameters.sample_rate.value
     if not rows:
         raise InstrumentError(f"{name} contains no rows")
@@ -166,11 +168,12 @@ def _row_of(
     begin: float,
     parameters: RecordingParameters,
     columns: RowColumns,
+    dates: DateOrder,
 ) -> SummaryRow:
     count = _number(cells, columns.count, where)
     if count < 1 or count != round(count):
         raise InstrumentError(f"{where}: {count:g} in column '{columns.count}' is not a number of samples")
-    start = begin if columns.start is None else _start(cells, columns.start, columns.unit, where)
+    start = begin if columns.start is None else _start(cells, columns.start, columns.unit, where, dates)
     means, deviations = {}, {}
     for name, channel in parameters.channels.items():
         means[name] = channel.sign * (_number(cells, channel.column, where) - channel.zero) / channel.per_unit
@@ -186,11 +189,11 @@ def _row_of(
     return SummaryRow(line, start, int(count), means, deviations)
 
 
-def _start(cells: LabelledRow, column: str, unit: str, where: str) -> float:
-    """Returns the start time [s] that a row states. `unit`: unit of the column."""
+def _start(cells: LabelledRow, column: str, unit: str, where: str, dates: DateOrder) -> float:
+    """Returns the start time [s] that a row states. `unit`: unit of the column. `dates`: the order of day and month."""
     if unit not in WRITTEN:
         return _number(cells, column, where) * SECONDS[unit]
-    return seconds_in_unit(cells[column] or "", unit, f"{where}, column '{column}'")
+    return seconds_in_unit(cells[column] or "", unit, f"{where}, column '{column}'", dates)
 
 
 def _number(cells: LabelledRow, column: str, where: str) -> float:

@@ -81,7 +81,8 @@ class SampleRates(Generic[RowValue]):
         medians = np.median(steps[: edges[-1]].reshape(count, _ROWS), axis=1)
         means = np.diff(time[edges]) / _ROWS
         if math.isnan(self._period):
-            self._period = float(medians[0])
+            alike = np.abs(means / means[0] - 1).max() <= _OTHER
+            self._period = float(np.median(steps)) if alike else float(medians[0])
         begin = own = 0
         if np.abs(medians / self._period - 1).max() > _OTHER:
             for k in range(count - 1):

@@ -106,7 +106,7 @@ def bench_of(look: Look, name: str) -> str:
         )
         lines.append("    stretches:")
         lines += [
-            f"      {label}: {{start: {span.start:.6g} s, end: {span.end:.6g} s}}" for label, span in _labelled(look)
+            f"      {label}: {{start: {span.start:.3f} s, end: {span.end:.3f} s}}" for label, span in _labelled(look)
         ]
     if look.sparse:
         lines.append(f"    # Columns with a number in few rows, from a slower instrument: {', '.join(look.sparse)}.")

@@ -9,13 +9,28 @@ import pytest
 from scipy.stats import binom, t
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.closure import FOLDS, Amplitudes, KnownCause, NotMeasured, closure, dealt_by_motion, measured
+from planrunner.gap.answer.closure import (
+    FOLDS,
+    Amplitudes,
+    Closure,
+    KnownCause,
+    NotMeasured,
+    closure,
+    dealt_by_motion,
+    measured,
+)
 from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
 from planrunner.plan.schedule import Rock
 from tests.gap.turntable import kept, record
 
 Array = np.ndarray
 SHOWN_BY_ROCKING = ("gyro_bandwidth", "time_latency", "table_tilt", "gyro_g_sensitivity")
+
+
+def holds(found: Closure, gap: Array, difference: Array) -> bool:
+    """Whether the interval contains the true share by which the gap shrinks."""
+    true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
+    return bool(found.interval_90[0] <= true <= found.interval_90[1])
 
 
 def test_intervals_of_any_gap_cover_the_truth() -> None:
@@ -30,8 +45,7 @@ def test_intervals_of_any_gap_cover_the_truth() -> None:
         found = measured(gap + draw.normal(size=m), difference)
         if found.resolvable:
             said += 1
-            true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
-            covered += bool(found.interval_90[0] <= true <= found.interval_90[1])
+            covered += holds(found, gap, difference)
     assert said > 100
     assert covered >= binom.ppf(0.01, said, 0.9)
 
@@ -73,8 +87,7 @@ def test_intervals_of_a_fit_to_the_residuals_themselves_cover_the_truth() -> Non
         found = measured(residual, difference, fitted=p - 1)
         if found.resolvable:
             said += 1
-            true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
-            covered += bool(found.interval_90[0] <= true <= found.interval_90[1])
+            covered += holds(found, gap, difference)
     assert said > 100
     assert covered >= binom.ppf(0.01, said, 0.9)
 
@@ -116,8 +129,7 @@ def test_few_residuals_of_the_noise_widen_the_interval_of_any_gap(coefficients: 
         found = measured(residual, difference / scale, degrees=np.full(coefficients, degrees))
         if found.resolvable:
             said += 1
-            true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
-            covered += bool(found.interval_90[0] <= true <= found.interval_90[1])
+            covered += holds(found, gap, difference)
     assert said > 80
     assert covered >= binom.ppf(0.01, said, 0.9)
 

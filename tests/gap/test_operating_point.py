@@ -14,6 +14,7 @@ from planrunner.gap.answer.closure import closure, measured_noise, predictions, 
 from planrunner.gap.answer.operating_point import operating_point
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import whole_forms
+from tests.gap.test_closure import holds
 from tests.gap.turntable import DEG, record
 
 Array = np.ndarray
@@ -69,7 +70,6 @@ def test_the_interval_includes_the_uncertainty_of_bias_and_scale_factor() -> Non
             noise = measured_noise(weighing, likeliest, np.zeros(len(weighing.base)), False, True)
             found = closure(weighing, noise, used, 0.0, "gyro_dead_zone")
             gap, difference, _ = predictions(weighing, noise, used, coefficients)
-            true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
-            held[told] += bool(found.interval_90[0] <= true <= found.interval_90[1])
+            held[told] += holds(found, gap, difference)
     assert held[True] >= binom.ppf(0.01, tries, 0.9)
     assert held[False] < binom.ppf(0.01, tries, 0.9)

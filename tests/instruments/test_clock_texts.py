@@ -14,10 +14,13 @@ import pytest
 
 from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
-from planrunner.instruments.formats.clock import of_arrow, of_objects, seconds_in, seconds_of
+from planrunner.instruments.formats.choice import open_file
+from planrunner.instruments.formats.clock import DateOrder, of_arrow, of_objects, seconds_in, seconds_of
+from planrunner.instruments.formats.file import TimeStamps
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters
+from planrunner.instruments.recording_segments import read_segment_table
 from planrunner.plan import source
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment
@@ -48,7 +51,9 @@ NOON = datetime(2026, 3, 4, 12, 0, 0, 5000, UTC)
     ],
 )
 def test_a_date_with_a_time(text: str, expected: datetime) -> None:
-    assert seconds_of(text, "here") == pytest.approx(expected.timestamp(), abs=1e-6)
+    dates = DateOrder()
+    dates.decide_for([text])
+    assert seconds_of(text, "here", dates) == pytest.approx(expected.timestamp(), abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +72,7 @@ def test_a_date_with_a_time(text: str, expected: datetime) -> None:
     ],
 )
 def test_a_time_of_day(text: str, expected: float) -> None:
-    assert seconds_of(text, "here") == pytest.approx(expected, abs=1e-9)
+    assert seconds_of(text, "here", DateOrder()) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -75,21 +80,21 @@ def test_a_time_of_day(text: str, expected: float) -> None:
 )
 def test_what_is_no_time(text: str) -> None:
     with pytest.raises(InstrumentError, match="here"):
-        seconds_of(text, "here")
+        seconds_of(text, "here", DateOrder())
 
 
 def test_missing_times_and_times_of_both_kinds() -> None:
-    found = seconds_in(pa.array(["12:00:00", None, " ", "12:00:01"]), "here")
+    found = seconds_in(pa.array(["12:00:00", None, " ", "12:00:01"]), "here", DateOrder())
     np.testing.assert_array_equal(found, [43200, np.nan, np.nan, 43201])
     with pytest.raises(InstrumentError, match="only some"):
-        seconds_in(pa.array(["12:00:00", "2026-03-04 12:00:01"]), "here")
+        seconds_in(pa.array(["12:00:00", "2026-03-04 12:00:01"]), "here", DateOrder())
 
 
 def test_times_that_are_no_texts() -> None:
     stamps = np.array(["2026-03-04T12:00:00.005", "NaT"], "M8[us]")
-    for found in (of_objects(stamps, "here"), of_arrow(pa.array(stamps), "here")):
+    for found in (of_objects(stamps, "here", DateOrder()), of_arrow(pa.array(stamps), "here", DateOrder())):
         assert found[0] == pytest.approx(NOON.timestamp(), abs=1e-6) and np.isnan(found[1])
-    assert of_arrow(pa.array([NOON.time()]), "here")[0] == pytest.approx(43200.005)
+    assert of_arrow(pa.array([NOON.time()]), "here", DateOrder())[0] == pytest.approx(43200.005)
 
 
 def written_as_text(folder: Path, times: list[datetime]) -> str:
@@ -148,3 +153,48 @@ def test_a_time_of_day_needs_no_wraps() -> None:
         source.parse(f"{text}channels: {{x: {{column: x, unit: deg/s}}}}", "b.yaml"), log
     )
     assert [one.message for one in log] == ["a time in the unit time_of_day is no counter that returns to zero"]
+
+
+@pytest.mark.parametrize(
+    ("texts", "first"),
+    [
+        (["05/04/2026 23:59:59.9", "06/04/2026 00:00:00.1"], datetime(2026, 4, 5, 23, 59, 59, 900_000, UTC)),
+        (["04/05/2026 23:59:59.9", "04/06/2026 00:00:00.1"], datetime(2026, 4, 5, 23, 59, 59, 900_000, UTC)),
+        (["12/04/2026 23:59:59.9", "13/04/2026 00:00:00.1"], datetime(2026, 4, 12, 23, 59, 59, 900_000, UTC)),
+        (["31/12/2025 23:59:59.9", "01/01/2026 00:00:00.1"], datetime(2025, 12, 31, 23, 59, 59, 900_000, UTC)),
+        (["12-31-2025 23:59:59.9", "01-01-2026 00:00:00.1"], datetime(2025, 12, 31, 23, 59, 59, 900_000, UTC)),
+    ],
+)
+def test_day_and_month_have_one_order_in_a_column(texts: list[str], first: datetime) -> None:
+    """In each column, the time continues over midnight. Row by row, some of these dates would count in the other order."""
+    dates = DateOrder()
+    dates.decide_for(texts)
+    found = seconds_in(pa.array(texts), "here", dates)
+    assert found[0] == pytest.approx(first.timestamp(), abs=1e-6)
+    assert found[1] - found[0] == pytest.approx(0.2, abs=1e-6)
+
+
+def test_the_whole_file_decides_the_order_of_day_and_month(tmp_path: Path) -> None:
+    """The first of several batches contains a single date, which exists in both orders."""
+    begin = datetime(2026, 4, 12, 23, 58, 52, tzinfo=UTC)
+    times = [begin + timedelta(milliseconds=k) for k in range(70_000)]
+    rows = [f"{time:%d/%m/%Y %H:%M:%S.%f},{k % 7}" for k, time in enumerate(times)]
+    (tmp_path / "r.csv").write_text("\n".join(["time,x", *rows]) + "\n")
+    stamps = TimeStamps("time", written=True)
+    file = open_file(tmp_path / "r.csv", "r.csv", stamps, {"x": "x"}, None)
+    file.look()
+    parts = [part for part, _ in file.rows()]
+    time = np.concatenate(parts)
+    assert len(parts[0]) < 68_000 and file.origin == pytest.approx(begin.timestamp())
+    np.testing.assert_allclose(np.diff(time), 0.001, atol=1e-5)
+    assert file.remarks == ()
+
+
+def test_a_table_of_times_of_day_continues_after_midnight(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_text("label,start,end\na,23:59:40,23:59:50\nb,23:59:55,00:00:05\nc,00:00:10,00:00:20\n")
+    columns = ("label", "start", "end")
+    found = read_segment_table(tmp_path / "s.csv", "s.csv", columns, "time_of_day", 0.0, 86_370.0, DateOrder())
+    spans = [(found.span(label).start, found.span(label).end) for label in "abc"]
+    assert spans == [(86_380, 86_390), (86_395, 86_405), (86_410, 86_420)]
+    after = read_segment_table(tmp_path / "s.csv", "s.csv", columns, "time_of_day", 0.0, 5.0, DateOrder())
+    assert after.span("c").start == 10 and after.span("a").end == -10

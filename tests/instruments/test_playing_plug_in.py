@@ -14,7 +14,7 @@ SEGMENTS = [Segment(n, label, None, "unknown", Rest(), 10.0) for n, label in enu
 
 
 class OnlyA(PlaysBack):
-    """Holds the segment A alone, and says so before the run."""
+    """A recording that contains only the segment A. `foresee` refuses every other segment."""
 
     def foresee(self, segments: Sequence[Segment]) -> None:
         log = Findings()

@@ -92,13 +92,17 @@ class NoiseWithin:
         found = [Blocks.diagonal(size, self.level[:, channel]) for channel in range(self.level.shape[1])]
         coloured = np.flatnonzero(self.coloured.any(0) | self.differing)
         known: dict[tuple[int, int], Array] = {}
+        common = (self.own == 1.0).all(axis=(1, 2))
         for index, basis in enumerate(spectrum.bases if len(coloured) else ()):
             key = id(basis), int(self.moving[index])
-            if key not in known or self.differing.any() or (self.own[index] != 1.0).any():
+            covariance = known.get(key) if common[index] else None
+            if covariance is None:
                 half = observed.sample_rate / int(observed.bin_size[index]) / 2
-                known[key] = self._covariance(index, basis, half)
+                covariance = self._covariance(index, basis, half)
+            if common[index]:
+                known[key] = covariance
             for channel in coloured.tolist():
-                found[channel].of_segment(index)[:] = self.level[index, channel] * known[key][channel]
+                found[channel].of_segment(index)[:] = self.level[index, channel] * covariance[channel]
         return found
 
     def _covariance(self, segment: int, basis: SpectralBasis, half: float) -> Array:

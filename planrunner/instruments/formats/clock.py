@@ -7,8 +7,10 @@ differences of time matter in a recording. A time of day becomes seconds since m
 from __future__ import annotations
 
 import datetime
+import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,15 +38,64 @@ _FORMS = (
     rf"^\s*{_NO_DATE}(?P<h>)(?P<m>\d{{1,3}}):(?P<s>\d{{2}})[.,](?P<f>\d{{1,9}})\d*(?P<p>)(?P<z>)\s*$",
     rf"^\s*{_NO_DATE}(?P<h>\d{{2}})(?P<m>\d{{2}})(?P<s>\d{{2}})(?:\.(?P<f>\d{{1,9}})\d*)?(?P<p>)(?P<z>)\s*$",
 )
-"""A date in the order year, month, day, or month/day/year, or day.month.year, before a time of day; both without separators; minutes
-and seconds; and a time of day without separators, as in NMEA sentences."""
+"""A date with the year first or last, before a time of day; both without separators; minutes and seconds; and a time of day without
+separators, as in NMEA sentences."""
 
 
-def seconds_in(texts: pa.Array, where: str) -> Array:
+class DateOrder:
+    """Decides for all times of a recording whether dates such as 05/04/2026 state the day first or the month first.
+
+    `day_first`: the decision; None before it. Until then, dates with slashes count as month first, other dates as day first. Dates
+    that begin with the year, or that contain the name of the month, need no decision.
+    """
+
+    def __init__(self) -> None:
+        self.day_first: bool | None = None
+        self._dates: dict[tuple[int, int, int], bool] = {}
+
+    @property
+    def undecided(self) -> bool:
+        """Returns True if dates were read whose order is not decided yet."""
+        return self.day_first is None and bool(self._dates)
+
+    def read(self, one: int, other: int, year: int, slashes: bool) -> float:
+        """Returns the days from 1970-01-01 to a date whose first two numbers are a day and a month in either order; NaN if there is
+        no such date. `slashes`: whether slashes separate the numbers."""
+        if self.day_first is None:
+            self._dates.setdefault((one, other, year), slashes)
+        day_first = not slashes if self.day_first is None else self.day_first
+        return _days_until(year, other, one) if day_first else _days_until(year, one, other)
+
+    def decide(self) -> None:
+        """Decides for the order in which all dates exist. If both orders are possible, decides for the one in which fewer dates are
+        earlier than the one before, then for the one in which the dates span fewer days, and then for the usual one."""
+
+        def cost(day_first: bool) -> tuple[int, int, float, bool]:
+            days = np.array([_days_until(y, *((b, a) if day_first else (a, b))) for a, b, y in self._dates])
+            known = days[np.isfinite(days)]
+            span = float(np.ptp(known)) if len(known) else 0.0
+            usual = not any(self._dates.values())
+            return int(np.isnan(days).sum()), int((np.diff(known) < 0).sum()), span, day_first != usual
+
+        self.day_first = min((True, False), key=cost)
+        self._dates.clear()
+
+    def decide_for(self, texts: Sequence[str]) -> None:
+        """Decides from the times of a table, unless the order is decided already. Texts that are not times are left to the reader
+        of the table."""
+        for text in texts if self.day_first is None else ():
+            with suppress(InstrumentError):
+                seconds_of(text, "", self)
+        if self.undecided:
+            self.decide()
+
+
+def seconds_in(texts: pa.Array, where: str, dates: DateOrder) -> Array:
     """Converts texts to times [s], shape (n,). An empty or missing text gives NaN.
 
-    `where`: a text that names the file and the column; it is used in messages. Raises `InstrumentError` for a text that is not a
-    time, and if some texts contain a date and others do not."""
+    `where`: a text that names the file and the column; it is used in messages. `dates`: the order of day and month. Raises
+    `InstrumentError` for a text that is not a time, and if some texts contain a date and others do not. While `dates` is undecided,
+    a date that does not exist in the usual order gives NaN instead."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -60,9 +111,11 @@ def seconds_in(texts: pa.Array, where: str) -> Array:
         matched = np.asarray(parts.is_valid(), bool)
         if matched.any():
             kept = parts.filter(pa.array(matched))
-            seconds[rows[matched]], dated[rows[matched]] = _seconds({name: kept.field(name) for name in _names(form)})
+            seconds[rows[matched]], dated[rows[matched]] = _seconds(
+                {name: kept.field(name) for name in _names(form)}, dates
+            )
             unread[rows[matched]] = False
-    wrong = unread | (~np.asarray(absent, bool) & np.isnan(seconds))
+    wrong = unread | (~np.asarray(absent, bool) & np.isnan(seconds) & (not dates.undecided))
     if wrong.any():
         text = str(texts[int(np.flatnonzero(wrong)[0])])[:40]
         raise InstrumentError(f"{where}: '{text}' is not a date with a time, or a time of day")
@@ -72,17 +125,17 @@ def seconds_in(texts: pa.Array, where: str) -> Array:
     return seconds
 
 
-def seconds_of(text: str, where: str) -> float:
-    """Returns the time [s] that a text states. Raises `InstrumentError` if it is not a time."""
+def seconds_of(text: str, where: str, dates: DateOrder) -> float:
+    """Returns the time [s] that a text states. `dates`: the order of day and month. Raises `InstrumentError` if it is not a time."""
     import pyarrow as pa
 
-    found = float(seconds_in(pa.array([text], pa.string()), where)[0])
+    found = float(seconds_in(pa.array([text], pa.string()), where, dates)[0])
     if np.isnan(found):
         raise InstrumentError(f"{where}: the time is missing")
     return found
 
 
-def of_objects(values: Sequence[object] | NDArray[np.generic], where: str) -> Array:
+def of_objects(values: Sequence[object] | NDArray[np.generic], where: str, dates: DateOrder) -> Array:
     """Converts values to times [s], shape (n,). The values have NumPy's type `datetime64`, or are texts or times of Python. A
     missing value gives NaN."""
     import pyarrow as pa
@@ -91,10 +144,10 @@ def of_objects(values: Sequence[object] | NDArray[np.generic], where: str) -> Ar
     if array.dtype.kind == "M":
         whole = array.astype("M8[ns]").astype(np.int64)
         return np.where(np.isnat(array), np.nan, whole / 1e9)
-    return seconds_in(pa.array([None if one is None else str(one) for one in values], pa.string()), where)
+    return seconds_in(pa.array([None if one is None else str(one) for one in values], pa.string()), where, dates)
 
 
-def of_arrow(values: pa.Array, where: str) -> Array:
+def of_arrow(values: pa.Array, where: str, dates: DateOrder) -> Array:
     """Converts an Arrow array of time stamps, of times of day or of texts to times [s], shape (n,). A missing value gives NaN."""
     import pyarrow as pa
     from pyarrow import types
@@ -107,7 +160,7 @@ def of_arrow(values: pa.Array, where: str) -> Array:
     elif types.is_time(kind):
         counts = values.cast(pa.time64("ns")).cast(pa.int64())
     elif types.is_string(kind) or types.is_large_string(kind) or types.is_null(kind):
-        return seconds_in(values, where)
+        return seconds_in(values, where, dates)
     else:
         raise InstrumentError(f"{where} holds values of the type {kind}, not dates or times of day")
     whole = np.asarray(counts.fill_null(0), np.int64)
@@ -118,7 +171,7 @@ def _names(form: str) -> tuple[str, ...]:
     return tuple(re.compile(form).groupindex)
 
 
-def _seconds(parts: dict[str, pa.Array]) -> tuple[Array, NDArray[np.bool_]]:
+def _seconds(parts: dict[str, pa.Array], dates: DateOrder) -> tuple[Array, NDArray[np.bool_]]:
     """Returns the times (n,) [s] from their parts, NaN where a part is out of range, and whether they contain a date (n,)."""
     import pyarrow.compute as pc
 
@@ -133,7 +186,7 @@ def _seconds(parts: dict[str, pa.Array]) -> tuple[Array, NDArray[np.bool_]]:
     alone = np.asarray(pc.equal(parts["h"], ""), bool)  # minutes without hours continue after 59
     seconds = np.where((hours < 25) & (alone | (minutes < 60)) & (whole < 61), seconds - sign * ahead, np.nan)
     dated = ~np.asarray(pc.equal(parts["a"], ""), bool)
-    return np.where(dated, seconds + DAY * _days(parts, dated), seconds), dated
+    return np.where(dated, seconds + DAY * _days(parts, dated, dates), seconds), dated
 
 
 def _number(text: pa.Array) -> Array:
@@ -144,26 +197,31 @@ def _number(text: pa.Array) -> Array:
     return np.asarray(pc.if_else(pc.equal(text, ""), "0", text).cast(pa.float64()))
 
 
-def _days(parts: dict[str, pa.Array], dated: NDArray[np.bool_]) -> Array:
+def _days(parts: dict[str, pa.Array], dated: NDArray[np.bool_], dates: DateOrder) -> Array:
     """Days since 1970-01-01 (n,); NaN for a date that does not exist. Each of the few different dates is converted once."""
     import pyarrow.compute as pc
 
-    dates = pc.binary_join_element_wise(*(parts[name] for name in ("a", "sep", "b", "c")), "|").dictionary_encode()
-    known = [_day(*date.split("|")) if date.strip("|") else 0.0 for date in dates.dictionary.to_pylist()]
-    return np.where(dated, np.array(known)[np.asarray(dates.indices)], 0.0)
+    texts = pc.binary_join_element_wise(*(parts[name] for name in ("a", "sep", "b", "c")), "|").dictionary_encode()
+    known = [_day(text.split("|"), dates) if text.strip("|") else 0.0 for text in texts.dictionary.to_pylist()]
+    return np.where(dated, np.array(known)[np.asarray(texts.indices)], 0.0)
 
 
-def _day(a: str, separator: str, b: str, c: str) -> float:
-    month = _MONTHS.index(b.lower()) + 1 if b.lower() in _MONTHS else int(b) if b.isdigit() else 0
+def _day(parts: Sequence[str], dates: DateOrder) -> float:
+    """Returns the days from 1970-01-01 to a date; NaN if it does not exist. `parts`: its first number, the separator after it, and
+    the other two parts."""
+    a, separator, b, c = parts
     if len(a) == 4:
-        year, day = int(a), int(c)
-    else:
-        year, day = int(c), int(a)
-        american = separator == "/" or month > 12
-        if b.isdigit() and american and day <= 12:
-            month, day = day, month
-        year += 2000 if year < 100 else 0
+        return _days_until(int(a), _month(b), int(c))
+    year = int(c) + (2000 if int(c) < 100 else 0)
+    return dates.read(int(a), int(b), year, separator == "/") if b.isdigit() else _days_until(year, _month(b), int(a))
+
+
+def _month(text: str) -> int:
+    return int(text) if text.isdigit() else _MONTHS.index(text.lower()) + 1 if text.lower() in _MONTHS else 0
+
+
+def _days_until(year: int, month: int, day: int) -> float:
     try:
         return float((datetime.date(year, month, day) - datetime.date(1970, 1, 1)).days)
     except ValueError:
-        return float("nan")
+        return math.nan

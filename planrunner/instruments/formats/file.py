@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from dataclasses import field
 from pathlib import Path
 from typing import BinaryIO, Generic, Protocol, TypeVar
 
@@ -50,7 +51,8 @@ class TimeStamps:
 
     `column`: name of the column with the time or with a counter; None if the rows are counted. `scale`: seconds per unit of the column.
     `period`: time [s] between rows if the rows are counted. `wraps`: value at which the counter starts again from zero, None if it
-    never does. `written`: True if the column contains dates or times of day instead of numbers; the unit is then s.
+    never does. `written`: True if the column contains dates or times of day instead of numbers; the unit is then s. `dates`: order of
+    day and month in such dates, for all files of the recording and its table of segments.
     """
 
     column: str | None
@@ -58,6 +60,7 @@ class TimeStamps:
     period: float = math.nan
     wraps: float | None = None
     written: bool = False
+    dates: clock.DateOrder = field(default_factory=clock.DateOrder, compare=False, repr=False)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -79,9 +82,10 @@ class SampleRows(Protocol):
         """Returns the values of a column, shape (count,). A missing number is NaN. Raises `InstrumentError` for a value that is not
         a number."""
 
-    def times(self, column: str, where: str) -> Array:
+    def times(self, column: str, where: str, dates: clock.DateOrder) -> Array:
         """Returns the times [s] in a column of dates or times of day, shape (count,). A missing time is NaN. `where`: a text that
-        names the file and the column; it is used in messages. Raises `InstrumentError` for a value that is not a time."""
+        names the file and the column; it is used in messages. `dates`: the order of day and month. Raises `InstrumentError` for a
+        value that is not a time."""
 
 
 @dataclass
@@ -222,7 +226,20 @@ class FormatFile(ABC, Generic[Keys]):
         column = self.stamps.column or ""
         if not self.stamps.written:
             return rows.numbers(column)
-        return rows.times(column, f"{self.name}, rows {first} to {first + rows.count - 1}, column '{column}'")
+        where = f"{self.name}, rows {first} to {first + rows.count - 1}, column '{column}'"
+        times = rows.times(column, where, self.stamps.dates)
+        if not self.stamps.dates.undecided:
+            return times
+        self._decide_dates(column)
+        return rows.times(column, where, self.stamps.dates)
+
+    def _decide_dates(self, column: str) -> None:
+        """Decides the order of day and month from the dates of the whole file."""
+        whole = type(self)(self.path, self.name, self.stamps, {}, self.parameters)
+        for first, rows in whole.batches(EVERYTHING):
+            if rows.count:
+                rows.times(column, f"{self.name}, rows from {first}, column '{column}'", self.stamps.dates)
+        self.stamps.dates.decide()
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
         """Raises `InstrumentError` unless every time is present and later than the time of the previous row. `before`: time of the
@@ -262,5 +279,5 @@ class HeldRows:
             raise InstrumentError(f"the column '{column}' contains dates, not numbers")
         return np.asarray(values, dtype=np.float64)
 
-    def times(self, column: str, where: str) -> Array:
-        return clock.of_objects(self.values[column], where)
+    def times(self, column: str, where: str, dates: clock.DateOrder) -> Array:
+        return clock.of_objects(self.values[column], where, dates)
