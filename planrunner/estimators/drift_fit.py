@@ -156,7 +156,7 @@ def fitted_drift(
     if not drift.by_evidence:
         return FittedDrift(drift.courses)
     chosen: tuple[DriftCourse, ...] = ()
-    judged = bool(drift.shown)
+    judged, plain = bool(drift.shown), fits(matrix)
     hinted: tuple[DriftCourse, float] | None = None
     by_chance: dict[str, float] = {}
     while tried := _next(matrix, magnitudes, drift, chosen, len(noises)):
@@ -180,12 +180,12 @@ def fitted_drift(
         doubted: tuple[DoubtedDrift, ...] = ()
         if hinted is not None:
             course, probability = hinted
-            doubted = _doubted(matrix, course, min(probability, _scattering(fits(matrix), noises)), noises, fits, basis)
-        doubted += _hidden(matrix, suspected, doubted, noises, fits, basis)
+            doubted = _doubted(matrix, course, min(probability, _scattering(plain, noises)), plain, noises, fits, basis)
+        doubted += _hidden(matrix, suspected, doubted, plain, noises, fits, basis)
         return FittedDrift(by_evidence=True, judged=judged, suspected=suspected, doubted=doubted)
     if not drift.shown and any(course.order for course in chosen):
         chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
-    plain, whole = fits(matrix), fits(joined(matrix, chosen))
+    whole = fits(joined(matrix, chosen))
     if not drift.shown and not explained_by_noise(whole, noises):
         suspected = _suspected(matrix, magnitudes, names, drift, None, fits)
         return FittedDrift(by_evidence=True, judged=True, suspected=suspected)
@@ -194,7 +194,7 @@ def fitted_drift(
         doubted = tuple(
             one
             for course in chosen[:1]
-            for one in _doubted(matrix, course, by_chance.get(course.name, 0.0), noises, fits, basis)
+            for one in _doubted(matrix, course, by_chance.get(course.name, 0.0), plain, noises, fits, basis)
         )
         return FittedDrift(by_evidence=True, judged=True, rivals=chosen, nonlinear=_taken(plain, bent), doubted=doubted)
     return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), _taken(plain, whole))
@@ -212,29 +212,32 @@ def _doubted(
     matrix: Array,
     course: DriftCourse,
     probability: float,
+    plain: Sequence[LinearFit],
     noises: Sequence[WithinSegmentNoise],
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
     """Returns a `DoubtedDrift` for the drift function, if there are few degrees of freedom and the probability by chance is small
-    enough; otherwise an empty tuple."""
+    enough; otherwise an empty tuple. `plain`: the fits of the outputs without the drift function."""
     found = fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
-    return (DoubtedDrift(course, _not_corrected(course, fits(matrix), found, noises, basis), probability),)
+    return (DoubtedDrift(course, _not_corrected(course, plain, found, noises, basis), probability),)
 
 
 def _hidden(
     matrix: Array,
     suspected: Sequence[SuspectedDrift],
     doubted: Sequence[DoubtedDrift],
+    plain: Sequence[LinearFit],
     noises: Sequence[WithinSegmentNoise],
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
     """Makes a `DoubtedDrift` for each recorded temperature that changed and that the segments hardly separate from a coefficient. A
-    temperature is left out if it is already in doubt, or if it cannot be separated at all."""
-    known, plain = {one.course.name for one in doubted}, fits(matrix)
+    temperature is left out if it is already in doubt, or if it cannot be separated at all. `plain`: the fits of the outputs without
+    a drift."""
+    known = {one.course.name for one in doubted}
     return tuple(
         DoubtedDrift(
             one.course,
