@@ -1,7 +1,6 @@
-"""Processor time and memory of commands over archives of growing size, and of runs with a growing number of segments: slopes for
-docs/scaling.md.
+"""Processor time and memory of commands, for archives with a growing number of runs and for runs with a growing number of segments.
 
-Each command runs in a process of its own, with one process that computes. A slope is that of the least-squares line over the sizes.
+The slopes are used in docs/scaling.md. Each command runs in a process of its own, with one process that computes. A slope is that of the least-squares line over the sizes.
 """
 
 from __future__ import annotations
