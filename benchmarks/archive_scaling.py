@@ -1,6 +1,7 @@
 """Processor time and memory of commands, for archives with a growing number of runs and for runs with a growing number of segments.
 
-The slopes are used in docs/scaling.md. Each command runs in a process of its own, with one process that computes. A slope is that of the least-squares line over the sizes.
+The slopes are used in docs/scaling.md. Each command runs in a process of its own, with one process that computes. A slope is that of the
+least-squares line over the sizes.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@
     "not analysed": ["not analysed", "care"],
   };
   const find = (id) => document.getElementById(id);
-  const { digits, axis, marks, colour } = strips;
+  const { digits, rounded, axis, marks, colour } = strips;
 
   const make = (tag, { text, cls, ...attributes } = {}, ...children) => {
     const made = document.createElement(tag);
@@ -100,16 +100,16 @@
       ),
     );
   const cell = (content, cls) => make("td", { cls }, ...(Array.isArray(content) ? content : [content]));
-  const RUN_TITLES = [["Started"], ["Plan"], ["Device"], ["Bench"], ["Verdict"], ["Reports"], ["Run folder"]];
+  const RUN_TITLES = [["Started"], ["Verdict"], ["Device"], ["Plan"], ["Bench"], ["Reports"], ["Run folder"]];
   const runRow = (run) =>
     make(
       "tr",
       {},
       cell(moment(run.created), "when"),
-      cell(run.title || run.plan || "–"),
-      cell(deviceLink(run.device)),
-      cell(run.bench || "–"),
       cell(verdict(run)),
+      cell(deviceLink(run.device)),
+      cell(run.title || run.plan || "–"),
+      cell(run.bench || "–"),
       cell(reports(run)),
       make("th", { text: run.folder, scope: "row" }),
     );
@@ -344,21 +344,22 @@
     const high = one.value.map((value, index) => fit(value, one.u[index], 1));
     const line = (name, cls, dash) => ({ label: name, stroke: colour(cls), dash, width: 1.5, points: { show: false }, spanGaps: true });
     const rows = one.run
-      .map((place, index) =>
-        make(
+      .map((place, index) => {
+        const expanded = one.u[index] === null ? null : 2 * one.u[index];
+        return make(
           "tr",
           {},
           make("th", { text: moment(runs[place].created), scope: "row" }),
-          cell(digits(one.value[index], 8), "number"),
-          cell(digits(one.u[index] === null ? null : 2 * one.u[index], 3), "number"),
+          cell(rounded(one.value[index], expanded), "number"),
+          cell(rounded(expanded, expanded), "number"),
           cell(digits(one.plan_lower[index], 6), "number"),
           cell(digits(one.plan_upper[index], 6), "number"),
-          cell(digits(one.control_lower[index], 6), "number"),
-          cell(digits(one.control_upper[index], 6), "number"),
+          cell(rounded(one.control_lower[index], expanded), "number"),
+          cell(rounded(one.control_upper[index], expanded), "number"),
           cell(runs[place].bench || "–"),
           cell(verdict(runs[place])),
-        ),
-      )
+        );
+      })
       .reverse();
     const titles = [["Run"], ["Value", "number"], ["U (k = 2)", "number"], ["Limit of the plan, lower", "number"], ["upper", "number"], ["Control limit, lower", "number"], ["upper", "number"], ["Bench"], ["Verdict"]];
     const unit = one.unit ? `, ${one.unit}` : "";

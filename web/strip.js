@@ -5,6 +5,14 @@ const strips = (() => {
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const digits = (value, places = 7) => (value === null || value === undefined || !Number.isFinite(value) ? "–" : String(Number(value.toPrecision(places))));
 
+  // A value with the decimals of the second significant digit of its uncertainty (GUM 7.2.6).
+  const rounded = (value, uncertainty) => {
+    if (!Number.isFinite(value) || value === null || !Number.isFinite(uncertainty) || !(uncertainty > 0)) return digits(value);
+    const places = 1 - Math.floor(Math.log10(uncertainty));
+    if (places < 0 || places > 6) return digits(value, Math.max(2, Math.min(17, places + 1 + Math.floor(Math.log10(Math.abs(value) || uncertainty)))));
+    return value.toFixed(places);
+  };
+
   const axis = (more) => ({
     stroke: colour("--soft"),
     grid: { stroke: colour("--rule"), width: 1 },
@@ -60,5 +68,5 @@ const strips = (() => {
     };
   };
 
-  return { strip, axis, marks, colour, digits };
+  return { strip, axis, marks, colour, digits, rounded };
 })();
