@@ -131,7 +131,7 @@ class TableSenseReversed:
     of_declaration: Literal[True] = True
     about = About(
         "table turns in the opposite sense",
-        "The table turns in the opposite sense of rotation to the declared one.",
+        "The table turns in the sense opposite to the declared sense of rotation.",
         Actor.BENCH,
         "State the sense of rotation of the table correctly in the plan (`sense: clockwise`) or in its controller: {found}.",
     )
@@ -151,7 +151,7 @@ class MountTurned:
     of_declaration: Literal[True] = True
     about = About(
         "sensor is mounted in another orientation",
-        "Gyros and accelerometers are turned together from the orientation that the plan states.",
+        "Gyros and accelerometers are turned together, relative to the orientation that the plan states.",
         Actor.PLAN,
         "Correct the orientations in the plan, or mount the sensor as planned: {found}.",
     )

@@ -23,11 +23,11 @@ _LINE = 60.0  # Hz, of an electric supply, in a simulation that states no freque
 def _about(triad: str) -> About:
     return About(
         f"{triad} output contains interference of one frequency",
-        f"A sine, from the electric supply or a vibration, is added to the outputs of the {triad}s, and appears at a lower, aliased "
-        "frequency if it is above half of the sampling rate.",
+        f"The electric supply or a vibration adds a sine to the outputs of the {triad}s; a sine above half of the sampling rate "
+        "appears at a lower (aliased) frequency.",
         Actor.BENCH,
-        "Look for a supply, a motor or a resonance of this frequency, or of a multiple of the sampling rate plus or minus this frequency; "
-        "shield the cables, or filter the output before it is sampled: {found}.",
+        "Look for a supply, a motor or a resonance at this frequency; because of aliasing, the true frequency may also be a multiple of "
+        "the sampling rate plus or minus this frequency. Shield the cables, or filter the output before it is sampled: {found}.",
     )
 
 

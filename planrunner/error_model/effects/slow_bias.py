@@ -44,7 +44,7 @@ def _about(triad: str) -> About:
         f"{triad} bias varies with a correlation time",
         f"The bias of each {triad} varies at random about its mean, and forgets its value within a correlation time.",
         Actor.SENSOR,
-        "Record for several correlation times, or repeat readings at rest within a fraction of one: {found}.",
+        "Record for several correlation times, or repeat readings at rest within a fraction of this time: {found}.",
     )
 
 

@@ -132,7 +132,7 @@ class SamplesDropped(Shaped):
     id, stage, hypothesis, shape_name, shape_unit = "samples_dropped", "acquisition", False, "time", "s"
     about = About(
         "samples were lost",
-        "Samples of the sensor were lost at one moment, and the later samples have the times of earlier samples.",
+        "Samples of the sensor were lost at one moment, so the time stamps of all later samples are too early.",
         Actor.BENCH,
         "Record a counter or the time of each sample, and correct the times after this moment: {found}.",
     )
