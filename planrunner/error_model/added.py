@@ -1,8 +1,8 @@
-"""Adds effects of the catalogue to a simulation: parameters of effects with their units, and the changes of the outputs of a
+"""Adds effects of the catalogue to a simulation. Reads the parameters of the effects with their units, and changes the outputs of a
 sensor.
 
 An effect is added with the same columns that a diagnosis searches for. If the diagnosis then finds the effect, this shows only that
-simulation and diagnosis agree. Only recordings from other sources can validate both.
+simulation and diagnosis agree. Only recordings that come from elsewhere can validate the two.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ _SIGMA = 1e-3  # deg/s or m/s², by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect. `natural`: default value, in `unit`. `least`: which values are permitted. 'above zero' is used for
-    a shape such as a time constant or a frequency. 'zero' permits zero and larger values, and is used for a duration or a standard
-    deviation. 'any' is used for an amplitude, which may have either sign."""
+    """A parameter of an effect. `natural`: default value, in `unit`. `least`: the permitted values. 'above zero', for example for a time
+    constant or a frequency; 'zero', for zero and larger values, for example for a duration or a standard deviation; 'any', for an
+    amplitude, which may have either sign."""
 
     name: str
     unit: str
@@ -100,12 +100,12 @@ class Addition:
 
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
-    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. `stated`: maps each parameter to
-    its value with unit; the empty name means the only parameter, or all amplitudes if there are several. Parameters that are not
+    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. `stated`: maps each parameter to its
+    value with unit; the empty name stands for the only parameter or, if there are several, for all amplitudes. Parameters that are not
     stated have their default value. If an amplitude is stated under its own name, all amplitudes that are not stated are zero.
 
-    `observed`: any recording or schedule of the plan; it determines which parameters the effect has. Raises `InputError` for an
-    unknown parameter or value, and for an effect that cannot act on this sensor under this plan.
+    `observed`: any recording or schedule of the plan. It is needed because the parameters of an effect depend on the plan. Raises
+    `InputError` for an unknown parameter or value, and for an effect that cannot act on this sensor under this plan.
     """
     if name not in plugins.names(plugins.EFFECTS):
         hint = closest(name, plugins.names(plugins.EFFECTS))
@@ -135,8 +135,8 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
 def _optional(
     effect: Effect, known: Mapping[str, EffectParameter], observed: Observed, stated: Mapping[str, str]
 ) -> list[EffectParameter]:
-    """Further parameters that a diagnosis may find, but that have no default value. These parameters change the simulation only if
-    they are stated."""
+    """Returns the parameters that have no default value, although a diagnosis may find them. These parameters change the simulation only
+    if they are stated."""
     if isinstance(effect, OutsideCoefficients) and effect.outside in BY_AXIS:
         (whole,) = known.values() or (None,)
         axes = sorted({observed.channels[index].axis for index in observed.of_kind(triad_of(effect))})
@@ -222,8 +222,9 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
 
 
 def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], before: float | None = None) -> Array:
-    """Returns the readings of an output after the effects of stuck samples, shape (n,). Each stuck sample repeats an earlier
-    reading. `time`: array of shape (n,), s since power-on. `before`: the reading before the first of `values`."""
+    """Applies the effects that make samples stick to the readings of an output. Returns the changed readings, shape (n,). Each stuck
+    sample repeats an earlier reading. `time`: array of shape (n,), s since power-on. `before`: the reading before the first of
+    `values`."""
     for item in additions:
         if isinstance(item.effect, SamplesStuck):
             lasting = item.values.get(f"{LASTING}_{name}", item.values.get(LASTING, 0.0))
@@ -254,7 +255,7 @@ def added(
 
 
 def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int | None) -> list[tuple[Column, float]]:
-    """For one added effect, pairs of a column and its amplitude in SI units."""
+    """Returns the columns of one added effect, each with its amplitude in SI units."""
     effect, values = item.effect, item.values
     if isinstance(effect, PerOrientation) and len(observed) == 1:
         return _each_orientation(item, observed, seed, orientation)
@@ -285,9 +286,9 @@ def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int 
 def _each_orientation(
     item: Addition, observed: Observed, seed: int, orientation: int | None
 ) -> list[tuple[Column, float]]:
-    """For an effect with amplitudes for each orientation and for data of one segment, pairs of a column and its amplitude in SI
-    units. Each amplitude is the sum of a random value and of the value that is stated for this orientation. The seed and the
-    orientation determine the random value, so an orientation always has the same amplitudes."""
+    """Does the same as `_amplitudes` for data of one segment and an effect that has separate amplitudes for each orientation. Each
+    amplitude is the value that is stated for this orientation, plus a random value. The seed and the orientation determine the random
+    value, so an orientation always has the same amplitudes."""
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:
@@ -303,8 +304,8 @@ def _each_orientation(
 
 
 def _among_others(observed: Observed) -> Observed:
-    """Returns the recording of one segment, extended by short copies of the segment in other orientations. The copies are necessary
-    because an effect with amplitudes for each orientation has no columns in a recording with a single orientation."""
+    """Extends a recording of one segment by short copies of this segment in other orientations. The copies are necessary because an
+    effect with amplitudes for each orientation has no columns in a recording with a single orientation."""
     turns = [np.roll(np.eye(3), k, axis=0) for k in (1, 2)]
     half = np.diag([1.0, -1.0, -1.0])
     attitudes = [observed.attitude[0]] + [turn @ observed.attitude[0] for turn in (*turns, half, turns[0] @ half)]

@@ -7,9 +7,9 @@ Static model of the torquer outputs (CN100554884C), rows of the design matrix [1
     U1 =  cos(ε+ξ)/(SF_Y·cos ξ)   U2 = sin(ε+ξ)/(SF_Y·cos ξ)   V1 = −sin ε/(SF_X·cos ξ)   V2 = cos ε/(SF_X·cos ξ)
     [U_k; V_k] = M·[D(X)_k; D(Y)_k],   M = [[U1, U2], [V1, V2]],   k = F, X, Y, Z for columns 0, 3, 4, 5
 
-As in the source, D(X) is paired with the ω_Y column and D(Y) with the ω_X column, so D(X) is the drift of the output that senses
-the rate about Y. Product terms are further columns k. All values are in SI units: scale factors in rad/s per output unit, angles in
-rad, drifts in rad/s and in rad/s per m/s^2 (or per (m/s^2)^2).
+As in the source, D(X) belongs to the ω_Y column and D(Y) to the ω_X column. D(X) is therefore the drift of the output that senses the
+rate about Y. Product terms are further columns k. All values are in SI units: scale factors in rad/s per output unit, angles in rad,
+drifts in rad/s and in rad/s per m/s^2 (or per (m/s^2)^2).
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def output_coefficients(physical: Array) -> Array:
 
 
 def physical_coefficients(outputs: Array) -> Array:
-    """Inverts `output_coefficients` in closed form: [U; V] of shape (2, p) gives shape (4 + 2·(p − 2),), and n sets of shape (2, p,
-    n) give shape (4 + 2·(p − 2), n). The formula is analytic, so its derivatives can be computed with `uncertainty.derivatives`.
+    """Inverts `output_coefficients` in closed form. [U; V] of shape (2, p) gives physical coefficients of shape (4 + 2·(p − 2),); n sets
+    of shape (2, p, n) give shape (4 + 2·(p − 2), n). The formula is analytic, so `uncertainty.derivatives` can compute its derivatives.
 
     The formula uses tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity gives a
     negative scale factor. Raises ValueError if U1, V2 or the determinant of M is zero.

@@ -53,8 +53,8 @@ def axis_of(name: str) -> int | None:
 
 
 def channel_of(name: str, text: str, white: float, flicker: float, resolution: float) -> Channel | None:
-    """Returns the channel for an output that measures angular rate (a gyro) or acceleration and whose name contains an axis; None
-    for other outputs. `text`: unit of the output and of its noise, as text."""
+    """Returns the channel of an output. Returns None if the output measures neither angular rate (a gyro) nor acceleration, or if its
+    name contains no axis. `text`: unit of the output and of its noise, as text."""
     kind, axis = KINDS.get(unit(text).dimension), axis_of(name)
     if kind is None or axis is None:
         return None
@@ -79,10 +79,10 @@ class TemperatureCourse:
 class ObservedSegment:
     """Contains one segment of an `Observed`, with n samples.
 
-    `motion`, `attitude`, `last_change`: one value for the whole segment; the attitude has the shape (3, 3). `time`, `angle`,
-    `rate`, `acceleration`, `temperature`, `temperature_rate`: arrays of shape (n,). `values`: array of shape (n, K), the recorded
-    outputs. `course`: the motion of the sensor, if it does not follow from attitude and table angle. `overvoltage`, `overpressure`:
-    arrays of shape (n,); None means that all values are zero.
+    `motion`, `attitude`, `last_change`: one value each for the whole segment; the attitude has the shape (3, 3). `time`, `angle`, `rate`,
+    `acceleration`, `temperature`, `temperature_rate`: arrays of shape (n,). `values`: array of shape (n, K), the recorded outputs.
+    `course`: the motion of the sensor, if it does not follow from attitude and table angle. `overvoltage`, `overpressure`: arrays of
+    shape (n,); None means that all values are zero.
     """
 
     label: str
@@ -175,13 +175,13 @@ class Observed:
     `fitted`: array of shape (N, K), output of the fitted nominal model.
     `response`: array of shape (K, 3), change of each output per rate about each sensor axis in the fitted nominal model; None for an ideal
         sensor.
-    `courses`: for each segment, the motion if only the recording shows it, or None if attitude and angle determine the motion. The
-        tuple is empty if all entries would be None.
+    `courses`: one entry for each segment: the motion if it is known only from the recording, or None if attitude and angle determine
+        it. The tuple is empty if all entries would be None.
     `excess_voltage`, `excess_pressure`: arrays of shape (N,), the values that `overvoltage` and `overpressure` return; None means zero
         everywhere.
-    `past`: if the samples are one block of a simulation, the temperatures before the first sample, for each value of an effect's shape.
-    `reach`: largest distance of a sensor from the axis of a table, m.
-    `encoder`: True if the angle of a turning table is known, from an encoder or from a simulation.
+    `past`: for samples that are one block of a simulation, the temperatures before the first sample, by the value of an effect's shape.
+    `reach`: largest distance of a sensor from the axis of a table, m. `encoder`: True if the angle of a turning table is known, from an
+    encoder or from a simulation.
     """
 
     site: Site
@@ -247,10 +247,9 @@ class Observed:
 
     @cached_property
     def unknown_phase(self) -> Array:
-        """Returns a complex amplitude for each segment and channel, SI, shape (S, K). The amplitude describes the part of the
-        channel's nominal input that varies once per turn and whose phase is unknown. If the angle θ of the table were right, this
-        part would be the real part of the amplitude times exp(iθ). The amplitude is zero in segments whose table angle is known or
-        can be seen from gravity."""
+        """Returns a complex amplitude for each segment and channel, SI, shape (S, K). The amplitude describes the part of the channel's
+        nominal input that varies once per turn. If the angle θ of the table were known, this part would be the real part of the amplitude
+        times exp(iθ). Where the angle is known, or gravity shows it, nothing is unknown and the amplitude is zero."""
         out = np.zeros((len(self), len(self.channels)), dtype=complex)
         for index, (motion, source) in enumerate(zip(self.motions, self.angle_from, strict=True)):
             if source is AngleFrom.NOTHING and isinstance(motion, Spin):
@@ -271,9 +270,9 @@ class Observed:
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
 
     def turn_before(self, seconds: float) -> Array:
-        """Returns the rate `turn` at a time `seconds` earlier, minus the present `turn`, (N, 3). While the table rocks with angular
-        frequency p, the motion is harmonic: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the
-        rate is assumed to be constant before the first and after the last sample of a segment."""
+        """Returns the rate `turn` of `seconds` earlier, minus the present `turn`, shape (N, 3). While the table rocks with angular
+        frequency p, the motion is harmonic: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the rate is
+        assumed to be constant before the first and after the last sample of a segment."""
         from scipy.interpolate import CubicSpline
 
         change = np.zeros((len(self.time), 3))
@@ -290,9 +289,9 @@ class Observed:
         return change
 
     def turn_lagged(self, tau: float) -> Array:
-        """Returns the rate `turn` after a first-order lag, minus `turn` itself, (N, 3). The lag is in steady state at the start of
-        each segment. The rate x is assumed to be linear between samples. For a step h, the lagged rate y is y₁ = q·y₀ + (1 − g·(1 −
-        q))·x₁ + (g·(1 − q) − q)·x₀ with q = exp(−h/τ) and g = τ/h."""
+        """Returns the rate `turn` after a first-order lag, minus `turn` itself, shape (N, 3). The lag is in steady state at the start of
+        each segment. The rate x is assumed to be linear between samples. For a step of length h, the lagged rate y is y₁ = q·y₀ + (1 −
+        g·(1 − q))·x₁ + (g·(1 − q) − q)·x₀ with q = exp(−h/τ) and g = τ/h."""
         from scipy.signal import lfilter
 
         change = np.zeros((len(self.time), 3))
@@ -314,13 +313,13 @@ class Observed:
 
     @cached_property
     def mean_square_acceleration(self) -> Array:
-        """Returns the mean square of the angular acceleration of a rocking table [rad²/s⁴], shape (N,); 0 in other segments. It is
-        (α² + (p·ω)²)/2, with the symbols of the docstring of `mean_square_rate`."""
+        """Returns the mean square of the angular acceleration of a rocking table [rad²/s⁴], shape (N,); 0 in other segments. The mean
+        square is (α² + (p·ω)²)/2, with the symbols explained at `mean_square_rate`."""
         return np.where(self.pulsation > 0, (self.acceleration**2 + (self.pulsation * self.rate) ** 2) / 2, 0.0)
 
     def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:
-        """Returns the given values (N, …), which follow from attitude and table angle, but with the values of the recorded motion
-        in segments that have one."""
+        """Returns the given values (N, …), which follow from attitude and table angle. In segments with a recorded motion, they are
+        replaced by the values of this motion."""
         for rows, course in zip(self.segments(), self.courses, strict=False):
             if course is not None:
                 values[rows] = part(course)
@@ -372,8 +371,8 @@ class Observed:
         return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
 
     def in_sensor_axes(self, site_vector: Array) -> Array:
-        """Transforms a vector (3,) in site axes to sensor axes at every sample, (N, 3): attitude · R(−θ) · vector, where R is
-        Rodrigues' formula about the segment's axis. The result is zero if the attitude is unknown."""
+        """Transforms a vector (3,) in site axes to sensor axes at every sample, shape (N, 3). The result is attitude · R(−θ) · vector,
+        where R is the rotation about the segment's axis (Rodrigues' formula). The result is zero if the attitude is unknown."""
         vector = np.asarray(site_vector, dtype=float)
         along = (self.turning @ vector)[:, None] * self.turning
         axes = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1) @ self.attitude.swapaxes(1, 2)
@@ -457,8 +456,9 @@ class Observed:
         return np.where(np.abs(component) > rounding, component, 0.0)
 
     def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
-        """Returns the input axes of a triad as tuples (axis, channel, cosine): the index of the axis; the index of a channel that
-        shows the input of this axis; and the direction cosine between the axis and the direction of the channel, shape (N,), or 1."""
+        """Returns the input axes of a triad as tuples (axis, channel, cosine): the index of the axis; the index of a channel that shows
+        the input of this axis; and the cosine of the angle between the axis and the direction of the channel, which is 1 or an array of
+        shape (N,)."""
         if self.along is None:
             return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
         return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
@@ -480,7 +480,8 @@ class Observed:
 
     @property
     def sampled(self) -> dict[str, Array]:
-        """Returns all attributes with one value per sample, shape (N,), except `values`, by the name of the attribute."""
+        """Returns a dictionary of all attributes that have one value per sample, shape (N,), except `values`. The keys are the names of
+        the attributes."""
         names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
         found = {name: getattr(self, name) for name in (*names, "excess_voltage", "excess_pressure")}
         return {name: own for name, own in found.items() if own is not None}
@@ -513,10 +514,10 @@ STANDARD_PRESSURE = 101325.0  # Pa
 class Bins:
     """Describes the bins of a recording.
 
-    `size`: array of shape (S,), number of samples per bin in each segment. `rate`: sampling rate, Hz. `energy`: array of shape (S,
-    K, K) in SI², sums of products of the DCT-II coefficients of two channels, over the upper three quarters of the orders. `count`:
-    array of shape (S,), number of these coefficients for each channel. `spikes`: array of shape (K,), number of samples that were
-    replaced. `levels`: for each channel, the distinct values that occur, in counts.
+    `size`: array of shape (S,), number of samples per bin in each segment. `rate`: sampling rate, Hz. `energy`: array of shape (S, K, K)
+    in SI², sums of products of the DCT-II coefficients of two channels. The sums include only the upper three quarters of the orders.
+    `count`: array of shape (S,), number of coefficients of a channel in these sums. `spikes`: array of shape (K,), number of samples that
+    were replaced. `levels`: for each channel, the distinct values that occur, expressed in counts.
     """
 
     size: NDArray[np.int64]
@@ -527,5 +528,5 @@ class Bins:
     levels: tuple[Array, ...]
 
     def followed(self, further: int) -> Bins:
-        """Returns the same bins and additional segments whose values are single samples."""
+        """Returns these bins, followed by `further` segments whose values are single samples."""
         return replace(self, size=np.concatenate([self.size, np.ones(further, dtype=np.int64)]))

@@ -3,12 +3,12 @@ recording, or at the bins of a long recording.
 
     output = F(own input + Σ amplitude · column)
 
-An effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes the stimulus of all other columns.
-The sensor's scale factor and misalignments therefore also act on this change, and the model is not linear in the amplitude of such
-an effect. An effect that changes the rate (a lag, a delay) acts next. All columns are then evaluated at the changed rate. An effect
-on the output (a dead zone, a limit) acts last, as the function F. Effects on the rate and effects on the output have no amplitudes;
-they only have a shape. The columns come from the catalogue of effects. Simulations add the same columns, and the diagnosis searches
-for them.
+The effects act in three stages. First, an effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate) changes
+the stimulus of all other columns. The sensor's scale factor and misalignments therefore also act on this change, and the model is not
+linear in the amplitude of such an effect. Second, an effect that changes the rate (a lag, a delay) acts, and all columns are evaluated at
+the changed rate. Last, an effect on the output (a dead zone, a limit) acts as the function F. Effects of the last two stages have no
+amplitudes, only a shape. The columns come from the catalogue of effects. Simulations add the same columns, and the diagnosis searches for
+them.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def shaped(part: EffectPart) -> bool:
 class SampleColumns:
     """Contains the columns of one output's model at N samples.
 
-    `own`: array of shape (N,) in SI units, the input along the axis of the output, after the effects on the rate. `rows`: array of
-    shape (p, N), SI output for an amplitude of 1 in SI units, zero for an amplitude of the stimulus. `available`: maps each effect
-    to the names of all amplitudes that it has for this output.
+    `own`: array of shape (N,) in SI units, the input along the axis of the output, after the effects on the rate. `rows`: array of shape
+    (p, N), SI output for an amplitude of 1 in SI units, zero for an effect of the stimulus. `available`: maps each effect to the names of
+    all amplitudes that it has for this output.
     """
 
     own: Array
@@ -56,8 +56,8 @@ class SampleColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSamples:
-    """Models one output at the samples of a recording. `observed`: the stimulus at N samples. The constructor named
-    `ErrorsAtSamples.of` replaces the channels of a recording by two ideal triads."""
+    """Models one output at the samples of a recording. `observed`: the stimulus at N samples. `ErrorsAtSamples.of` makes an object from a
+    recording whose channels it replaces by two ideal triads."""
 
     observed: Observed
     errors: OutputErrors
@@ -98,7 +98,7 @@ class ErrorsAtSamples:
         return SampleColumns(self._own(felt), tuple(amplitudes), matrix, available)
 
     def output(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """Applies the effects on the output (function F) to an output (N,), SI, that contains all other effects."""
+        """Applies the effects on the output (function F) to an output (N,), SI, that already contains all other effects."""
         for part in self.errors.chosen:
             effect = part.effect
             if isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output":
@@ -157,8 +157,8 @@ class ErrorsAtSamples:
 
 
 def of_stimulus(effect: Effect) -> bool:
-    """Returns True if amplitudes of an effect change the stimulus of the sensor. An effect that delays the output also counts: it
-    delays the stimulus, and scale factor and misalignments then act on the delayed stimulus."""
+    """Returns True if amplitudes of an effect change the stimulus of the sensor. An effect that delays the output counts as well, because
+    a delay is applied to the stimulus, on which scale factor and misalignments then act."""
     delays = effect.stage == "acquisition" and isinstance(effect, Curved)
     return (effect.stage == "stimulus" or delays) and not _fixed(effect)
 

@@ -1,11 +1,11 @@
 """Computes the design matrix of an estimate from effects of the catalogue at the means of segments, for the planned or the recorded
 stimulus.
 
-An effect gives the values of its columns at single moments, and the mean of a product is not the product of means. Each segment is
-therefore represented by a few quadrature nodes: evenly spaced angles of a turning table, and Gauss–Legendre nodes along a ramp of
-temperature. Over whole turns, the result is exact for polynomials up to the seventh degree in quantities that turn with the table.
-Along a ramp, it is exact for polynomials up to the fifth degree in time. The mean over a segment is computed as the weighted mean
-over its nodes.
+An effect gives the values of its columns at single moments. Their mean over a segment cannot be computed from the mean stimulus, because
+the mean of a product is not the product of means. Each segment is therefore represented by a few quadrature nodes: evenly spaced angles
+of a turning table, and Gauss–Legendre nodes along a ramp of temperature. Over whole turns, the result is exact for polynomials up to the
+seventh degree in quantities that turn with the table. Along a ramp, it is exact for polynomials up to the fifth degree in time. The mean
+over a segment is computed as the weighted mean over its nodes.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class SegmentStates:
         return SegmentStates(**{one.name: getattr(self, one.name)[place] for one in fields(self)})
 
     def measured(self, celsius: Array) -> SegmentStates:
-        """Returns the states in which measured mean temperatures [degC], shape (n,), replace the planned ones. The ramps stay as
+        """Returns a copy in which measured mean temperatures [degC], shape (n,), replace the planned ones. The ramps remain as
         planned."""
         return replace(
             self, celsius=celsius, last_change=_last_changes(celsius - self.ramp / 2, celsius + self.ramp / 2)
@@ -118,10 +118,10 @@ def _last_changes(begin: Array, end: Array) -> Array:
 class EffectPart:
     """Describes one effect in the model of one output.
 
-    `only`: names of the effect's columns in the model, without the letter of the axis; empty if the model contains all columns of
-    the effect. `shape`: value of the effect's shape; None for an effect without shape. `sizes`: maps the name of a column, without
-    the letter of the axis, to an amplitude in SI units. The derivative of the output with respect to the shape, which is a further
-    column of the model, is computed for these amplitudes. Empty if the model has no such column.
+    `only`: names of the effect's columns in the model, without the letter of the axis; empty if the model contains all columns of the
+    effect. `shape`: value of the effect's shape; None for an effect without shape. `sizes`: maps the name of a column, without the letter
+    of the axis, to an amplitude in SI units. At these amplitudes, the derivative of the output with respect to the shape is computed,
+    which is a further column of the model. Empty if the model has no such column.
     """
 
     effect: Effect
@@ -151,9 +151,9 @@ class Amplitude:
 
     `name`: name of the column without the letter of the axis. `several`: True if the effect has other amplitudes for this output.
     `alone`: True if the column acts on this output only. `unit`: unit for display. `factor`: SI value of this unit. `along`: if the
-    column is the input along a sensor axis, the index of this axis (as `Column.along`). `size`: largest absolute value of the
-    effect's columns with the same unit, over all nodes and axes; 0 if nothing excites these columns. `origin`: for a change of the
-    shape, the value of the shape in `unit` for which the amplitude is zero. `shape`: True if the amplitude is a change of the
+    column is the input along a sensor axis, the index of this axis (as `Column.along`). `size`: largest absolute value, over all nodes
+    and axes, of those columns of the effect that have this unit; 0 if nothing excites these columns. `origin`: if the amplitude is a
+    change of the shape, the value of the shape [`unit`] from which the change counts. `shape`: True if the amplitude is a change of the
     effect's shape.
     """
 
@@ -202,10 +202,10 @@ class ErrorsAtSegments:
     of_motion: bool = False
 
     def columns(self, stimulus: Stimulus) -> Array:
-        """Computes the columns of all outputs, output after output, shape (k·n, P). The columns of one output are its own input,
-        and then one column for each amplitude. `stimulus`: k·n rows, which are k copies of the planned stimulus of the n segments,
-        each copy with different small changes; k may be 1. A change of the mean stimulus of a segment is applied to all nodes of
-        the segment."""
+        """Computes the columns of all outputs, one output after the other, shape (k·n, P). The columns of one output are the output's own
+        input, followed by one column for each amplitude. `stimulus`: k·n rows, which are k ≥ 1 copies of the planned stimulus of the n
+        segments; each copy has different small changes. A change in the mean stimulus of a segment is applied to all nodes of the
+        segment."""
         n, found = len(self.segments), []
         for low in range(0, len(stimulus), n):
             part = slice(low, low + n)
@@ -222,9 +222,9 @@ class ErrorsAtSegments:
         return effect.grid(self._planned)
 
     def course(self, output: int, effect: Effect, amplitudes: Array) -> tuple[Array, Array]:
-        """Computes the values that an effect with a shape adds to one output within each segment, at the planned stimulus. Returns
-        the positions (L,) along a segment, from −0.5 to 0.5, and the values (n, L) at these positions. `amplitudes`: amplitudes of
-        the effect's columns in this output."""
+        """Computes what an effect with a shape adds to one output in the course of each segment, at the planned stimulus. Returns L
+        positions along a segment, from −0.5 (start) to 0.5 (end), and the added values (n, L) at these positions. `amplitudes`:
+        amplitudes of the effect's columns in this output."""
         errors, observed = self.outputs[output], self._planned
         part = next(one for one in errors.chosen if one.effect is effect)
         _, rows, _ = amplitudes_of(part, errors, observed, _columns(part.effect, observed, part.shape))
@@ -366,14 +366,14 @@ def estimable(effect: Effect) -> str:
 
 
 def _beside(part: EffectPart) -> tuple[float, ...]:
-    """Returns two values of the shape, one slightly above and one slightly below the chosen value, for the numerical derivative;
-    empty if no derivative is needed."""
+    """Returns two values of the shape for a numerical derivative, one slightly above and one slightly below the chosen value; empty if no
+    derivative is needed."""
     return (part.shape * (1 + _STEP), part.shape * (1 - _STEP)) if part.shape is not None and part.sizes else ()
 
 
 def _derivative(part: EffectPart, output: OutputErrors, above: Sequence[Column], below: Sequence[Column]) -> Array:
-    """Returns the derivative of an output with respect to an effect's shape, shape (N,). The amplitudes keep their values in the
-    display unit."""
+    """Returns the derivative of an output with respect to an effect's shape, shape (N,). The amplitudes are held constant in their
+    display units."""
     assert part.shape is not None
     found = np.zeros(len(next(iter(above[0].parts.values()))))
     for high, low in zip(above, below, strict=True):

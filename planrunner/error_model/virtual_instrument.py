@@ -62,7 +62,7 @@ class AddedEffectsParameters(Record):
 
 
 class AddedEffects:
-    """The instrument that adds the effects in the virtual world."""
+    """The instrument that adds the listed effects to the outputs of the virtual sensor."""
 
     role = "effects"
     Parameters = AddedEffectsParameters
@@ -181,7 +181,7 @@ class AddedEffects:
     # -- internals ----------------------------------------------------------------------------------------------------
 
     def _known(self, observed: Observed) -> Sequence[Addition]:
-        """Returns the effects with the values of all their parameters. They are determined when the first samples arrive, because
+        """Returns the effects with the values of all their parameters. The values are determined when the first samples arrive, because
         they depend on the sensor."""
         if len(self.additions) < len(self.parameters.effects):
             from planrunner.error_model.added import addition
@@ -230,8 +230,7 @@ class AddedEffects:
         return replace(made, past=dict(self.past))
 
     def _remember(self, observed: Observed) -> None:
-        """Keeps the part of the earlier samples that effects with a memory need later. Every checkpoint contains this part, so it
-        must not grow."""
+        """Stores what effects with a memory need of earlier samples. Every checkpoint contains this stored part, so it must not grow."""
         from planrunner.error_model.effects.interface import DependsOnPast
 
         for item in self.additions:
@@ -249,7 +248,7 @@ class AddedEffects:
         return self.orientations.index(place) + 1
 
     def _note_temperature(self, index: int, warm: Array) -> None:
-        """Updates the sign of the last temperature change when a segment begins."""
+        """Updates the sign of the last temperature change at the start of a segment."""
         if index != self.segment:
             self.segment = index
             now = float(warm.mean())

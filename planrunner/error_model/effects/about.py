@@ -12,9 +12,9 @@ from planrunner.error_model.effects.interface import Effect
 
 
 class Actor(StrEnum):
-    """States where the cause of an effect can be removed. BENCH: at the table, the chamber, the mounting or their synchronisation.
-    SENSOR: in the unit under test or its compensation. PLAN: in the states and times of the plan. SITE: in the declared place on
-    the Earth. BOOKKEEPING: in the declarations of labels, units, signs and noise in files."""
+    """States what must be changed to remove the cause of an effect. BENCH: at the table, the chamber, the mounting or their
+    synchronisation. SENSOR: in the unit under test or its compensation. PLAN: in the states and times of the plan. SITE: in the declared
+    place on the Earth. BOOKKEEPING: in the declarations of labels, units, signs and noise in files."""
 
     BENCH = "bench"
     SENSOR = "sensor"

@@ -114,7 +114,7 @@ class AccelCrossCoupling:
 
 
 class AccelMisalignmentTemperature:
-    """Adds m·ΔT times the specific force along another sensor axis to the output of each axis, where ΔT is the temperature minus 25
+    """Adds m·ΔT·f to the output of each axis, where f is the specific force along another sensor axis, and ΔT is the temperature minus 25
     degC. A triad has six amplitudes m."""
 
     id, stage, hypothesis = "accel_misalignment_temperature", "sensor", False
@@ -199,7 +199,7 @@ class AccelNoiseExcess:
 
 
 class AccelQuantization:
-    """Makes the resolution of the accelerometers coarser than declared: every output is a multiple of a larger count."""
+    """Makes the resolution of the accelerometers coarser than declared: every output value is a multiple of a larger count."""
 
     id, stage, outside, of_accelerometers = "accel_quantization", "covariance", "resolution", True
     about = About(

@@ -26,7 +26,8 @@ CYCLES = ("xy", "yz", "zx", "xyz", "xzy")
 
 
 def _channels(observed: Observed) -> Iterator[tuple[str, int, int]]:
-    """The name (such as gyro_x), the index and the axis of every channel; empty if the orientations of the sensor are unknown."""
+    """Yields the name (such as gyro_x), the index and the axis of every channel; nothing if the orientations of the sensor are
+    unknown."""
     if observed.along is None:
         for index, channel in enumerate(observed.channels):
             yield f"{channel.kind}_{'xyz'[channel.axis]}", index, channel.axis
@@ -103,7 +104,8 @@ class AxesExchanged:
 
 
 class UnitWrong:
-    """Multiplies an output by 1 + e: its values are in another unit than declared, and 1 + e is the factor between the units."""
+    """Multiplies an output by 1 + e: its values are in a unit other than the declared one, and 1 + e is the factor between the two
+    units."""
 
     id, stage, hypothesis = "unit_wrong", "output", False
     of_declaration: Literal[True] = True
@@ -170,7 +172,7 @@ class MountTurned:
 
 
 def turned_back(observed: Observed) -> Observed:
-    """Returns the recording as if the table turned in the opposite sense."""
+    """Returns the recording with the opposite sense of rotation of the table."""
     motions = tuple(replace(m, rate=-m.rate) if isinstance(m, Spin) else m for m in observed.motions)
     return replace(
         observed,

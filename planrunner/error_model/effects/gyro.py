@@ -195,7 +195,7 @@ class GyroBiasTemperatureCubic:
 
 
 class GyroMisalignmentTemperature:
-    """Adds m·ΔT times the rate about another sensor axis to the output of each axis, where ΔT is the temperature minus 25 degC. A
+    """Adds m·ΔT·ω to the output of each axis, where ω is the rate about another sensor axis, and ΔT is the temperature minus 25 degC. A
     triad has six amplitudes m."""
 
     id, stage, hypothesis = "gyro_misalignment_temperature", "sensor", False

@@ -1,5 +1,5 @@
-"""Effects at a gyro's output. Bandwidth, dead zone and limits are computed exactly at every value of the grid; further effects
-change the noise."""
+"""Effects at a gyro's output. The effects of bandwidth, dead zone and limits are computed exactly for every value of their shape in the
+grid. Other effects of this module change only the noise."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SHORT = 1e-6  # s: a delay for which the secant is the tangent
 
 
 def _frequencies(tau: float) -> Mapping[str, str]:
-    """Returns the bandwidth 1/(2πτ) of a first-order lag, and the frequency at which it lags by one degree."""
+    """Returns the bandwidth 1/(2πτ) of a first-order lag, and the frequency at which the phase of its output lags by one degree."""
     bandwidth = 1 / (2 * np.pi * max(abs(tau), 1e-9))
     return {"bandwidth": f"{bandwidth:.3g} Hz", "slow": f"{bandwidth * np.tan(DEG):.2g} Hz"}
 
@@ -47,8 +47,9 @@ class GyroBandwidth(Shaped):
 
 
 def lagging(observed: Observed, tau: float) -> Array:
-    """Computes how a first-order lag changes the nominal rate, shape (N, 3); zero in segments with a constant rate. While the table
-    rocks with the angular frequency p, its motion is taken as steady and harmonic: the lagged rate is (ω − τ·dω/dt)/(1 + (pτ)²)."""
+    """Computes how a first-order lag changes the nominal rate, shape (N, 3). The change is zero in segments with a constant rate. While
+    the table rocks with the angular frequency p, its motion is assumed to be harmonic and in steady state: the lagged rate is (ω −
+    τ·dω/dt)/(1 + (pτ)²)."""
     change = observed.turn_lagged(tau)
     for rows in observed.rocked:
         squared = (observed.pulsation[rows] * tau) ** 2
@@ -74,7 +75,7 @@ class GyroAxisDelay:
         return self.around(observed, np.zeros(3))
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """Gives one column per gyro: the change of its output due to a delay, divided by the delay."""
+        """Returns one column per gyro: the change of the gyro's output due to a delay, divided by the delay."""
         gyros = [index for index in observed.of_kind("gyro") if observed.along is None]
         if not observed.unsteady.any() or not gyros:
             return []
@@ -131,8 +132,8 @@ class GyroSaturation(Shaped):
 
 class _OneSided(Shaped):
     """Clips the output at one of its two limits. `sign`: 1 for the upper limit, −1 for the lower limit. The shape parameter is the
-    magnitude of this limit. The grid contains only limits whose magnitude the output exceeds in both directions. For any other
-    limit, the effect cannot be distinguished from `gyro_saturation`."""
+    magnitude of this limit. A limit is in the grid only if the unclipped output exceeds its magnitude in both directions. For other
+    limits, the effect cannot be distinguished from `gyro_saturation`."""
 
     stage, shape_unit, acts_on = "output", "deg/s", "output"
     sign: int

@@ -1,10 +1,10 @@
 """Defines the interface of effects. An effect describes errors of a sensor or of its surroundings by columns over the samples of a
 recording.
 
-An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator
-`error_model` fits their amplitudes to the means of segments, and the diagnosis decides whether the data support them. An effect may
-act on several channels simultaneously, have a shape (such as a time constant), or change the noise. An estimate fits effects
-without a shape, and effects with a shape that last longer than a segment.
+An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator `error_model` fits
+their amplitudes to the means of segments, and the diagnosis decides whether the data support them. An effect may act on several channels
+simultaneously, have a shape (such as a time constant), or change the noise. An estimate fits effects without a shape, and those effects
+with a shape that last longer than a segment.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -13,9 +13,9 @@ without a shape, and effects with a shape that last longer than a segment.
         about = About(…)                      # plain name, physics, who acts and what to do: see `about.py`
         def variants(self, observed) -> list[Variant]
 
-A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect
-that acts on the noise states the kind of change in `outside`, such as 'random walk', 'white' or 'resolution'. If its stage is
-covariance, it has no columns. With `each = "orientation"`, an effect has separate amplitudes for every orientation, which are
+A variant is the effect at one value of its shape (a time constant, a limit). The change of the output is linear in the amplitudes of its
+columns. An effect that acts on the noise states the kind of change in `outside`, such as 'random walk', 'white' or 'resolution'. If its
+stage is covariance, it has no columns. With `each = "orientation"`, an effect has separate amplitudes for every orientation, which are
 independent of each other. The columns of such an effect are listed orientation by orientation, in the order of first use.
 
 An effect whose columns are only valid for small amplitudes also has a method `around` (see `Curved`). If `hypothesis = False`, the
@@ -43,7 +43,7 @@ from planrunner.error_model.observed import Observed, TemperatureCourse
 class Column:
     """Describes one column of an effect, which is multiplied by one amplitude.
 
-    `magnitude`: prior scale of the amplitude in SI units, relative to the magnitudes of the effect's other columns.
+    `magnitude`: prior scale of the amplitude in SI units. Only the ratio to the magnitudes of the effect's other columns matters.
     `unit`: unit in which the amplitude is displayed.
     `factor`: SI value of `unit`.
     `parts`: maps the index of each affected channel to an array of shape (N,), the SI output for an amplitude of 1 in SI units.
@@ -118,15 +118,15 @@ def shown_by(effect: Effect) -> str:
 
 @runtime_checkable
 class ExplainsTurning(Effect, Protocol):
-    """An effect that describes what accelerometers measure in addition while the table turns or rocks. Without such an effect, an
-    estimate uses accelerometers only in segments at rest."""
+    """An effect that describes what accelerometers measure in addition to gravity while the table turns or rocks. Without such an effect,
+    an estimate uses accelerometers only in segments at rest."""
 
     explains_turning: Literal[True]
 
 
 @runtime_checkable
 class FollowsTemperature(Effect, Protocol):
-    """An effect with a single amplitude for each axis, which is multiplied by the temperature: the change of a bias with
+    """An effect that describes the change of a bias with temperature: it has one amplitude for each axis, which is multiplied by the
     temperature. `with_temperature`: name of the amplitude, without the letter of its axis."""
 
     with_temperature: str
@@ -149,7 +149,7 @@ class FollowsSurroundings(Effect, Protocol):
 
 @runtime_checkable
 class ShownInSome(Effect, Protocol):
-    """An effect that the diagnosis evaluates only in recordings that can distinguish it from similar effects (`shown_in`)."""
+    """An effect that the diagnosis evaluates only if the recording can distinguish it from similar effects (`shown_in`)."""
 
     def shown_in(self, observed: Observed) -> bool: ...
 
@@ -181,9 +181,9 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
-    """An effect on the noise, a line interference, or samples that repeat their values. A diagnosis reduces a recording to
-    coefficients, and does not look for such an effect in them. An effect with the stage covariance has no columns at all. A line
-    interference has columns, which only a simulation uses."""
+    """An effect that does not appear in the coefficients to which a diagnosis reduces a recording: an effect on the noise, a line
+    interference, or samples that repeat their values. A diagnosis looks for it elsewhere. An effect with the stage covariance has no
+    columns at all. A line interference has columns, which only a simulation uses."""
 
     outside: OutsideKind
 
@@ -221,10 +221,10 @@ class HasShape(Effect, Protocol):
 class ChangesWithinSegments(HasShape, Protocol):
     """An effect that changes an output within segments, so that an estimate fits it to samples.
 
-    `acts_on` has one of three values. 'rate': the effect replaces the angular rate by an earlier or a smoothed rate. 'output': the
-    effect computes each output from the value that this output would have without the effect at the same moment
-    (`Observed.fitted`). With 'rate' or 'output', the effect has one column, which is the change of the output. 'amplitudes': the
-    effect has a few values of its shape, and columns with amplitudes for each of these values.
+    `acts_on` has one of three values. 'rate': the effect replaces the angular rate by an earlier or a smoothed rate. 'output': each
+    output is a function of the value that it would have at the same moment without the effect (`Observed.fitted`). With 'rate' or
+    'output', the effect has one column, which is the change of the output. 'amplitudes': the effect has a few possible values of its
+    shape and, for each of these values, columns with amplitudes.
     """
 
     acts_on: Literal["rate", "output", "amplitudes"]
@@ -236,8 +236,8 @@ class DependsOnPast(HasShape, Protocol):
     blocks of samples."""
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """Replaces the past before `observed` and the samples of `observed` by one short past, which has the same effect on later
-        samples at this value of the shape. The length of the short past does not grow with the number of samples."""
+        """Returns one short past that replaces both the past before `observed` and the samples of `observed`: at this value of the shape,
+        it has the same effect on later samples. The length of the short past does not grow with the number of samples."""
 
 
 @runtime_checkable
@@ -288,10 +288,9 @@ class Shaped:
 
 @runtime_checkable
 class HasAlternatives(Effect, Protocol):
-    """An effect that acts in one of several ways, each with its own shape, such as clipping at an upper or at a lower limit. A
-    diagnosis names the most probable way; a simulation may combine all ways whose shapes are stated. `alternatives`: one effect for
-    each way. All of them have the same `id` and `stage`, but each has its own `shape_name`, and each is fully determined by its
-    shape."""
+    """An effect that acts in one of several ways, such as clipping at an upper or at a lower limit. Each way has its own shape. A
+    diagnosis names the most probable way; a simulation combines all ways whose shapes are stated. `alternatives`: one effect for each
+    way. All of them have the same `id` and `stage`, but each has its own `shape_name`, and each is fully determined by its shape."""
 
     alternatives: Sequence[Shaped]
 
@@ -303,7 +302,7 @@ def ways_of(effect: Effect) -> Sequence[Effect]:
 
 @runtime_checkable
 class ShapedOverSegments(HasShape, Protocol):
-    """An effect with one shape parameter that the means of segments determine, because the effect lasts longer than a segment."""
+    """An effect that lasts longer than a segment, so that the means of segments determine its single shape parameter."""
 
     over_segments: Literal[True]
 
@@ -333,9 +332,8 @@ def per_axis(
 
 
 def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) -> Mapping[int, Array]:
-    """Computes how the outputs change with a change of the stimulus. Returns the changes by index of the channel. `omega`: array of
-    shape (N, 3), additional angular rate. `force`: array of shape (N, 3), additional specific force; None if the specific force
-    does not change."""
+    """Computes how the outputs change if the stimulus changes. Returns the changes by index of the channel. `omega`: array of shape (N,
+    3), additional angular rate. `force`: array of shape (N, 3), additional specific force; None if the specific force does not change."""
     parts = {}
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
@@ -345,9 +343,9 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """Computes how the gyros' outputs change with a change of the rate. Returns the changes by index of the channel. `omega`: array
-    of shape (N, 3), additional angular rate. The changes are computed with the response of the gyros in the fitted model if this
-    response is known, otherwise with the declared response."""
+    """Computes how the gyros' outputs change if the rate changes. Returns the changes by index of the channel. `omega`: array of shape
+    (N, 3), additional angular rate. The response of the gyros to the rate is taken from the fitted model if there is one, otherwise from
+    the declarations."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}
@@ -358,14 +356,14 @@ def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
 def whole(
     parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None, *, either_sign: bool = False
 ) -> Column:
-    """Returns the column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. `either_sign`: True
-    if the opposite of the effect also exists, as for a delay; a lag or a dead zone cannot be negative."""
+    """Returns the column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. `either_sign`: True if
+    the effect may also be negative, like a delay; False for a lag or a dead zone."""
     smallest = -np.inf if either_sign else 0.0
     return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None, smallest=smallest)
 
 
 def single(columns: Sequence[Column]) -> list[Variant]:
-    """Returns the only variant of an effect without a shape."""
+    """Returns a list with the only variant of an effect without a shape."""
     return [Variant(tuple(columns))] if columns else []
 
 

@@ -31,9 +31,9 @@ def _about(triad: str) -> About:
 
 
 def _moments(observed: Observed) -> Array:
-    """Returns the moments with which a diagnosis starts its search: the starts of all segments but the first, and the middles of
-    the first and the last segment. The diagnosis then also searches between these moments. All intervals between neighbouring
-    moments have the same prior probability, and the evidence is averaged over these intervals."""
+    """Returns the moments at which a diagnosis starts its search for the step: the starts of all segments but the first, and the middles
+    of the first and the last segment. The diagnosis then also searches between these moments. All intervals between neighbouring moments
+    have the same prior probability, and the evidence is averaged over these intervals."""
     bounds = observed.bounds
     middles = observed.time[[bounds[1] // 2, (bounds[-2] + bounds[-1]) // 2]]
     return np.unique(np.maximum([middles[0], *observed.time[bounds[1:-1]], middles[1]], 1e-9))
@@ -175,7 +175,7 @@ class SamplesDropped(Shaped):
         return float(observed.time[observed.bounds[np.flatnonzero(observed.unsteady)[-1] + 1] - 1])
 
     def _shown(self, observed: Observed) -> Array:
-        """Returns the change of the outputs of G gyros, divided by the lost time, shape (N, G)."""
+        """Returns the change of the gyros' outputs, divided by the lost time, shape (N, G) for G gyros."""
         later = observed.turn_before(-self.lost) / self.lost if self.lost else observed.swing
         return np.column_stack(list(on_rate(observed, later).values()))
 
@@ -185,9 +185,8 @@ def _both_signs(observed: Observed) -> Array:
 
 
 def _after(observed: Observed, moment: float, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Returns a copy of a table (N, P) with zeros before a moment, and a mask (S,) that is True for the segments that end after
-    this moment. If no segment contains the moment, the table itself is returned, because columns that come from one table are
-    evaluated together."""
+    """Returns a copy of a table (N, P) with zeros before a moment, and a mask (S,) of the segments that end after this moment. If no
+    segment contains the moment, returns the table itself instead of a copy, because columns of the same table are evaluated together."""
     first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
     acting = np.asarray(last >= moment)
     if not (acting & (first < moment)).any():

@@ -81,7 +81,7 @@ class _OfSurroundings:
         return observed.overvoltage if self.follows is Follows.SUPPLY else observed.overpressure
 
     def shown_in(self, observed: Observed) -> bool:
-        """Returns True if the voltage or the pressure differs between segments by more than it usually varies due to regulation or
+        """Returns True if the voltage or the pressure differs between segments by more than the usual variation from regulation or
         weather."""
         excess = observed.excess_voltage if self.follows is Follows.SUPPLY else observed.excess_pressure
         if excess is None:

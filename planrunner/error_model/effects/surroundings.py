@@ -60,8 +60,9 @@ class AccelMagneticSensitivity:
 
 
 def _response_to_field(observed: Observed, kind: str, unit: str, factor: float) -> list[Column]:
-    """Returns the columns for the nine elements of a 3×3 matrix of sensitivities to the magnetic field; no columns if the field is
-    not declared. The sensitivities refer to the strength of the field at the site, which counts as 1."""
+    """Returns the columns for the nine elements of a 3×3 matrix of sensitivities to the magnetic field; no columns if the field is not
+    declared. The field is divided by its strength at the site, so a sensitivity is the change of the output for a field of this
+    strength."""
     if observed.magnetic is None:
         return []
     field = observed.in_sensor_axes(observed.magnetic / np.linalg.norm(observed.magnetic))
@@ -128,8 +129,8 @@ class LeverArm:
 
 
 class ReferenceLatency(Shaped):
-    """The channels of a recorded motion are late by a constant delay: at the same time stamp, the sensor shows a later motion than
-    these channels."""
+    """The channels of a recorded motion are late by a constant delay: at a given time stamp, they show an earlier motion than the
+    sensor."""
 
     id, stage, hypothesis, shape_name, shape_unit = "reference_latency", "acquisition", False, "delay", "s"
     about = About(

@@ -20,10 +20,10 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
     """Computes the column for a table base that is turned by an angle ε about a site axis. The sensor senses every site vector v as
     v − ε·axis × v.
 
-    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), where A is the attitude at table angle 0 and R(−θ) is the rotation of the
-    table. The axis of the table turns with the base, so the rate of the table about this axis is unchanged for the sensor.
-    `turned`: array of shape (3,) in rad, the complete rotation vector of the base, for which the column is exact (see `secant`);
-    zero for small angles.
+    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), where A is the attitude at table angle 0 and R(−θ) is the rotation of the table.
+    The axis of the table turns with the base. For the sensor, the rate of the table about this axis is therefore unchanged. `turned`:
+    array of shape (3,) in rad, the complete rotation vector of the base, for which the column is exact (see `secant`); zero for small
+    angles.
     """
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
     omega = observed.in_sensor_axes(secant(axis, earth, turned))
@@ -33,7 +33,7 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
 
 
 def secant(axis: Array, vector: Array, turned: Array) -> Array:
-    """Computes the change of a vector per radian of rotation about one axis. It is exact for a complete rotation by `turned`.
+    """Computes the change of a vector per radian of rotation about one axis. The result is exact for the complete rotation `turned`.
     `turned`: array of shape (3,) in rad, the complete rotation vector φ. If the changes for the three axes are multiplied by the
     components of φ and added, the sum is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v) (Rodrigues)."""
     first = np.cross(axis, vector)
@@ -111,7 +111,8 @@ class TablePositionError:
 
 
 class TableRateRipple:
-    """Multiplies the rate of the table by 1 + a·cos(nθ + φ), with n = 1 or 2 per turn: a ripple that the encoder does not show."""
+    """Multiplies the rate of the table by 1 + a·cos(nθ + φ), with n = 1 or 2. This is a ripple with n periods per turn, which the encoder
+    does not show."""
 
     id, stage, shape_name, shape_unit = "table_rate_ripple", "stimulus", "n", "per turn"
     about = About(
@@ -188,7 +189,7 @@ class TableWobble:
 
 
 class TableRateError:
-    """Multiplies the rate of the table by 1 + ε: it turns at another rate than commanded. If the nominal model has free scale
+    """Multiplies the rate of the table by 1 + ε: the table does not turn at the commanded rate. If the nominal model has free scale
     factors, they absorb this error."""
 
     id, stage = "table_rate_error", "stimulus"

@@ -28,9 +28,9 @@ def _about(triad: str) -> About:
 
 
 class _BiasTemperatureLagged(Shaped):
-    """Adds c·(Tₑ − T) to the bias of each axis, where Tₑ is the temperature of the sensing element and T is the temperature that
-    the thermometer shows. This is the difference between a bias that depends on Tₑ and a bias that depends on T. The model is
-    τ·dTₑ/dt = T − Tₑ, with Tₑ = T when the recording begins."""
+    """Adds c·(Tₑ − T) to the bias of each axis, where Tₑ is the temperature of the sensing element and T is the temperature that the
+    thermometer shows. c·(Tₑ − T) is the difference between a bias c·Tₑ and a bias c·T. The model is τ·dTₑ/dt = T − Tₑ, with Tₑ = T when
+    the recording begins."""
 
     stage, shape_name, shape_unit = "sensor", "tau", "s"
     shown_by = "a recorded temperature ramp, or segments soon after a change of temperature"
@@ -70,9 +70,9 @@ class AccelBiasTemperatureLagged(_BiasTemperatureLagged):
 
 def lag(observed: Observed, tau: float) -> Array:
     """Computes the difference Tₑ − T [K], shape (N,), where T is the temperature that the thermometer shows, and Tₑ is T after a
-    first-order lag of `tau` [s]. Between two segments, the temperature is assumed to approach its next value exponentially. The
-    approach starts with the slope at the end of the earlier segment. If this slope is zero or points away from the next value, the
-    temperature is assumed to change in a step."""
+    first-order lag of `tau` [s]. Between two segments, the temperature is assumed to approach the first value of the next segment
+    exponentially, starting with the slope at the end of the earlier segment. If this slope is zero or points away from the next value,
+    the temperature is assumed to change in a step."""
     found = np.empty(len(observed.time))
     behind, before = 0.0, None
     for course in observed.past.get(tau, ()):
@@ -90,9 +90,10 @@ def lag(observed: Observed, tau: float) -> Array:
 
 
 def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind: float, tau: float) -> float:
-    """Returns the lag Tₑ − T [K] at the first instant of a record of temperatures, `course`. `behind`: the lag Tₑ − T [K] at the
-    end of the preceding record, `before`. Between the two records, T = T₁ + D·exp(−t/s). Tₑ − T₁ is then a sum of two terms: its
-    first value, decaying with the time constant τ, and the convolution of D·exp(−t/s) with exp(−t/τ)/τ."""
+    """Returns the lag Tₑ − T [K] at the first instant of a record of temperatures, `course`. `behind`: the lag Tₑ − T [K] at the end of
+    the preceding record, `before`. Between the two records, T = T₁ + D·exp(−t/s). Tₑ − T₁ is then the sum of two terms. The first term is
+    the initial value of Tₑ − T₁, which decays with the time constant τ. The second term is the convolution of D·exp(−t/s) with
+    exp(−t/τ)/τ."""
     if before is None:
         return 0.0
     gap = float(course.time[0] - before.time[-1])

@@ -40,9 +40,10 @@ class GyroVibrationRectification:
 
 
 class AccelVibrationRectification:
-    """Adds k·⟨|α'|²⟩ to the bias of each axis, where α' is the oscillating part of the angular acceleration of the table, and ⟨ ⟩
-    is the mean over time. The linear acceleration of the vibration is proportional to α'. IEEE Std 1293 calls this effect vibration
-    rectification error; its coefficient per g² is k divided by the square of the distance from the axis."""
+    """Adds k·⟨|α'|²⟩ to the bias of each axis, where α' is the oscillating part of the angular acceleration of the table, and ⟨ ⟩ is the
+    mean over time. The linear acceleration of the vibration is proportional to α'. IEEE Std 1293 calls this effect vibration
+    rectification error. The coefficient of this standard, which refers to g², is k divided by the square of the distance from the
+    axis."""
 
     id, stage = "accel_vibration_rectification", "sensor"
     about = About(

@@ -42,8 +42,8 @@ class _WarmUp(Shaped):
         return np.geomspace(60.0, 7200.0, 13) if observed.of_kind(self.kind) else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        """Scales the columns so that an amplitude is the error that remains when the recording begins, which may be long after
-        power-on."""
+        """Returns the variant for the time constant `value`. Its columns are scaled so that an amplitude is the error at the start of the
+        recording, which may be long after power-on."""
         unit, factor, magnitude = _SCALES[self.kind]
         decay = np.exp(-(observed.time - observed.time[0]) / value)
         left = max(float(np.exp(-observed.time[0] / value)), 1e-300)
