@@ -180,8 +180,8 @@ class Observed:
     `excess_voltage`, `excess_pressure`: arrays of shape (N,), the values that `overvoltage` and `overpressure` return; None means zero
         everywhere.
     `past`: for samples that are one block of a simulation, the temperatures before the first sample, by the value of an effect's shape.
-    `reach`: largest distance of a sensor from the axis of a table, m. `encoder`: True if the angle of a turning table is known, from an
-    encoder or from a simulation.
+    `reach`: largest distance of a sensor from the axis of a table, m.
+    `encoder`: True if the angle of a turning table is known, from an encoder or from a simulation.
     """
 
     site: Site

@@ -1,2 +1,2 @@
-"""Converts a recording to data for fits: samples, still spans, means with their covariance, and temperatures, together with the
+"""Converts a recording to data for fits: samples, still spans, means with their covariance, and temperatures. Each comes with the
 planned states."""

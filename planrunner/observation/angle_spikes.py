@@ -1,13 +1,13 @@
-"""Spikes in recorded angles: single samples that do not agree with the motion around them.
+"""Finds spikes in recorded angles: single samples that do not agree with the motion around them.
 
-Encoders and gimbals may keep one value for a long time; and while the base rocks, successive samples differ by far more than a
-harmful spike. A sample is therefore compared with the value that the three samples before it and the three samples after it
-predict. The prediction is the interpolation through these six equally spaced points. For a sine whose phase advances by φ from
+The angle of an encoder or a gimbal may keep one value for a long time. While the base rocks, on the other hand, successive samples
+differ by far more than a harmful spike. Each sample is therefore compared with a prediction from the three samples before it and
+the three samples after it: the interpolation through these six equally spaced points. For a sine whose phase advances by φ from
 sample to sample, the error of the prediction is (2·sin(φ/2))⁶/20 of the amplitude: 3·10⁻⁴ for 15 samples per period. A sample is a
-spike if two conditions hold: its distance from the prediction is larger than the noise or the motion around it explains; and once
-the sample is replaced by the prediction, all its neighbours agree with the motion. The second condition excludes steps, and sudden
-starts and stops of the motion. A small sudden change of the rate looks nearly like a spike; the sample counts as what fits it
-better.
+spike if two conditions hold. First, neither the noise nor the motion around the sample explains its distance from the prediction.
+Second, all neighbours of the sample agree with the motion once the prediction replaces the sample. The second condition excludes
+steps, and sudden starts and stops of the motion. A small sudden change of the rate looks nearly like a spike; of the two
+explanations, the one that fits better is chosen.
 
 The samples next to the ends of a segment have fewer than three neighbours on one side. They are compared with the parabola through
 the next three samples. The first and the last sample are not examined, because a motion may begin or end there.
@@ -147,7 +147,7 @@ class AngleSpikes:
         return [(k, off, scale / _FACTOR)]
 
     def _seen_counts(self, x: Array, k: int) -> float:
-        """Returns the smallest deviation that cannot come from rounding, judged from the steps between the other samples."""
+        """Returns the smallest deviation that rounding cannot cause. It is judged from the steps between the other samples."""
         bends = np.abs(np.diff(x, 2))
         bends[max(k - 2, 0) : k + 1] = 0.0
         bends = bends[bends > _ROUNDED * self.radian]

@@ -1,11 +1,13 @@
-"""Averages a long recording in limited memory: one pass over the blocks of a segment averages consecutive samples in bins.
+"""Averages a long recording with a limited amount of memory. In one pass over the blocks of a segment, consecutive samples are
+averaged in bins.
 
-A recording of up to `BUDGET` samples is not averaged. In a longer recording, the bins are large enough to keep to this budget; but
-a turn or a period of rocking has at least `PER_PERIOD` bins, and a segment at least `FEWEST`. During motion, the number of bins
-therefore depends on the number of turns, not on the number of samples. Some properties can be measured only on single samples. The
-same pass measures them: the white noise level, from the same orders of the cosine transform as in a short recording; the size of a
-count; and outliers, which are replaced by interpolation between their neighbours. Frequencies above half the bin rate are lost; so
-are up to `size` − 1 samples at the end of a segment, which do not fill a bin of `size` samples.
+A recording of up to `BUDGET` samples is not averaged. In a longer recording, the bins are large enough for this budget. However, a
+turn or a period of rocking has at least `PER_PERIOD` bins, and a segment has at least `FEWEST` bins. During motion, the number of
+bins therefore depends on the number of turns, not on the number of samples. Three properties can be measured only on single
+samples, and the same pass measures them. The first is the white noise level; it comes from the same orders of the cosine transform
+as in a short recording. The second is the size of a count. The third is outliers, which are replaced by interpolation between their
+neighbours. Frequencies above half the bin rate are lost. Up to `size` − 1 samples at the end of a segment are also lost, because
+they do not fill a bin of `size` samples.
 """
 
 from __future__ import annotations
@@ -91,8 +93,8 @@ def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
 
 
 def seen_along(bins: Bins, along: Array) -> Bins:
-    """Bins of the readings of a triad after these have been projected onto one direction for each segment. `along`: array of shape
-    (S, 3), unit vectors. The projected readings have no count size."""
+    """Returns the bins of a triad's readings after the readings have been projected onto one direction for each segment. `along`:
+    array of shape (S, 3), unit vectors. For the projected readings, there is no size of a count."""
     energy = np.einsum("si,sij,sj->s", along, bins.energy, along)[:, None, None]
     return replace(bins, energy=energy, spikes=bins.spikes.sum(keepdims=True), levels=(np.empty(0),))
 
@@ -109,9 +111,9 @@ def averaged(
     """Averages a segment in bins of `size` samples, in one pass.
 
     `names`: names of the channels; the K measured channels come first. `factors`: array of shape (K,), factors from the channels'
-    units to SI units. `counts`: array of shape (K,), size of one count in SI units. `smallest`: array of shape (K,), smallest noise
-    that the detection of outliers assumes, in SI units. `encoder`: name of a channel that wraps, and the number of its units per
-    turn.
+    units to SI units. `counts`: array of shape (K,), size of one count in SI units. `smallest`: array of shape (K,), lower limit of
+    the noise that the detection of outliers assumes, in SI units. `encoder`: name of a channel whose values wrap after one turn,
+    and the number of its units per turn.
     """
     out = Averaged(energy=np.zeros((len(factors),) * 2), spikes=np.zeros(len(factors), dtype=np.int64))
     out.levels = [np.empty(0) for _ in factors]
@@ -141,7 +143,7 @@ def averaged(
 
 
 def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Iterator[Block]:
-    """Yields the blocks without those rows that contain a NaN; counts these rows."""
+    """Yields the blocks without the rows that contain a NaN, and counts the omitted rows."""
     for block in item.blocks(names):
         good = np.isfinite(block.time)
         for name in names:
@@ -159,8 +161,8 @@ def _look_at(values: Array, counts: Array, out: Averaged) -> None:
 
 
 def _upper(values: Array, out: Averaged) -> None:
-    """Adds up the energy of a piece in the upper three quarters of the orders of the cosine transform, which belong to frequencies
-    above one eighth of the sampling rate."""
+    """Adds the energy that a piece has in the upper three quarters of the orders of its cosine transform. These orders belong to
+    frequencies above one eighth of the sampling rate."""
     from scipy.fft import dct
 
     quarter = values.shape[1] // 4
@@ -171,8 +173,8 @@ def _upper(values: Array, out: Averaged) -> None:
 
 
 def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Replaces outliers in samples (K, n) by linear interpolation; also returns the number of outliers (K,). An outlier lies far
-    from the mean of its four neighbours.
+    """Replaces outliers in samples (K, n) by linear interpolation. Returns the samples and the number of outliers in each channel
+    (K,). An outlier lies far from the mean of its four neighbours.
 
     For white noise, the difference between a sample and this mean has 1.25 times the variance of the noise. If there are several
     outliers within two samples, the largest is replaced first.
@@ -199,8 +201,8 @@ def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.in
 
 
 def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Iterator[tuple[Array, Array]]:
-    """Divides the samples anew, into pieces of `rows` rows, each with the time (n,) and the values (k, n). Only the last piece may
-    be shorter."""
+    """Divides the samples of the blocks into pieces of `rows` rows. Each piece consists of the times (n,) and the values (k, n).
+    Only the last piece may be shorter."""
     time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
     for block in blocks:
         taken, count = 0, len(block.time)

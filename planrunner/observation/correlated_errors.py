@@ -1,8 +1,8 @@
 """Describes errors that correlate the means of different segments: declared flicker, and errors of the table.
 
-A correlated error describes how every observation depends on r independent inputs that have a common stated uncertainty. Two things
-follow from this: the contribution to the covariance of the observations, which determines their weights, and the sensitivity of
-each result to the inputs.
+A correlated error describes how every observation depends on r independent inputs, which have one stated uncertainty in common.
+This gives the contribution of the error to the covariance of the observations, which determines their weights. It also gives the
+sensitivity of each result to the inputs.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class CorrelatedError:
     """An error that changes several observations together.
 
     `changes`: maps the index of each affected output to an array of shape (n, r), the changes of the n observations per unit of
-    each of the r inputs. `parts`: names of the r inputs, as for `Influence`. `within`: maps the index of an output to an array of
-    shape (n,), the contribution of the error to the variance within the segments, per unit² of the input. `channel`: name of the
-    channel if the error is noise of a channel; otherwise empty.
+    each of the r inputs. `parts`: names of the r inputs, as in `Influence`. `within`: maps the index of an output to an array of
+    shape (n,), the contribution of the error to the variance within the segments, per squared unit of the input. `channel`: name of
+    the channel whose noise the error is; empty if the error is not noise of a channel.
     """
 
     quantity: InputQuantity
@@ -38,37 +38,37 @@ class CorrelatedError:
     channel: str = ""
 
     def covariance(self, one: int, other: int) -> Array | float:
-        """Returns what the error contributes to the covariance between the observations of two outputs, shape (n, n); 0.0 if the
-        error does not act on both outputs."""
+        """Returns the contribution of the error to the covariance between the observations of two outputs, shape (n, n); 0.0 unless
+        the error acts on both outputs."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
 
     def through(self, functionals: Array, in_scatter: bool = False) -> Influence:
-        """Computes how the error influences q quantities. `functionals`: array of shape (q, m, n), the coefficients with which each
-        quantity depends linearly on the observations."""
+        """Computes how the error influences q quantities, which depend linearly on the observations. `functionals`: array of shape
+        (q, m, n), the derivative of each quantity with respect to each of the n observations of each of the m outputs."""
         moved = sum(functionals[:, output] @ change for output, change in self.changes.items())
         return Influence(self.quantity, np.asarray(moved), in_scatter, self.parts)
 
 
 def functionals_of(gains: Array) -> Array:
-    """Arranges the gains (m, p, n) of m outputs with p coefficients each as linear functions (m·p, m, n) of all observations,
-    output after output."""
+    """Converts the gains (m, p, n) of m outputs with p coefficients each to linear functions (m·p, m, n) of the observations of all
+    outputs. The functions of one output follow those of the other."""
     m, p, n = gains.shape
     stacked: Array = np.einsum("apn,ab->apbn", gains, np.eye(m)).reshape(m * p, m, n)
     return stacked
 
 
 def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
-    """Returns what correlated errors contribute to the variance within the segments, shape (n,)."""
+    """Returns the contribution of correlated errors to the variance within the segments, shape (n,)."""
     shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
     return sum(shares, 0.0)
 
 
 def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> Array:
-    """Computes how the n observations of each output change for an error of one standard uncertainty of every input. Returns an
-    array of shape (outputs, n, r); 0 for an error that does not act on an output. If L₁ and L₂ are the changes of two outputs,
-    L₁·L₂ᵀ is the contribution of the errors to the covariance between their observations."""
+    """Computes how the n observations of each output change if an input changes by one standard uncertainty, for each of r inputs.
+    Returns an array of shape (outputs, n, r); 0 for an error that does not act on an output. If L₁ and L₂ are the changes of two
+    outputs, L₁·L₂ᵀ is the contribution of the errors to the covariance between their observations."""
     roots = []
     for effect in effects:
         columns = next(iter(effect.changes.values())).shape[1]
@@ -80,8 +80,8 @@ def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> A
 
 
 def mixed(spread: Array, roots: Array) -> Array:
-    """Returns the covariance of the observations of outputs, shape (…, n, n). It is the sum of two parts: noise, and correlated
-    errors. `spread`: array of shape (…, n), standard uncertainty of the noise. `roots`: array of shape (…, n, r) from
+    """Returns the covariance of the n observations of each output, shape (…, n, n): the sum of the covariances of noise and of
+    correlated errors. `spread`: array of shape (…, n), standard uncertainty of the noise. `roots`: array of shape (…, n, r) from
     `stacked_roots`."""
     covariance = np.asarray(roots @ roots.swapaxes(-1, -2))
     i = np.arange(spread.shape[-1])

@@ -1,10 +1,11 @@
-"""Describes a slow drift of the outputs during a test by drift functions. A drift function is a function of the time, of the
-temperature, or of the rate of change of the temperature, to which the drift may be proportional.
+"""Describes a slow drift of the outputs during a test by drift functions. The drift may be proportional to such a function, which
+is a function of the time, of the temperature, or of the temperature's rate of change.
 
-A drift is a nuisance: the drift functions are fitted together with the coefficients, so that the unknown drift contributes to the
-uncertainties of the coefficients. A drift function is described by its mean over each segment, minus its average over the recorded
-time of all segments that the estimate uses. A constant is therefore a value for the whole test: at its average time, at its average
-temperature, and at its average rate of change. A constant thus has the same meaning for outputs that use only some of the segments.
+A drift is not a result: the drift functions are fitted together with the coefficients only so that the unknown drift contributes to
+the uncertainties of the coefficients. A drift function is represented by its mean over each segment, minus its average over the
+recorded time of all segments that the estimate uses. A fitted constant is therefore the value at the average time, the average
+temperature and the average rate of change of the whole test. It has the same meaning for outputs that use only some of the
+segments.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _STEADY = 1e-9  # K: a smaller change of the temperature is rounding
 
 
 def drift() -> tuple[str, ...]:
-    """Makes the key `drift` of estimators that fit constants to segments."""
+    """Makes the plan key `drift` of estimators that fit constants to segments."""
     words: tuple[str, ...] = key(
         ListOf(Choice((BY_EVIDENCE, NONE, *ORDERS, *WITH_TEMPERATURE)), single=True, minimum=1),
         "Drift of the outputs during the test that is fitted together with the coefficients: in time (`quadratic` includes `linear`, and "
@@ -46,7 +47,7 @@ def drift() -> tuple[str, ...]:
 
 
 def thermometer() -> str | None:
-    """Makes the key that names the channel with the temperature of a segment."""
+    """Makes the plan key that names the channel with the temperature of a segment."""
     channel: str | None = optional(
         CHANNEL,
         "The sensor's own thermometer, for a drift with temperature; by default the only recorded channel that is a temperature.",
@@ -59,10 +60,11 @@ def thermometer() -> str | None:
 class DriftCourse:
     """Contains one drift function as columns for a fit.
 
-    `columns`: array of shape (n, r), the same drift function for r parts of an output, without the unit of the output. `per`: the
-    unit by which the unit of the output is divided to give the unit of a fitted amplitude. `parts`: names of the parts if there are
-    several. `order`: power of the time if the drift function is a function of time, otherwise 0. `changed`: change of the recorded
-    temperature between segments, K, if the drift function follows the temperature and the change is significant; otherwise 0.
+    `columns`: array of shape (n, r), one column for each of r parts of an output, without the unit of the output. `per`: the unit
+    in the denominator of a fitted amplitude, whose unit is the unit of the output divided by `per`. `parts`: names of the parts if
+    there are several. `order`: power of the time; 0 if the drift function is not a function of the time. `changed`: change of the
+    recorded temperature between segments, K, if the drift function follows the temperature and the change is significant; otherwise
+    0.
     """
 
     name: str
@@ -77,9 +79,9 @@ class DriftCourse:
 class DriftCourses:
     """The drift functions that may be fitted.
 
-    `by_evidence`: True if a drift function is fitted only if the data show it; False if all drift functions are fitted. `fits`:
-    number of separate fits in which the same drift is looked for. `shown`: names of the drift functions that one of these fits
-    shows; every fit includes them if its segments allow it.
+    `by_evidence`: True if only those drift functions are fitted that the data show; False if all are fitted. `fits`: number of
+    separate fits that search for the same drift. `shown`: names of the drift functions that at least one of these fits shows; every
+    fit whose segments allow it then includes them.
     """
 
     courses: tuple[DriftCourse, ...] = ()
@@ -92,8 +94,9 @@ NO_DRIFT = DriftCourses()
 
 
 def asked(words: Sequence[str]) -> tuple[str, ...]:
-    """Names the drift functions that a plan requests, including the lower powers of the time. If `by_evidence` is True, names the
-    drift functions that are tried. Raises `EstimationError` for options that exclude each other."""
+    """Returns the names of the drift functions that a plan requests, including the lower powers of the time. If the data decide
+    which functions are fitted, returns the names of all functions that are tried. Raises `EstimationError` for options that exclude
+    each other."""
     alone = [word for word in words if word in (BY_EVIDENCE, NONE)]
     if alone and len(set(words)) > 1:
         other = next(word for word in words if word != alone[0])
@@ -118,8 +121,8 @@ def drift_of(
     """Returns the drift functions for the observations of recorded segments.
 
     `channel`: the thermometer that the plan names, or None. `segments`: the segments of the observations, in the same order; empty
-    if the observations are parts of segments and have no known temperature. `test`: all segments that the estimate uses. Raises
-    `EstimationError` if the plan requests a drift with a temperature that is not recorded.
+    if the observations are parts of segments, because their temperatures are then unknown. `test`: all segments that the estimate
+    uses. Raises `EstimationError` if the plan requests a drift with the temperature, but no temperature is recorded.
     """
     names, by_evidence = asked(words), BY_EVIDENCE in words
     if not names or (by_evidence and observations.expected):
@@ -150,12 +153,12 @@ def drift_of(
 def courses_by_evidence(
     start: Array, end: Array, seconds: Array, kelvin: Array | None, observed: int
 ) -> tuple[DriftCourses, DriftCourses]:
-    """Returns the drift functions that n observations may show, and the same drift functions for all r rows. The rows are the
-    observations, followed by further times.
+    """Returns the drift functions that n observations may show: first at the observations only, then at all r rows. The rows are
+    the observations, followed by further times.
 
-    `start`, `end`: arrays of shape (r,) in s, start and end of each observation, then the further times. `seconds`: array of shape
-    (r,), recorded time of each observation, s, and 0 at the further times. `kelvin`: array of shape (r,), temperatures, K, None if
-    they are not recorded. `observed`: number n of observations.
+    `start`, `end`: arrays of shape (r,) in s, the start and end of each observation, followed by the further times. `seconds`:
+    array of shape (r,), recorded time of each observation, s, and 0 at the further times. `kelvin`: array of shape (r,),
+    temperatures, K, None if they are not recorded. `observed`: number n of observations.
     """
     rows = list(range(observed))
     names = asked((BY_EVIDENCE,))
@@ -219,7 +222,7 @@ def _centred(values: Array, seconds: Array) -> Array:
 
 
 def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | None, by_evidence: bool) -> str | None:
-    """Returns the thermometer that is recorded in all segments; it is chosen as in `thermometer_of`."""
+    """Returns the thermometer among the channels that all segments record. It is chosen as in `thermometer_of`."""
     return thermometer_of(_common(segments), channel, by_evidence)
 
 
@@ -227,8 +230,8 @@ def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: b
     """Returns the channel that contains the temperature; None if there is no such channel and the plan does not require one.
 
     `units`: units of the channels that every segment has. `channel`: the channel that the plan names, or None. Raises
-    `EstimationError` if the named channel is not a recorded temperature, or if the plan requires a thermometer and there is not
-    exactly one.
+    `EstimationError` if the named channel is not a recorded temperature, or if the plan requires a thermometer but there is none,
+    or more than one.
     """
     thermometers = [name for name in sorted(units) if _is_temperature(units[name])]
     if channel is not None:

@@ -1,11 +1,10 @@
-"""Computes how an output's bias instability affects the means of segments. Bias instability is flicker noise, whose slow part
-correlates all segments of a test.
+"""Computes how an output's bias instability affects the means of segments. Bias instability is flicker noise. Its slow part makes
+the means of all segments of a test correlated.
 
 Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). The spectrum of flicker
-has no lower limit, so a constant can be defined only as an average over some time span. The plan states this span; a constant is
-the average over the span, and the test lies in the middle of the span. No cut-off frequency is then needed, because the means have
-a finite covariance after the average over the span has been subtracted. This covariance has the kernel −ln|t − t′|/π, whose double
-integrals over segments are known in closed form.
+has no lower limit, so a constant can be defined only as an average over some time span. The plan states this span, and the test
+lies in its middle. No cut-off frequency is then needed: after the average over the span has been subtracted, the means have a
+finite covariance. This covariance has the kernel −ln|t − t′|/π, whose double integrals over segments are known in closed form.
 """
 
 from __future__ import annotations
@@ -51,7 +50,8 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
 def _effects(
     observations: Observations, stated: Mapping[int, InputQuantity], span: float
 ) -> tuple[CorrelatedError, ...]:
-    """Returns the flicker of those outputs whose bias instability is given, by the index of the output."""
+    """Returns the flicker of those outputs whose bias instability is given. `stated`: bias instability by the index of the
+    output."""
     if not stated:
         return ()
     root = _root(mean_covariance(observations.start, observations.end, span))
@@ -63,9 +63,9 @@ def _effects(
 
 
 def _root(covariance: Array) -> Array:
-    """Returns a matrix L for which L·Lᵀ is the covariance (n, n). A Cholesky factor is used if possible, because it takes a tenth
-    of the time of eigenvectors. Eigenvectors are needed only if the covariance is singular, for example for a test without gaps
-    that fills the whole span."""
+    """Returns a matrix L for which L·Lᵀ is the covariance (n, n). A Cholesky factor is used if possible, because its computation
+    takes a tenth of the time that eigenvectors need. Eigenvectors are needed only if the covariance is singular, for example for a
+    test without gaps that fills the whole span."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -73,8 +73,8 @@ def _root(covariance: Array) -> Array:
 
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """Returns the flicker of each output for which the bench file states no bias instability. It has the size B = 1, in the
-    output's unit. For expected observations the result is empty, because they contain only declared effects. `span`: time span
+    """Returns the flicker of each output for which the bench file states no bias instability, with the size B = 1 in the output's
+    unit. For expected observations, the result is empty, because such observations contain only declared effects. `span`: time span
     around the test, over which a constant is the average, s."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
@@ -88,8 +88,8 @@ def of_unit_size(channel: str, unit: str) -> InputQuantity:
 
 
 def mean_covariance(start: Array, end: Array, span: float) -> Array:
-    """Computes the covariance of means over n segments of flicker noise with B = 1, shape (n, n). Before that, the average of the
-    noise over `span` [s] around the segments is subtracted.
+    """Computes the covariance of the means of flicker noise with B = 1 over n segments, shape (n, n), after the average of the
+    noise over `span` [s] around the segments has been subtracted.
 
     `start`, `end`: arrays of shape (n,), start and end times of the segments, s. A span shorter than the time from the first start
     to the last end is extended to that time.
@@ -103,13 +103,13 @@ def mean_covariance(start: Array, end: Array, span: float) -> Array:
 
 
 def weighted_covariance(weights: Array, step: float, span: float) -> Array:
-    """Computes the covariance of q weighted sums of means over n consecutive intervals of the length `step` [s]. Returns an array
-    of shape (…, q, q). The means are those of flicker noise with B = 1, after its average over `span` [s] around the intervals has
-    been subtracted. `weights`: array of shape (…, q, n), the weights of the n means in each sum.
+    """Computes the covariance of q weighted sums of the means of flicker noise. Returns an array of shape (…, q, q). The means are
+    taken over n consecutive intervals of the length `step` [s]. The noise has B = 1, and its average over `span` [s] around the
+    intervals has been subtracted. `weights`: array of shape (…, q, n), the weights of the n means in each sum.
 
-    For intervals of equal length, the result agrees with that of `mean_covariance`. The covariance of two means then depends only
-    on the distance between their intervals. The product of this covariance with the weights is therefore a convolution (a Toeplitz
-    matrix embedded in a circulant one), so that n may be thousands.
+    The result agrees with that of `mean_covariance`. As all intervals have the same length, the covariance of two means depends
+    only on the distance between their intervals. The product of the covariance matrix with the weights is therefore a convolution
+    (a Toeplitz matrix embedded in a circulant one), so that n may be thousands.
     """
     n = weights.shape[-1]
     low: Array = step * np.arange(n, dtype=np.float64)
@@ -129,16 +129,17 @@ def weighted_covariance(weights: Array, step: float, span: float) -> Array:
 
 
 def _mean_logarithm(low: Array, high: Array) -> Array:
-    """Returns the average of ln|t − t′| over t in one interval and t′ in another, for all pairs of n intervals, (n, n)."""
+    """Returns the average of ln|t − t′| over t in one interval and t′ in another, for all pairs of n intervals, shape (n, n)."""
     return _between(low, high, low, high)
 
 
 def _between(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
-    """Returns the average of ln|t − t′| over t in one of n intervals and t′ in one of m other intervals, (n, m).
+    """Returns the average of ln|t − t′| over t in one of n intervals and t′ in one of m other intervals, shape (n, m).
 
-    It is computed from the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends. If the lengths a and b of
-    the intervals are small compared with their distance d, these differences cancel. The average is then computed as ln d − (a² +
-    b²)/(24·d²), with an error of fourth order in a/d and b/d.
+    The second antiderivative of ln|x| is F(x) = x²·ln|x|/2 − 3x²/4. The average is a sum of four values of F, at the differences
+    between the ends of one interval and those of the other. If the lengths a and b of the intervals are small compared with their
+    distance d, the four values nearly cancel. The average is then computed as ln d − (a² + b²)/(24·d²), with an error of fourth
+    order in a/d and b/d.
     """
     if len(low) > _ROWS:
         parts = [slice(first, first + _ROWS) for first in range(0, len(low), _ROWS)]
@@ -160,14 +161,14 @@ _ROWS = 64  # computed at a time, so that the parts of the sum stay in the proce
 
 
 def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) -> Array:
-    """Returns what flicker with B = 1 contributes to the square of the standard error of each mean, shape (n,). If the standard
-    error is estimated from b batch means, the contribution is ln b/(π·(b − 1)).
+    """Returns the contribution of flicker with B = 1 to the squared standard error of each mean, shape (n,). If the standard error
+    is estimated from b batch means, this contribution is ln b/(π·(b − 1)).
 
     A mean over the time T has the variance (c − ln T + 3/2)/π, where c is a constant. The variance of one batch mean is therefore
-    larger than that of the mean of all batches by ln b/π. If functions of time are fitted to the batch means, the fit removes a
-    part of the flicker. The contribution is then tr(R·K·R)/(b·ν), where R is the projection onto what the fit leaves, K the
-    covariance of the batch means, and ν the number of degrees of freedom. `courses`: the fitted functions of time, as in
-    `Observations`.
+    larger by ln b/π than the variance of the mean of all batches. If functions of time are fitted to the batch means, the fit
+    removes a part of the flicker. The contribution is then tr(R·K·R)/(b·ν), where R is the projection onto the residuals of the
+    fit, K is the covariance of the batch means, and ν is the number of degrees of freedom. `courses`: the fitted functions of time,
+    as in `Observations`.
     """
     b = np.maximum(batches, 2).astype(float)
     plain = np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)

@@ -1,5 +1,5 @@
-"""Finds the count of a channel, which is the step of which all values are multiples. Levels are the distinct values in units of the
-declared count, rounded to hundredths; they are collected piece by piece."""
+"""Finds the count of a channel, which is the step of which all values are multiples. The levels of a channel are its distinct
+values in units of the declared count, rounded to hundredths. They are collected piece by piece."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def levels_of(values: Array, step: float) -> Array:
 
 
 def coarsening(levels: Array) -> float:
-    """Returns the smallest step between the levels, in units of the declared count. Returns 1 if this step is not clearly coarser
+    """Returns the smallest step between the levels, in units of the declared count. Returns 1 if this step is not clearly larger
     than the declared count, or if there are too few levels."""
     if len(levels) < DISTINCT:
         return 1.0

@@ -27,7 +27,7 @@ class MotionShown:
     `table`: angle, rate and acceleration of an axis with an encoder, an array of shape (n,) each; zero without an encoder.
     `course`: the motion if channels other than an encoder show it; None if an encoder shows it. `averaging`: number of consecutive
     samples that are averaged. `usable`: array of shape (n,), True for samples with neighbours on both sides. `differences`: True if
-    rates are computed as differences between the two neighbours of a sample.
+    the rate at a sample is computed from the difference between its two neighbours.
     """
 
     table: Mapping[str, Array]
@@ -37,8 +37,9 @@ class MotionShown:
     differences: bool = False
 
     def as_shown(self, values: Array) -> Array:
-        """Averages outputs (n, k) in the same way as the motion. If rates are differences, the outputs are averaged by Simpson's
-        rule over the interval of each difference, so that they contain a fast motion to the same degree as the reference."""
+        """Averages outputs (n, k) in the same way as the motion. If rates are computed from differences, the outputs are averaged
+        by Simpson's rule over the interval of each difference. A fast motion is then attenuated in the outputs as it is in the
+        reference."""
         if not self.differences:
             return values
         found = values.copy()
@@ -92,8 +93,8 @@ def recorded_course(
 
 
 def supposed_course(time: Array, site: Site) -> MotionShown:
-    """Returns an assumed motion about all axes, which is used for a segment that has not been recorded. The motion is chosen such
-    that every effect can act. Numbers that are reported must not depend on this motion."""
+    """Returns an assumed motion about all axes, for a segment that has not been recorded yet. The motion is chosen such that every
+    effect can act. Numbers that are reported must not depend on this motion."""
     since = time - time[0]
     rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
     zero = np.zeros(len(time))

@@ -35,11 +35,11 @@ class Observations:
     the scatter within its segment; NaN if the segment is too short. `batches`: array of shape (n,), number of batches from which
     the standard errors of a segment are estimated. `start`, `end`: arrays of shape (n,), start and end of the recorded intervals, s
     on the run's clock; the end does not belong to the interval. `correlation`: array of shape (k, k), correlation between the noise
-    of the channels, over all segments. `expected`: True if the observations are predicted from a schedule; the means then contain
-    no noise, and the standard errors come from the declared noise. `share`: array of shape (n,), fraction of the samples of each
-    segment that are used; None if all are used. `courses`: for each of the n segments, the functions of its motion that are fitted
-    together with its mean (`Statistics.course`); None without motion. `within`: number of observations at the end that are not
-    means but contrasts within segments; the standard errors of the contrasts are known.
+    of the channels, determined from all segments. `expected`: True if the observations are predicted from a schedule; in this case,
+    the means contain no noise, and the standard errors follow from the declared noise. `share`: array of shape (n,), fraction of
+    the samples of each segment that are used; None if all are used. `courses`: for each of the n segments, the functions of its
+    motion that are fitted together with its mean (`Statistics.course`); None without motion. `within`: number of observations, the
+    last ones, that are not means but contrasts within segments. The standard errors of the contrasts are known.
     """
 
     channels: tuple[str, ...]
@@ -77,7 +77,7 @@ class Observations:
 
     @property
     def freedom(self) -> Array:
-        """Degrees of freedom (n,) of the standard errors; 0 if they are unknown."""
+        """Returns the degrees of freedom (n,) of the standard errors; 0 for a standard error that is unknown."""
         taken = 0.0 if self.courses is None else np.array([np.sum(course**2) for course in self.courses])
         return np.asarray(np.maximum(self.batches - 1 - taken, 0.0))
 
@@ -89,7 +89,8 @@ class Observations:
 
 
 class Weighting(StrEnum):
-    """States which noise determines the weights of a channel's segments. Reports show the values of this enumeration."""
+    """States which noise determines the weights of a channel's segments. The values of this enumeration are the texts in
+    reports."""
 
     DECLARED = "declared noise"
     EQUAL = "equal"
@@ -99,7 +100,7 @@ class Weighting(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WithinSegmentNoise:
-    """Contains the standard uncertainty that the noise within segments gives to the means of one channel.
+    """Contains the standard uncertainty of the means of one channel due to the noise within segments.
 
     `sigma`: array of shape (n,), standard uncertainties, all positive. `known`: False if the samples give no information about the
     noise; all elements of `sigma` are then 1. `degrees_of_freedom`: degrees of freedom of `sigma`, over all segments together.
@@ -112,7 +113,7 @@ class WithinSegmentNoise:
 
     @property
     def unequal(self) -> bool:
-        """Returns True if the weights of the segments differ by more than the jitter of recorded times causes."""
+        """Returns True if the weights of the segments differ by more than the jitter of recorded times explains."""
         return bool(self.sigma.max() > 1.05 * self.sigma.min())
 
 
@@ -172,8 +173,9 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 
 def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Array], Array]) -> float:
     """Computes the standard error of a channel's mean over a segment from the scatter of the samples about a known function of
-    time. The samples are read once more. If there are only published statistics and no samples, the standard error is that of the
-    statistics. `course`: returns this function at times (k,), s since the start of the segment, in the unit of the channel."""
+    time. The samples are read again for this purpose. If there are no samples, only published statistics, the standard error comes
+    from these statistics. `course`: returns this function at times (k,), s since the start of the segment, in the unit of the
+    channel."""
     whole = recorded.statistics
     if recorded.summary:
         return float(whole.standard_error[whole.of(channel)])
@@ -188,7 +190,8 @@ def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Arra
 
 
 def _correlation(scatter: Array) -> Array:
-    """Returns the correlation (k, k), computed from sums of products of deviations."""
+    """Returns the correlation (k, k) of k channels. `scatter`: array of shape (k, k), sums of products of the channels'
+    deviations."""
     size = np.sqrt(scatter.diagonal())
     sizes = size[:, None] * size
     correlation = np.where(sizes > 0, scatter / np.where(sizes > 0, sizes, 1.0), 0.0)
@@ -197,10 +200,10 @@ def _correlation(scatter: Array) -> Array:
 
 
 def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], channels: Sequence[str]) -> Array:
-    """Returns the correlation between the means of the channels, shape (k, k). It is the correlation of the samples, which is the
-    most certain, unless the correlation of the batch means differs significantly from it (Fisher's z, with Bonferroni's bound over
-    the pairs). The two correlations differ if the samples of several channels have a common part that averages out, such as a
-    vibration.
+    """Returns the correlation between the means of the channels, shape (k, k). By default, this is the correlation of the samples,
+    which is the most certain one. If the correlation of the batch means differs significantly from it, that correlation is returned
+    instead (Fisher's z, with Bonferroni's bound over the pairs). The two differ if the samples of several channels have a common
+    part that averages out, such as a vibration.
 
     Fisher's transform of a correlation coefficient r with ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
     k, scatter, freedom = len(channels), np.zeros((len(channels),) * 2), 0.0
@@ -219,8 +222,8 @@ def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], c
 
 
 def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
-    """Returns the start and end times [s] of the recorded segments. If segments overlap, their recorded times do not come from one
-    clock; the planned start times are then used."""
+    """Returns the start and end times [s] of the recorded segments. If segments overlap, their recorded times do not come from the
+    same clock; in this case, the planned start times are used."""
     start = np.array([recorded.statistics.start for recorded in segments])
     length = np.array([max(recorded.statistics.duration, 1e-9) for recorded in segments])
     order = np.argsort(start)
@@ -235,11 +238,10 @@ def within_segment_noise(
 ) -> WithinSegmentNoise:
     """Determines the noise of the means of one channel, for weights and for uncertainties.
 
-    The variance of a mean multiplied by its recorded time is pooled over the segments, unless Bartlett's test (Snedecor and
-    Cochran, Statistical Methods, 13.10) finds that this product differs between the segments. In that case, each segment keeps its
-    own value. With equal noise, the weights therefore depend only on the recorded time, and chance differences between short
-    segments do not influence them. `explained`: array of shape (n,), part of the variance of the means that has another known
-    cause; it is subtracted.
+    The variance of each mean is multiplied by its recorded time, and the product is pooled over the segments. If Bartlett's test
+    (Snedecor and Cochran, Statistical Methods, 13.10) finds that the product differs between the segments, each segment keeps its
+    own value. For equal noise, the weights therefore depend only on the recorded time, and not on chance differences between short
+    segments. `explained`: array of shape (n,), part of the variance of the means that has another known cause; it is subtracted.
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
@@ -253,7 +255,7 @@ def within_segment_noise(
 
 
 def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentNoise:
-    """Determines the noise of n means; it is pooled as in `within_segment_noise`.
+    """Determines the noise of n means. The noise is pooled as in `within_segment_noise`.
 
     `error`: array of shape (n,), standard errors. `seconds`: array of shape (n,), recorded times, s. `freedom`: array of shape
     (n,), degrees of freedom of the standard errors.
@@ -272,14 +274,14 @@ def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentN
 
 
 def _left(variance: Array, explained: Array | float) -> Array:
-    """Returns the standard uncertainties (n,) after the explained part of the variance has been subtracted, but at least one
-    hundredth of the observed ones."""
+    """Returns the standard uncertainties (n,) after the explained part of the variance has been subtracted. They are at least one
+    hundredth of the standard uncertainties before the subtraction."""
     return np.sqrt(np.maximum(variance - explained, _LEAST**2 * variance))
 
 
 def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
-    """Returns True if Bartlett's test finds that g variances differ from the pooled variance. The variances are positive; variances
-    and degrees of freedom have the shape (g,)."""
+    """Returns True if Bartlett's test finds that g variances differ from each other. `variances`: array of shape (g,), positive.
+    `degrees`: array of shape (g,), their degrees of freedom. `pooled`: the pooled variance."""
     from scipy.special import chdtrc
 
     total, groups = float(degrees.sum()), len(degrees)
@@ -289,8 +291,8 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
 
 
 def dithered(sensor: SensorModel, channel: str, variance: float | Array) -> NDArray[np.bool_]:
-    """Returns True if the noise between samples, with this variance [unit²], is large enough to dither the mean of the channel
-    (`NoiseModel.dithers`)."""
+    """Returns True if the noise of the samples is large enough to dither the mean of the channel (`NoiseModel.dithers`).
+    `variance`: variance of the samples, in the channel's squared unit."""
     return _noise(sensor, channel).dithers(variance)
 
 

@@ -1,15 +1,15 @@
-"""Poses in unknown orientations as observations. For a sensor that is turned by hand, only the magnitude |f| = g of the specific
-force is known while it rests.
+"""Makes observations of poses in unknown orientations. While a sensor that is turned by hand is at rest, only the magnitude |f| = g
+of the specific force is known.
 
-The readings in a pose are a = M·f + b + noise. The components of the readings that are perpendicular to f depend on the unknown
-orientation, which takes up two numbers per pose. One observation per sample remains: the component along u = f/g,
+The readings in a pose are a = M·f + b + noise. The two components of the readings that are perpendicular to f only determine the
+unknown orientation. One observation per sample remains: the component along u = f/g,
 
     u·a = g + u·b + g·uᵀ(M − 1)u + noise.
 
 Errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) can therefore not be observed. Of the six misalignments,
-only the sums of opposite ones can be observed; these are the three non-orthogonalities. u is found from the mean of the pose and
-the fitted nominal model by Gauss-Newton steps. An effect of size δ that the nominal model does not contain rotates u by at most δ.
-This changes u·a by g·δ²/2, which is of second order.
+only three sums of two can be observed, for example that of x toward y and of y toward x. These sums are the non-orthogonalities.
+The direction u is found from the mean of the pose and the fitted nominal model by Gauss-Newton steps. If an effect of relative size
+δ is not in the nominal model, it rotates u by at most δ, which changes u·a only by g·δ²/2.
 """
 
 from __future__ import annotations
@@ -156,8 +156,8 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
 
 
 def _columns(unit: Array, gravity: float, nominal: Sequence[str]) -> Array:
-    """Columns with the changes of the reading along `unit` (S, 3) per unit of each nominal term: bias, scale factors and
-    non-orthogonalities, as far as they are in `nominal`."""
+    """Returns one column for each parameter of the terms in `nominal`: bias, scale factors and non-orthogonalities. A column
+    contains the changes of the reading along `unit` (S, 3) per unit of the parameter."""
     parts = [np.empty((len(unit), 0))]
     if "accel_bias" in nominal:
         parts.append(unit)

@@ -1,4 +1,4 @@
-"""Defines the errors that report that a recording is not suitable for a diagnosis or an estimate."""
+"""Defines the errors for recordings that are not suitable for a diagnosis or an estimate."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class EstimationError(Exception):
     """Reports that the data or the segments are not suitable for an estimate. The message states the reason in words that a quality
     engineer understands.
 
-    `hint`: what to do, unless this is to choose other segments or another estimator. `key`: the key of the estimate that must be
-    corrected, if any.
+    `hint`: what to do; empty if the user should choose other segments or another estimator. `key`: the key of the estimate that
+    must be corrected, if any.
     """
 
     def __init__(self, message: str, hint: str = "", key: str = ""):

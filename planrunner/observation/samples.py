@@ -1,4 +1,4 @@
-"""Makes the input of a diagnosis: an `Observed` with the samples and their planned states over the whole run."""
+"""Makes the input of a diagnosis: an `Observed` with all samples of a run and their planned states."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ def observed(
     accelerometer (acceleration). `angle_channel`: channel of the table's encoder. `temperature_channel`: channel of the
     thermometer. `supply_channel`: channel of the voltmeter for the supply. `pressure_channel`: channel of the barometer. If the
     channel of a quantity is not given, the values of this quantity in the plan are used. `power_on`: time of power-on, in the time
-    of the recording, s. `free_angle`: True if an input that varies once per turn with an unknown phase counts as noise, as in a
-    diagnosis (`Observed.unknown_phase`). If it is True, the angle of a table without encoder is the one that agrees best with the
-    Earth's rate. If it is False, the angle of a table without encoder is zero at the first sample, unless gravity shows the angle.
-    Raises `ObservationError` if the recording cannot be diagnosed.
+    of the recording, s. `free_angle`: determines the angle of a table without encoder. If True, the angle that agrees best with the
+    Earth's rate is used; an input that varies once per turn with an unknown phase then counts as noise, as in a diagnosis
+    (`Observed.unknown_phase`). If False, the angle is zero at the first sample, unless gravity shows the angle. Raises
+    `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -145,9 +145,9 @@ def _part(
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
     """Reads one segment, without the rows that contain a NaN.
 
-    Returns four values. The first is the planned states of the segment with its samples or, if `size` is given, with means over
-    `size` samples. The second is the rows as they were read. The third is the uncertainty of the temperature, NaN if the
-    temperature changes. The fourth is the motion, if attitude and angle do not describe it. `limits`: full scale of each output."""
+    Returns four values: the planned states of the segment with its samples or, if `size` is given, with means over `size` samples;
+    the rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and the motion, None if attitude
+    and angle describe it. `limits`: full scale of each output."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
         return _moved_part(item, motion, site, limits, channels, monitors, power_on, size)
@@ -186,8 +186,8 @@ def _start_angle(
     values: Array,
     free_angle: bool,
 ) -> float:
-    """Returns the angle [rad] of a table without encoder at the first sample. If gravity shows this angle, it is found from the
-    accelerometers. Otherwise it is found from all channels if `free_angle` is True, and is zero if not."""
+    """Returns the angle [rad] of a table without encoder at the first sample. If gravity shows the angle, it is found from the
+    accelerometers. Otherwise, it is found from all channels if `free_angle` is True; if not, it is zero."""
     accelerometers = [channel.axis for channel in channels if channel.kind == "accel"]
     by_gravity = angle_from(motion, attitude, site, accelerometers) is AngleFrom.GRAVITY
     if not by_gravity and not free_angle:

@@ -1,4 +1,4 @@
-"""Screens recordings: finds spikes, bursts, stuck and clipped stretches, lost and repeated samples, and steps; leaves out wrong
+"""Screens recordings: finds spikes, bursts, stuck and clipped stretches, lost and repeated samples, and steps, and removes wrong
 samples.
 
 Samples are read in pieces of fixed size, counted from the start of the segment. The findings therefore do not depend on the
@@ -6,21 +6,21 @@ division into blocks, and memory does not grow with the data. For most pieces, a
 change between neighbours is examined further.
 
 *Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it (the
-identifier of Hampel, 1985). The factor g is chosen for the number of samples so that a white Gaussian sample is an outlier with the
-probability `CHANCE` (Davies and Gather, "The Identification of Multiple Outliers", J. Am. Stat. Assoc. 88 (1993) 782-792). The
-local median follows the motion, so that a turning or rocking sensor is compared with its own motion. The scale is the median
-absolute deviation from the local median (Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation", ibid. 1273-1283).
-This deviation vanishes where more than half of the samples have one value. The scale is therefore never less than a trimmed mean of
-the deviations, half a count, or a part of the usual change from sample to sample.
+identifier of Hampel, 1985). The factor g depends on the number of samples. It is chosen so that a sample of white Gaussian noise is
+an outlier with the probability `CHANCE` (Davies and Gather, "The Identification of Multiple Outliers", J. Am. Stat. Assoc. 88
+(1993) 782-792). The local median follows the motion, so that a turning or rocking sensor is compared with its own motion. The scale
+is the median absolute deviation from the local median (Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation", ibid.
+1273-1283). The median absolute deviation is zero if more than half of the samples have one value. The scale therefore has three
+lower limits: a trimmed mean of the deviations, half a count, and a part of the usual change from sample to sample.
 
-*Stuck.* Runs of equal samples are compared with the other runs of the same segment. A stretch is stuck if it is more than `RUN`
-times as long as 99 % of them, and if noise as large as the noise of the segment would have moved its samples to another count.
-Coarse counts, in which the noise does not reach the next count, therefore never count as stuck; the same holds for smooth signals.
+*Stuck.* Runs of equal samples are compared with the other runs of the same segment. A run is stuck if it is more than `RUN` times
+as long as 99 % of the others, and if the noise of the segment would have moved its samples to another count. A channel whose noise
+does not reach the next count is therefore never reported as stuck; nor is a smooth signal.
 
-*Segments without wrong samples.* Mean, standard deviation and extremes of a channel are computed without its bad samples. For
-integration and filtering, which read samples one by one, a short bad stretch is filled by a straight line from the level before it
-to the level after it. In a longer stretch, the values become missing numbers, which readers treat like samples that were never
-recorded. Repeated samples are dropped.
+*Segments without wrong samples.* The mean, the standard deviation and the extremes of a channel are computed without its bad
+samples. Integration and filtering read samples one by one. For them, a short bad stretch is filled by a straight line from the
+level before it to the level after it. The values of a longer bad stretch are replaced by missing numbers, which readers treat like
+samples that were never recorded. Repeated samples are dropped.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ _CLIPPED = 10  # samples at the largest value
 
 
 def screened(recording: Sequence[RecordedSegment], sensor: SensorModel) -> tuple[RecordedSegment, ...]:
-    """Adds findings to the segments. Segments that were not screened when they were recorded are read again."""
+    """Adds findings to the segments. Segments that were not screened during recording are read again."""
     watch = watch_of(sensor)
     found = [item if item.finds is not None or item.expected else _screened(item, watch) for item in recording]
     channels = [output.name for output in sensor.outputs if varies(output)]
@@ -115,8 +115,8 @@ def varies(output: OutputModel) -> bool:
 
 
 def watch_of(sensor: SensorModel) -> WatcherOf:
-    """Returns a function that makes a screening for each segment: it screens the sensor's outputs and searches all recorded angles
-    for spikes. Thermometers are not screened, because they may keep one value for a long time."""
+    """Returns a function that makes a `Screening` for each segment. The screening covers the sensor's outputs, and searches all
+    recorded angles for spikes. Thermometers are not screened, because they may keep one value for a long time."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
         counts, scales, angles = {}, {}, []
@@ -182,9 +182,9 @@ class _Last:
 class _Window:
     """A piece of one channel, together with neighbouring samples as far as they exist.
 
-    `low`, `high`: bounds of the piece, which is values[low:high]. `usual`, `count`: mean change between neighbours, and size of a
-    count, as known when the piece was examined. `places`: array of shape (n,), index of the sample before each large change in the
-    piece.
+    `low`, `high`: bounds of the piece, which is values[low:high]. `usual`, `count`: mean change between neighbouring samples, and
+    size of a count, both as they were known when the piece was examined. `places`: array of shape (n,), index of the sample before
+    each large change in the piece.
     """
 
     values: Array
@@ -214,10 +214,10 @@ class _Window:
 class _Runs:
     """The runs of equal samples in one channel.
 
-    `lengths`: number of runs by their length, where the last entry counts all longer runs. `long`: the longest runs. `row`, `time`:
-    row and time of the first sample of the current run. `before`: value of the sample before the current run. `length`: number of
-    samples in the current run so far. `count`: smallest change between samples. `bend`: sum of the absolute second differences.
-    `bends`: number of second differences.
+    `lengths`: number of runs of each length; the last entry counts all longer runs. `long`: the longest runs. `row`, `time`: row
+    and time of the first sample of the current run. `before`: value of the sample before the current run. `length`: number of
+    samples in the current run so far. `count`: smallest change between samples, taken as the size of a count. `bend`: sum of the
+    absolute second differences of the samples. `bends`: number of second differences.
     """
 
     lengths: RowNumbers = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
@@ -231,8 +231,8 @@ class _Runs:
     bends: int = 0
 
     def add(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """Adds the next samples (n,). Except at the start of the segment, the first of these samples must be the last sample of the
-        previous call."""
+        """Adds the next samples (n,). Except in the first call, the first of these samples must be the last sample of the previous
+        call."""
         if not self.length:
             self.row, self.time, self.length = int(rows[0]), float(times[0]), 1
         ends = np.append(
@@ -254,8 +254,8 @@ class _Runs:
         self.bends += max(len(values) - 2, 0)
 
     def add_changing(self, values: Array, rows: Numbered, times: Array, last: _Last | None) -> None:
-        """Adds the next samples if every sample differs from the previous one. The last sample of the previous call is not
-        repeated."""
+        """Adds the next samples, of which each differs from the previous one. Unlike for `add`, they do not begin with the last
+        sample of the previous call."""
         if last is not None:
             if self.length >= RUN:
                 two = np.array([last.value, values[0]])
@@ -285,7 +285,7 @@ class _Runs:
             self._hold(values, rows, times, -1, len(values) - 1, self.length)
 
     def stuck(self) -> list[_Run]:
-        """Returns the runs that are longer than the counts and the noise of the channel explain."""
+        """Returns the stuck runs: those that are longer than the noise of the channel and the size of its count can explain."""
         runs = int(self.lengths.sum())
         usual = int(np.searchsorted(np.cumsum(self.lengths), 0.99 * runs))
         longer = [one for one in self.long if one.length > RUN * max(usual, 1)]
@@ -310,9 +310,9 @@ class Screening:
         angles: Sequence[AngleSpikes] = (),
     ):
         """`counts`: declared count of each channel, 0 if none is declared. `full_scales`: full scale of each channel, for both
-        signs. Counts and full scales are in the channel's unit. `steady`: True if the segment is planned at rest or at a constant
-        rate, so that the motion causes no changes within it. `stopping`: True if the segment is planned as turns with stops in
-        between."""
+        signs. Counts and full scales are in the channel's unit. `steady`: True if the plan has the sensor at rest or at a constant
+        rate, so that the motion causes no changes within the segment. `stopping`: True if the segment is planned as turns with
+        stops in between."""
         self.channels, self.steady, self.stopping, self.angles = tuple(counts), steady, stopping, angles
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
@@ -344,7 +344,7 @@ class Screening:
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
         """Adds the next samples. Rows with a missing number are skipped. `ranges`: smallest and largest sample of each channel; by
-        default they are computed when they are needed."""
+        default, they are computed if they are needed."""
         count = len(block.time)
         rows: Numbered = range(self.row, self.row + count)
         for angle in self.angles if count else ():
@@ -440,8 +440,9 @@ class Screening:
     def _channel(
         self, k: int, values: Array, rows: Numbered, times: Array, means: Array | None, low: float, high: float
     ) -> None:
-        """Examines whole pieces of one channel, or the last, shorter piece. A piece contains nothing to report if no sample is far
-        from the mean and each sample differs from the previous one. This check is fast and is done for several pieces together."""
+        """Examines whole pieces of one channel, or the last, shorter piece. There is nothing to report in a piece if no sample is
+        far from the mean and each sample differs from the previous one. This check is fast, so it is made for several pieces
+        together."""
         last = self._last(k)
         pieces = max(len(values) // _PIECE, 1)
         size = len(values) // pieces
@@ -526,7 +527,7 @@ class Screening:
         self._level(k, level)
 
     def _count(self, k: int) -> float:
-        """Returns the count of the channel, either declared or detected; 0 if there is neither."""
+        """Returns the size of a count of the channel, declared or detected; 0 if it is neither declared nor detected."""
         seen = self.runs[k].count
         return max(float(self.counts[k]), seen if math.isfinite(seen) else 0.0)
 
@@ -586,10 +587,10 @@ class Screening:
 
     def _changes_around(self, x: Array, changes: Array, places: RowNumbers, noise: float) -> Array:
         """Returns the mean change from sample to sample around each of the samples x[places]. In a segment of turns and stops, the
-        mean is taken over a short time. A change to a sample and back again is subtracted, because it is not part of a turn.
-        Changes on one side of a sample do not count if they belong to a turn: the samples on the other side and the next two
-        samples on this side then lie on one level. `x`: array of shape (n,). `changes`: array of shape (n - 1,), absolute
-        differences of x. `noise`: a distance from the level that noise does not exceed."""
+        mean is taken over a short time. A change to a single sample and back again is subtracted, because it is not part of a turn.
+        Changes on one side of a sample do not count if they belong to a turn. They belong to a turn if the samples on the other
+        side, and the next two samples on this side, lie on one level. `x`: array of shape (n,). `changes`: array of shape (n - 1,),
+        absolute differences of x. `noise`: largest distance from a level that noise can cause."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
             return np.asarray(_mean_around(padded, _FAR)[places])
@@ -654,8 +655,8 @@ class Screening:
         return replace(one, bad=False) if one.kind is FindKind.BURST and at_an_end else one
 
     def _stretch(self, k: int, run: _Run) -> Find:
-        """Makes the finding for a run of equal samples. The run counts as clipped if its value is at the full scale, or is an
-        extreme value of the segment that also occurs outside the run."""
+        """Makes the finding for a run of equal samples. The run counts as clipped if its value is the full scale. It also counts as
+        clipped if its value is an extreme of the segment that occurs outside the run as well."""
         extremes = ((self.largest[k], self.at_top[0, k]), (self.smallest[k], self.at_bottom[0, k]))
         limit = 0.99 * self.full_scales.get(self.channels[k], math.inf)
         clipped = abs(run.value) >= limit or any(run.value == value and at > run.length + 1 for value, at in extremes)
@@ -666,8 +667,8 @@ class Screening:
         return Find(kind, self.channels[k], run.row, run.length, run.time, seconds, run.value, math.nan, before, after)
 
     def _flat_tops(self, k: int, known: Sequence[Find]) -> list[Find]:
-        """Finds noise that is cut off at the largest or smallest value: many more samples have this value than values close to it.
-        `known`: other findings, whose samples may be at the extreme values."""
+        """Finds noise that is cut off at the largest or smallest value: far more samples have exactly this value than a value close
+        to it. `known`: other findings, which may explain samples at the extreme values."""
         runs = self.runs[k]
         if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []
@@ -756,7 +757,7 @@ class Screening:
                     self.in_time.append(Find(kind, "", row, 1, float(time[at]), self.interval, 1.0))
 
     def _of_time(self) -> list[Find]:
-        """Returns the findings about time; deviations that the jitter of the clock explains are left out."""
+        """Returns the findings about time. Deviations that the jitter of the clock explains are not reported."""
         if self.pauses <= _JITTER * max(self.done, 1):
             return self.in_time
         return [one for one in self.in_time if one.kind is FindKind.LOST and one.seconds > _LONG_PAUSE * self.interval]
@@ -769,8 +770,8 @@ def _widened(steps: tuple[float, float], others: tuple[float, float]) -> tuple[f
 
 
 def _stands_out(window: _Window) -> bool:
-    """Returns True if a sample next to one of a few large changes lies far from the samples around it. A large change alone proves
-    nothing, because two opposite deviations of ordinary size can cause it."""
+    """Returns True if there are many large changes, or if a sample next to one of them lies far from the samples around it. A
+    single large change proves nothing, because two opposite deviations of ordinary size can cause it."""
     if len(window.places) > _FEW:
         return True
     for place in window.places:
@@ -782,9 +783,9 @@ def _stands_out(window: _Window) -> bool:
 
 
 def _changes_before(x: Array, size: int, places: RowNumbers, noise: float) -> Array:
-    """Returns the largest change from sample to sample among the `size` samples before each of the samples x[places], if these
-    samples and the next two lie within the distance `noise` of one level; otherwise, and near the ends, infinity. The ripple of a
-    filter beside a turn does not keep a level. `x`: array of shape (n,)."""
+    """Returns, for each of the samples x[places], the largest change from sample to sample among the `size` samples before it. The
+    result is infinity unless these samples and the next two lie within the distance `noise` of one level; it is also infinity near
+    the ends. The condition excludes the ripple of a filter beside a turn, which does not keep a level. `x`: array of shape (n,)."""
     found = np.full(len(places), np.inf)
     inner = np.flatnonzero((places >= size) & (places < len(x) - 2))
     others = x[places[inner, None] + np.append(np.arange(-size, 0), (1, 2))]
@@ -798,8 +799,8 @@ def _numbers(rows: Numbered) -> RowNumbers:
 
 
 def _as_one(finds: Sequence[Find]) -> list[Find]:
-    """Combines findings that are too many to be outliers into one finding. The samples belong to the noise, so this finding does
-    not count as bad."""
+    """Combines findings into one. It is used for findings that are too many to be outliers: their samples belong to the noise, so
+    the combined finding does not count as bad."""
     if not finds:
         return []
     largest = max(finds, key=lambda one: abs(one.size))
@@ -807,9 +808,9 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
-    """Returns the distances of selected values from the medians of the `size` values around each of them. Beyond the ends, the
-    values (n,) are continued by their mirror image about the straight line at the end. A slow change of the values therefore does
-    not count as a distance."""
+    """Returns the distances of the selected values from local medians, each of the `size` values around the selected one. Beyond
+    the ends, the values (n,) are continued by their mirror image about the straight line at the end. A slow change of the values
+    therefore does not count as a distance."""
     half = size // 2
     wide = np.pad(values, half, mode="reflect")
     if half >= _SLOPE_FROM:
@@ -823,7 +824,7 @@ def _off(values: Array, size: int, places: RowNumbers) -> Array:
 
 
 def _mean_around(values: Array, size: int) -> Array:
-    """Returns the mean of the `size` values around each of n values."""
+    """Returns, for each of n values, the mean of the `size` values around it."""
     sums = np.concatenate(([0.0], np.cumsum(np.pad(values, size // 2, mode="reflect"))))
     return np.asarray((sums[size:] - sums[:-size]) / size)
 
@@ -866,9 +867,8 @@ def rows_of(finds: Iterable[Find]) -> int:
 
 
 def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) -> tuple[Statistics, float]:
-    """Returns the statistics of each channel from those of its rows that are good. Covariances between channels are computed only
-    from rows that are good in all channels. The function also returns the fraction of good rows in the channel that has the fewest
-    good rows."""
+    """Returns the statistics of each channel, computed from its good rows. Covariances between channels are computed from the rows
+    that are good in all channels. Also returns the fraction of good rows in the channel that has the fewest."""
     raw = recorded.statistics
     rows = raw.count + raw.rejected
     sets: dict[frozenset[tuple[int, int]], list[str]] = {}
@@ -912,8 +912,8 @@ def _of(
 
 
 def _without(blocks: Iterable[Block], finds: Mapping[str, tuple[Find, ...]], filled: int) -> Iterator[Block]:
-    """Yields the blocks after bad rows have been replaced: stretches of at most `filled` bad rows are filled, longer stretches
-    become missing numbers."""
+    """Yields the blocks after bad rows have been replaced: a stretch of at most `filled` bad rows is filled by a straight line; a
+    longer stretch becomes missing numbers."""
     row = 0
     for block in blocks:
         end = row + len(block.time)

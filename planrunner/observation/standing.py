@@ -1,9 +1,9 @@
 """Finds channels that keep one value from the start of a segment to its end.
 
 Such a segment does not show the noise of the channel. The noise is therefore taken from the bench file, or from other segments at
-rest or at a constant rate in which the channel changes. The channel counts as stuck if noise of this size would have left the
-count. Coarse counts at rest, signals without noise, and channels that keep one value in most segments, such as setpoints, are
-therefore not reported.
+rest or at a constant rate in which the channel changes. The channel counts as stuck if noise of this size would have moved it to
+another count. Three cases are therefore not reported: channels with coarse counts at rest, signals without noise, and channels that
+keep one value in most segments, such as setpoints.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ PER_SIGMA = 1.954
 def with_standing(
     recording: Sequence[RecordedSegment], sensor: SensorModel, channels: Collection[str], chance: float
 ) -> tuple[RecordedSegment, ...]:
-    """Adds a finding to each segment for each channel that keeps one value although its noise would have changed it. The finding
-    does not count as bad, because without its samples the channel would have no data left. A person must decide what to do.
+    """Adds a finding to a segment for each channel that keeps one value although its noise would have changed this value. The
+    finding does not count as bad, because the channel would otherwise have no data left. A person must decide what to do.
 
-    `chance`: a channel counts as stuck if the probability that its noise leaves it at one value is at most `chance`.
+    `chance`: the largest probability, of a constant value in spite of the noise, at which a channel counts as stuck.
     """
     found: dict[int, list[Find]] = {}
     for name in channels:
@@ -90,7 +90,7 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
-    """Returns True if noise like that of the values (n,) would change the value at least once within `samples` samples."""
+    """Returns True if noise like that of the values (n,) would make at least one of `samples` samples different."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
@@ -104,8 +104,8 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
     """Returns True if white noise with the standard deviation `noise` leaves one count within `samples` samples. The criterion is
-    that the probability of staying within the count is at most `chance`. Of the variance, 0.3 count² is not attributed to noise,
-    because a channel that alternates between two counts without any noise has such a variance."""
+    that the probability of staying within the count is at most `chance`. A variance of 0.3 count² is not attributed to noise,
+    because a channel that alternates between two counts has such a variance even without noise."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False
@@ -114,7 +114,7 @@ def leaves_count(noise: float, count: float, samples: int, chance: float) -> boo
 
 
 def _by_declaration(item: RecordedSegment, output: OutputModel | None, rate: float, chance: float) -> bool:
-    """Returns True if the noise that the bench file declares for single samples would have moved the channel."""
+    """Returns True if the noise that the bench file declares for single samples would have moved the channel to another count."""
     if output is None or not output.noise.white > 0 or output.noise.counted:
         return False
     noise = output.noise.white * math.sqrt(item.segment.sample_rate or rate)

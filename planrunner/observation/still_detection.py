@@ -24,8 +24,8 @@ _MOST_BATCHES = 64
 @dataclass(frozen=True, slots=True)
 class StillSpan:
     """Describes a span of time in which the sensor is still. `count`: number of samples. `mean`, `standard_error`: arrays of shape
-    (k,), means of the detection's channels, and their standard errors, in the units of the channels. The standard errors are
-    computed from `batches` consecutive batch means; NaN if there are fewer than two."""
+    (k,), the means of the channels of the detection and the standard errors of these means, in the units of the channels. The
+    standard errors are computed from `batches` consecutive batch means; NaN if there are fewer than two batches."""
 
     span: Span
     count: int
@@ -39,9 +39,9 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
 
     A sample is still if the standard deviation of every channel, in a window of the length `detection.window` around the sample, is
     below `detection.threshold`. A span is a run of still samples with a duration of at least `at_least`. A span therefore begins
-    and ends half a window away from the motion. A change of the sample rate ends a span. Rows with a missing value are left out. A
-    window that lasts more than 1.5 times `detection.window`, because rows are missing, does not count as still. Raises
-    `EstimationError` if a channel is missing or is not an acceleration.
+    half a window after a motion, and ends half a window before the next motion. A change of the sample rate ends a span. Rows with
+    a missing value are left out. A window that lasts more than 1.5 times `detection.window`, because rows are missing, does not
+    count as still. Raises `EstimationError` if a channel is missing or is not an acceleration.
     """
     limits = _limits(recorded, detection)
     found: list[StillSpan] = []
@@ -99,9 +99,10 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
 def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
 ) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int, bool]]:
-    """Yields the samples that are centres of windows, in pieces: times, values (n, k), whether each sample is still, the number of
-    samples per window, and whether the sample rate has changed before the piece. Rows with a missing number are left out. A window
-    that lasts more than 1.5 times its nominal length, because rows are missing, does not count as still."""
+    """Yields the samples that are centres of windows, in pieces. Each piece consists of times (n,), values (n, k), a mask (n,) of
+    the still samples, the number of samples per window, and whether the sample rate has changed before the piece. Rows with a
+    missing number are left out. A window that lasts more than 1.5 times its nominal length, because rows are missing, does not
+    count as still."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length, restarted = 0, False
@@ -123,8 +124,8 @@ def _centred(
 
 
 def _at_one_rate(recorded: RecordedSegment, channels: Sequence[str]) -> Iterator[tuple[Array, Array, bool]]:
-    """Yields the complete rows, in pieces with one sample rate: times (n,), values (n, k), and whether the rate has changed before
-    the piece."""
+    """Yields the complete rows, in pieces with a constant sample rate. Each piece consists of times (n,), values (n, k), and
+    whether the rate has changed before the piece."""
     divider: SampleRates[np.float64] = SampleRates()
     for block in recorded.blocks(channels):
         own = np.column_stack([block.channels[name] for name in channels])
@@ -150,8 +151,8 @@ def _sliding_variance(values: Array, length: int) -> Array:
 
 @dataclass
 class _Growing:
-    """A still span that has not ended yet. It keeps sums over batches of `size` samples; if there are too many batches, they are
-    joined in pairs."""
+    """A still span that has not ended yet. It stores sums over batches of `size` samples. When there are too many batches, pairs of
+    batches are combined."""
 
     size: int
     period: float
@@ -163,7 +164,7 @@ class _Growing:
 
     @property
     def span(self) -> Span:
-        """Returns the time from the first sample to one sample period after the last."""
+        """Returns the span of time from the first sample to one sample period after the last sample."""
         return Span(self.start, self.last + self.period)
 
     def add(self, times: Array, values: Array) -> None:

@@ -1,7 +1,7 @@
 """Determines the surroundings of a sensor at each sample: its temperature, its supply voltage, and the ambient pressure.
 
-They come from recorded channels, whose noise is smoothed, or from the plan. Voltage and pressure are stated as differences from
-their reference values.
+The values come from recorded channels, whose noise is smoothed, or from the plan. Voltage and pressure are returned as differences
+from their reference values.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> 
 
 
 def smoothed(time: Array, values: Array) -> Temperature:
-    """Fits a polynomial to the temperatures `values` (n,) of a segment, so that the noise of the thermometer does not enter an
-    effect of temperature. Returns the polynomial and its derivative at the samples.
+    """Fits a polynomial to the temperatures `values` (n,) of a segment, so that the noise of the thermometer does not influence
+    effects of temperature. Returns the polynomial and its derivative at the samples.
 
-    The number of coefficients is the one for which twice the log likelihood, minus `_WORTH` for each coefficient, is largest. A
+    The number of coefficients is chosen so that twice the log likelihood, minus `_WORTH` for each coefficient, is largest. A
     constant temperature needs one coefficient; an approach to a setpoint needs several.
     """
     middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
@@ -78,9 +78,9 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
-    """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer does not show a
-    difference between them (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if the
-    temperature is not constant."""
+    """Replaces the temperatures of segments at a common constant setpoint by their mean, unless the thermometer shows a difference
+    between them (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if the temperature is not
+    constant."""
     from scipy.special import chdtrc
 
     setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]

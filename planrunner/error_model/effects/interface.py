@@ -43,7 +43,7 @@ from planrunner.error_model.observed import Observed, TemperatureCourse
 class Column:
     """Describes one column of an effect, which is multiplied by one amplitude.
 
-    `magnitude`: prior scale of the amplitude in SI units. Only the ratio to the magnitudes of the effect's other columns matters.
+    `magnitude`: prior scale of the amplitude in SI units, in comparison with the other columns of the effect.
     `unit`: unit in which the amplitude is displayed.
     `factor`: SI value of `unit`.
     `parts`: maps the index of each affected channel to an array of shape (N,), the SI output for an amplitude of 1 in SI units.
@@ -289,8 +289,9 @@ class Shaped:
 @runtime_checkable
 class HasAlternatives(Effect, Protocol):
     """An effect that acts in one of several ways, such as clipping at an upper or at a lower limit. Each way has its own shape. A
-    diagnosis names the most probable way; a simulation combines all ways whose shapes are stated. `alternatives`: one effect for each
-    way. All of them have the same `id` and `stage`, but each has its own `shape_name`, and each is fully determined by its shape."""
+    diagnosis names the most probable way; a simulation may combine several ways, namely all ways whose shapes are stated.
+    `alternatives`: one effect for each way. All of them have the same `id` and `stage`, but each has its own `shape_name`, and each
+    is fully determined by its shape."""
 
     alternatives: Sequence[Shaped]
 
@@ -343,9 +344,9 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
-    """Computes how the gyros' outputs change if the rate changes. Returns the changes by index of the channel. `omega`: array of shape
-    (N, 3), additional angular rate. The response of the gyros to the rate is taken from the fitted model if there is one, otherwise from
-    the declarations."""
+    """Computes how the gyros' outputs change if the rate changes. Returns the changes by index of the channel. `omega`: array of
+    shape (N, 3), additional angular rate. The response of the gyros in the fitted model is used if it is known, otherwise the
+    declared response."""
     gyros = observed.of_kind("gyro")
     if observed.response is None:
         return {index: observed.seen(index, omega) for index in gyros}

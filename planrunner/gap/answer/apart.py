@@ -1,16 +1,16 @@
-"""Finds effects that do not appear in the coefficients to which a recording is reduced (`evidence.spectrum`); all other effects
-change these coefficients. An example is a line of one frequency.
+"""Finds effects that do not appear in the coefficients to which a recording is reduced (`evidence.spectrum`), for example a line of
+one frequency.
 
 Such effects are found first and removed from the samples, so that the other effects are evaluated without them. Each of them is
 present or absent independently of the other effects, so its log evidence is added to the log evidence of the others.
 
-One effect of this kind is a stuck output, which keeps one value for longer than its noise allows. With white noise, a sample
-repeats the previous count with a probability r, so the number L of consecutive equal samples has the geometric distribution P(L) =
-(1 − r)·r^(L−1). r is estimated as the fraction of a segment's samples that repeat the previous sample; the longest sequence of
-equal samples is not counted. A stuck stretch may have any length; its prior is uniform in the logarithm of the length. The evidence
-compares stuck stretches with the repeats of white noise. The prior expects one stuck stretch in a recording. Real noise is
-correlated, so √r is used instead of r. Channels with coarse counts are not used, because their noise often stays within one count
-for a long time. Recordings that contain means over bins are not examined, because such means do not show repeated samples.
+One effect of this kind is a stuck output, which keeps one value for longer than its noise allows. The evidence compares stuck
+stretches with the chance repeats of white noise. With white noise, a sample repeats the previous count with a probability r. The
+number L of consecutive equal samples therefore has the geometric distribution P(L) = (1 − r)·r^(L−1). To estimate r, the samples of
+a segment that repeat the previous sample are counted, without the longest sequence of equal samples. As real noise is correlated,
+√r is used instead of r. A stuck stretch may have any length; the prior is uniform in the logarithm of the length, and one stuck
+stretch is expected in a recording. Channels with coarse counts are not used, because their noise often stays within one count for a
+long time. Recordings that contain means over bins are not examined, because such means do not show repeated samples.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ _MOST = 0.3  # r above which a channel is not used: r then differs between the m
 class RepeatedStretch:
     """Describes consecutive samples of a channel, each equal to the sample before it.
 
-    `channel`: index of the channel. `first`: index of the first of these samples. `count`: number of these samples.
+    `channel`: index of the channel. `first`: index of the first sample that repeats its predecessor. `count`: number of samples
+    that do so.
     """
 
     channel: int
@@ -51,8 +52,8 @@ class RepeatedStretch:
 class Repeated:
     """The stuck stretches of a recording.
 
-    `log_bayes`: log Bayes factor of stuck stretches against none. `stretches`: the likely stretches, the longest first. `held`:
-    array of shape (N, K), True for the samples of the stretches.
+    `log_bayes`: log Bayes factor of the hypothesis that there are stuck stretches, against none. `stretches`: the likely stretches,
+    the longest first. `held`: array of shape (N, K), True for the samples of the stretches.
     """
 
     log_bayes: float
@@ -94,10 +95,10 @@ _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with 
 class Apart:
     """Contains the effects that were found outside the coefficients of the recording.
 
-    `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: the tones among
-    these effects. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if nothing was
-    found. `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if it must be computed again
-    because `removed` changes it.
+    `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: those of the
+    effects that are tones. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if no
+    effect was found. `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if it must be
+    computed again because `removed` changes it.
     """
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)
@@ -135,8 +136,8 @@ def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> lis
 
 
 def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated | None = None) -> Apart:
-    """Finds the effects that the recording shows outside its coefficients. A line counts as an effect only if it is a cause of its
-    own and not a part of the noise (`open_set`)."""
+    """Finds the effects that the recording shows, but not its coefficients. A line counts as an effect only if it has its own cause
+    and is not a part of the noise (`open_set`)."""
     seen, observed = outside(weighing), weighing.observed
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)
@@ -168,13 +169,14 @@ def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated
 
 
 def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[float, float, Sequence[Column], Array]:
-    """Fits one line, which is a tone of one frequency. Returns the frequency of the line and its standard uncertainty, Hz; the
-    columns of the effect at this frequency; and the amplitudes and their standard uncertainties (P, 2), SI.
+    """Fits one line, which is a tone of one frequency. Returns four values: the frequency [Hz] of the line; its standard
+    uncertainty [Hz]; the columns of the effect at this frequency; and an array of shape (P, 2), the amplitudes and their standard
+    uncertainties in SI units.
 
-    `frequency`: start of the search; it must agree with the line within the resolution of the recording. The fit takes Gauss–Newton
-    steps in the frequency, which is the same for all channels. The basis vectors of the segments are projected out of every column,
-    because they have been removed from the samples as well. The noise level of a channel is computed from the samples without the
-    line.
+    `frequency`: frequency at which the search starts; it must agree with the line within the frequency resolution of the recording.
+    The fit takes Gauss–Newton steps in the frequency, which is the same for all channels. The basis vectors of the segments are
+    projected out of every column, because they have been removed from the samples as well. The noise level of a channel is computed
+    from the samples without the line.
     """
     observed = weighing.observed
     used = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]

@@ -1,9 +1,9 @@
 """Compares a recording with two simulations of its plan: one without the effects that a diagnosis found, and one with them.
 
 The recording and both simulations are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow
-changes, and the harmonics of turns and of rocking. The outputs that follow from the nominal motion are subtracted first, so that
-times and table angles need not agree exactly. The simulated sensor has other nominal parameters than the recorded one; therefore
-the nominal columns are fitted to the difference.
+changes, and the harmonics of turns and of rocking. From each of them, the outputs that follow from its nominal motion are
+subtracted first, so that times and table angles need not agree exactly. The simulated sensor has other nominal parameters than the
+recorded one; therefore the nominal columns are fitted to the difference.
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ FEWEST = 3
 class ChannelComparison:
     """Contains the comparison of one channel, in the unit `unit`.
 
-    `before`, `after`: size of the difference between the recording and a simulation without the effects (before) or with them
-    (after), root mean square over the segments. Each segment contributes its mean, slow changes and harmonics. `noise`: size of the
-    difference that noise alone causes. `before_sigma`, `after_sigma`: `before` and `after` in standard deviations of the noise; 1
-    if there is only noise. `sample_noise`: standard deviation of a single sample in the recording and in both simulations. `means`:
-    offset of each common segment (S,), in the recording and both simulations, after the fit of the nominal parameters. `sigma`:
-    array of shape (S,), standard uncertainty of the offsets in the recording, from noise.
+    `before`: size of the difference between the recording and a simulation without the effects. `after`: size of the difference
+    from a simulation with the effects. Both are root mean squares over the means, slow changes and harmonics of the segments.
+    `noise`: size of the difference that noise alone would cause. `before_sigma`, `after_sigma`: `before` and `after` in standard
+    deviations of the noise; 1 if there is only noise. `sample_noise`: standard deviation of a single sample in the recording and in
+    both simulations. `means`: for the recording and both simulations, an array of shape (S,), the offset of each common segment
+    after the fit of the nominal parameters. `sigma`: array of shape (S,), standard uncertainty of the offsets in the recording due
+    to noise.
     """
 
     unit: str
@@ -88,9 +89,9 @@ class GapComparison:
 
 
 def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> GapComparison:
-    """Compares the recording in `weighing` with two simulations: `before` is without the effects, `after` is with them. `nominal`:
-    names of the terms that the nominal simulation fits. Raises `ObservationError` if the recording and the simulations share too
-    few segments, or if a simulation lacks a channel of the recording."""
+    """Compares the recording in `weighing` with two simulations: `before` does not contain the effects, `after` contains them.
+    `nominal`: names of the terms that the nominal simulation fits. Raises `ObservationError` if the recording and the simulations
+    share too few segments, or if a simulation lacks a channel of the recording."""
     recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white)
     first, second = (_Reduced.simulated(one, nominal) for one in (before, after))
     labels = [name for name in recorded.observed.labels if name in first.rows and name in second.rows]
@@ -107,10 +108,10 @@ def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after:
 class _Reduced:
     """A recording or simulation, reduced to coefficients.
 
-    `values`: array of shape (M, K) in SI units, coefficients, each scaled to a root mean square over its segment. `counts`: array
-    of shape (M,), number of samples in the segment of each coefficient. `rows`: the rows of each segment, by label; the first row
-    is the mean. `columns`: the column of each channel, by name. `white`: array of shape (K,), standard deviation of the white noise
-    of a single sample.
+    `values`: array of shape (M, K) in SI units, the coefficients, each scaled so that it is a root mean square over its segment.
+    `counts`: array of shape (M,), number of samples in the segment of each coefficient. `rows`: the rows of each segment, by label;
+    the first row is the mean. `columns`: the column of each channel, by name. `white`: array of shape (K,), standard deviation of
+    the white noise of a single sample.
     """
 
     observed: Observed
@@ -138,16 +139,16 @@ class _Reduced:
 
 @dataclass(frozen=True)
 class _Common:
-    """Rows that the recording and both simulations have in common. `rows`: indices (m,) of these rows in the recording and in each
-    simulation. `means`: array of shape (m,), True for rows that are means of segments."""
+    """Lists the rows that the recording and both simulations have in common. `rows`: indices (m,) of these rows in the recording
+    and in each simulation. `means`: array of shape (m,), True for rows that are means of segments."""
 
     rows: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
     means: NDArray[np.bool_]
 
 
 def _common(labels: Sequence[str], *three: _Reduced) -> _Common:
-    """Finds the common rows: for segments with the same basis in the recording and both simulations, all coefficients; for other
-    segments, only the mean."""
+    """Finds the common rows. These are all coefficients of a segment if its basis is the same in the recording and in both
+    simulations, otherwise only its mean."""
     found: list[list[NDArray[np.int64]]] = [[], [], []]
     means = []
     for label in labels:
@@ -198,8 +199,8 @@ def _channel(
 
 
 def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
-    """Variance (m,) that slow noise and rounding cause in the segment means of the recording; zero for coefficients that are not
-    means."""
+    """Returns the variances (m,) that slow noise and rounding cause in the segment means of the recording; zero for coefficients
+    that are not means."""
     weight, found = weighing.weights[index][0], weighing.spectrum
     counts = weighing.observed.counts.astype(float)
     whole = np.diag(weight.covariance(found.frequency == 0)) / counts - weighing.white[index] ** 2 / counts
@@ -209,7 +210,7 @@ def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
 
 
 def _left(values: Array, nominal: Array, variance: Array) -> Array:
-    """Residuals (m,) that remain after a weighted fit of the nominal columns (m, q)."""
+    """Returns the residuals (m,) of a weighted fit of the nominal columns (m, q)."""
     if not nominal.shape[1]:
         return values
     weight = 1 / np.sqrt(variance)

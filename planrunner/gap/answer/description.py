@@ -1,5 +1,5 @@
-"""Describes a recording beside its explanation: the gap and the noise of each channel, in the unit of the channel, and plain data for the
-plots of a diagnosis. Noise is reported, but is not a rival of the effects as an explanation.
+"""Computes what a diagnosis reports besides the explanation: the gap and the noise of each channel, in the unit of the channel, and
+plain data for plots. The noise is only reported; it does not compete with the effects as an explanation.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from planrunner.gap.hypotheses.open_set import Line
 class NoiseFound:
     """Describes the noise of a channel, in the channel's unit.
 
-    `white`, `declared`: standard deviation of a single sample, as found in the recording and as declared. `declared` includes the
-    rounding to `declared_count`; it is 0 if no noise is declared. `count`, `declared_count`: size of one count, as found in the
-    recording and as declared; 0 if the values are not rounded to counts. `slow`: amplitude density at the lowest measured
-    frequency, divided by the amplitude density of the white noise; 1 if there is only white noise. `quietest`, `loudest`: standard
-    deviation of the noise in the quietest and in the loudest segment, divided by the standard deviation of the white noise. `line`:
-    the strongest tone, None if there is none.
+    `white`, `declared`: standard deviation of a single sample due to white noise, as found in the recording and as declared.
+    `declared` includes the rounding to `declared_count`; it is 0 if no noise is declared. `count`, `declared_count`: size of one
+    count, as found in the recording and as declared; 0 if the values are not rounded to counts. `slow`: amplitude density at the
+    lowest measured frequency, divided by the amplitude density of the white noise; 1 if there is only white noise. `quietest`,
+    `loudest`: standard deviation of the noise in the quietest and in the loudest segment, divided by the standard deviation of the
+    white noise. `line`: the strongest tone, None if there is none.
     """
 
     channel: str
@@ -67,9 +67,9 @@ def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, 
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
-    """Returns, for each channel: the gap, the gap that noise alone would cause, and the unit. The gap is the root mean square over
-    the samples of the residual of the nominal simulation, as far as the coefficients represent this residual. The gap does not
-    depend on the sampling rate, and a constant offset enters with its full size."""
+    """Returns, for each channel: the gap, the gap that noise alone would cause, and the unit. The gap is the root mean square, over
+    the samples, of that part of the residual of the nominal simulation that the coefficients represent. The gap does not depend on
+    the sampling rate; a constant offset contributes its full size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
         gap, noise = weighing.weights[index][0].gap_and_noise()
@@ -83,8 +83,8 @@ def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
 
 
 def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed | None) -> JsonObject:
-    """Data for all plots. The data are: a heat map of the energy by segment and channel, in units of the noise; the confusability;
-    segment means before and after the effects are fitted; spectra."""
+    """Returns the data for all plots: a heat map of the energy by segment and channel, in units of the noise; the confusability;
+    the segment means before and after the effects are fitted; and the spectra."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = len(observed)
     amplitudes = None if after is None else after.amplitudes[0]
@@ -116,9 +116,9 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
 
 
 def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> JsonObject:
-    """One-sided amplitude spectral density in each frequency band, before and after the effect is fitted, and the density of the
-    white noise. Segment means are omitted, because their frequency is zero. If segments have bins of different sizes, only those
-    with the largest bins are used; the spectrum ends at half their bin rate."""
+    """Returns the one-sided amplitude spectral density in each frequency band, before and after the effect is fitted, and the
+    density of the white noise. Segment means are not included, because their frequency is zero. If segments have bins of different
+    sizes, only those with the largest bins are used; the spectrum ends at half the rate of these bins."""
     observed, spectrum = weighing.observed, weighing.spectrum
     size = observed.bin_size.max()
     shown = observed.bin_size == size

@@ -1,10 +1,11 @@
 """Diagnoses a recording: where it differs from its simulation, which effect explains the difference, and by how much this effect
 reduces the gap.
 
-The diagnosis has five steps. It computes spectra and noise, and projects the nominal parameters out (`weighing`). It evaluates the
-evidence for every installed effect (`candidates`), for pairs, and for patterns outside the catalogue (`posterior`, `open_set`). It
-derives a verdict, which names a class as a whole if the plan cannot separate its members (`verdict`). It locates the gap (`where`).
-Finally, it computes the closure of the gap on held-out segments (`closure`).
+The diagnosis has five steps. First, spectra and noise are computed, and the nominal parameters are projected out (`weighing`).
+Second, the evidence is evaluated for every installed effect (`candidates`), for pairs of effects, and for patterns outside the
+catalogue (`posterior`, `open_set`). Third, a verdict is derived; if the plan cannot separate several effects, the verdict names all
+of them as a class (`verdict`). Fourth, the gap is located (`where`). Finally, the closure of the gap is computed on held-out
+segments (`closure`).
 """
 
 from __future__ import annotations
@@ -63,9 +64,9 @@ _ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an
 class DiagnosisOptions:
     """Options of a diagnosis.
 
-    `nominal`: names of the terms that the nominal simulation fits, from `candidates.FULL`. `effects`: names of the candidates, by
-    default all installed effects. `given`: names of effects that are known to act. Given effects are fitted, and the gap that
-    remains is diagnosed.
+    `nominal`: names of the terms that the nominal simulation fits, chosen from `candidates.FULL`. `effects`: names of the candidate
+    effects, by default all installed effects. `given`: names of effects that are known to act. Given effects are fitted, and the
+    gap that remains is diagnosed.
     """
 
     nominal: tuple[str, ...] = FULL
@@ -77,8 +78,9 @@ class DiagnosisOptions:
 class Grounds:
     """Contains the data on which a diagnosis is based, for further analysis.
 
-    `nominal`: names of the terms that the nominal simulation fits. `choices`: the effects and sets among which the closure chooses.
-    `noise`: the noise measured for the closure, None if the diagnosis names no effect that other segments can predict.
+    `nominal`: names of the terms that the nominal simulation fits. `choices`: the effects and sets of effects among which the
+    closure chooses. `noise`: the noise that was measured for the closure. None if the diagnosis names no effect whose size in one
+    segment can be predicted from the other segments.
     """
 
     weighing: Weighing
@@ -94,9 +96,9 @@ class Diagnosis:
 
     `gap`: size of the gap of each channel, in its unit. `noise`: the noise of every channel. `posterior`: probabilities of all
     hypotheses. `absorbed`: effects that the nominal parameters reproduce almost completely, each with the fraction of its energy
-    that remains. `unknown`: form of a gap that the catalogue does not contain, if the verdict is unknown. `rest`: the part of the
-    gap that the named effects do not explain; None if no effect is named, or if a random walk is among the named effects.
-    `pictures`: data for plots. `given`: parameters of the effects that are known to act, fitted together with the named effects.
+    that remains. `unknown`: form of the gap, if the verdict is that its cause is not in the catalogue. `rest`: the part of the gap
+    that the named effects do not explain; None if no effect is named, or if a random walk is among the named effects. `pictures`:
+    data for plots. `given`: parameters of the effects that are known to act, fitted together with the named effects.
     """
 
     gap: Mapping[str, Mapping[str, Json]]
@@ -263,8 +265,8 @@ def _closure(
 
 
 def _given(candidates: Sequence[Candidate], names: Sequence[str]) -> list[Member]:
-    """Returns the given effects, which are known to act, each in its best form. Raises `ObservationError` for an effect that cannot
-    be fitted to this recording."""
+    """Returns the effects that are known to act, each in its best form. Raises `ObservationError` for an effect that cannot be
+    fitted to this recording."""
     by_id = {candidate.id: candidate for candidate in candidates}
     for name in names:
         if name not in by_id:
@@ -322,8 +324,8 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """Returns the forms of an effect that its shape determines completely, by the name of the effect; empty for other effects, and
-    if no form explains more than no effect does."""
+    """If the shape of an effect determines it completely, returns the forms of the effect, by its name. The result is empty for
+    other effects, and if no form explains the data better than no effect."""
     effect = shape_alone(candidate)
     found = whole_forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}
@@ -333,7 +335,7 @@ def _choices(
     weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
     """Returns the choices for the folds of the closure: probable effects and probable sets of effects. Hypotheses that differ only
-    in effects on the noise become one choice. A hypothesis that includes a random walk or something else adds nothing to the
+    in effects on the noise become one choice. A hypothesis that includes a random walk or an unknown cause adds nothing to the
     probability that a choice is the whole cause."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
@@ -348,7 +350,7 @@ def _choices(
 def _forms(
     weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], exact: Mapping[str, Forms], key: str, p: float
 ) -> list[FoldChoice]:
-    """Returns the choices for one effect or set of effects; p is its probability."""
+    """Returns the choices for one effect or set of effects. `p`: the probability of this effect or set."""
     if key in exact:
         return whole_choices(weighing, key, by_id[key].effect, exact[key], p)
     if key in found.sets:

@@ -1,16 +1,17 @@
 """Proposes what to measure next: segments that the bench can execute and that distinguish the remaining explanations in the
 shortest time, or an instrument that the bench lacks.
 
-The information that a segment would give is computed before the segment is measured. Only a few seconds of each segment, with whole
-turns or periods, are sampled in the same way as the recording. The rest of the segment counts as a repetition of these seconds.
+The information that a segment would give is computed before the segment is measured. To save time, only a few seconds of each
+segment, with whole turns or periods, are computed at the sampling rate of the recording. The rest of the segment counts as a
+repetition of these seconds.
 
 The choice is greedy: each step takes the segment with the most expected evidence per second of test time, which includes moves and
 temperature changes. The search ends when the expected probability of the true explanation is high enough, or when no segment helps.
 A repetition of the recorded segments is evaluated in the same way, for comparison.
 
 If the segments of the bench cannot distinguish the explanations, additional instruments are evaluated in the same way as segments.
-Effects of the table and of the site act on every instrument on the table. Effects of the sensor under test and of its data do not
-act on other instruments.
+Effects of the table and of the site act on every instrument on the table. Effects of the sensor under test and of its data
+acquisition do not act on them.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Contains the information that a segment gives about P columns from K channels, in units of the noise.
+    """Contains the information that a segment with K channels gives about P columns, in units of the noise.
 
     `within`: array of shape (P, P), information per second from changes within the segment. `means`: array of shape (K, P), mean of
     each column over the segment. `noise`: array of shape (K,), white noise density of each channel. `flicker`: array of shape (K,),
@@ -84,8 +85,8 @@ def foresee(
     """Yields the information that each segment would give if it were measured after the recording. `white`: array of shape (K,),
     standard deviation of the white noise of a sample.
 
-    `columns`: function that computes groups of columns for a recording. `widths`: number of columns in each group. A column is
-    identified by its index among the columns of all groups. A column is zero in a channel that it does not affect.
+    `columns`: function that computes groups of columns for a recording. `widths`: number of columns in each group. The P columns
+    are numbered through all groups. A column is zero in a channel that it does not affect.
     """
     noise = white / math.sqrt(observed.sample_rate)
     flicker = np.array([channel.flicker for channel in observed.channels])
@@ -112,12 +113,12 @@ def foresee(
 
 
 def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array, seconds: float) -> Array:
-    """Information (P, P) per second that a segment loses because the angle of the turning table is unknown.
+    """Returns the information per second, shape (P, P), that a segment loses because the angle of the turning table is unknown.
 
     `rows`: for each channel, the columns (n, P) at the samples. `noise`: array of shape (K,), white noise density. `seconds`:
     length of the dwell, s.
 
-    A component c·√2·cos θ, which is in phase with the turning, competes with the input of amplitude A and unknown phase
+    A component c·√2·cos θ of a column cannot be distinguished completely from the input of amplitude A and unknown phase
     (`Observed.unknown_phase`). Let the samples have the covariance σ²·I + A²·w·wᵀ, where w = cos θ and |w|² = T/2 for a dwell T and
     unit density of the noise. Then the fraction A²T/2 ÷ (σ² + A²T/2) of the information about this component is lost (Sherman and
     Morrison). The same holds for sin θ."""
@@ -136,8 +137,8 @@ def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array,
 def following(
     observed: Observed, segments: Sequence[Segment], near: Sequence[int] | range
 ) -> tuple[Observed, list[slice]]:
-    """Returns the recording followed by additional segments, which have a motion but no outputs, and for each additional segment
-    the slice of its samples.
+    """Returns the recording followed by additional segments, which have a motion but no outputs. Also returns, for each additional
+    segment, the slice of its samples.
 
     Segments whose index is not in `near` are represented by a few samples. Thus properties of the whole set of segments, such as
     its orientations, do not depend on how many segments are sampled in full.
@@ -177,8 +178,8 @@ def following(
 
 
 def _times(segment: Segment, rate: float) -> Array:
-    """Sample times from the start of the segment: all times for a ramp; for other motions, a few seconds with whole turns or
-    periods."""
+    """Returns the sample times, counted from the start of the segment: all sample times for a ramp; for other motions, those of a
+    few seconds with whole turns or periods."""
     assert segment.dwell is not None
     span, begin = _SAMPLED, 0.0
     if segment.ramp_to is not None:
@@ -195,7 +196,7 @@ def _times(segment: Segment, rate: float) -> Array:
 
 
 def _temperatures(segment: Segment, now: float) -> tuple[float, float]:
-    """Temperature [degC] at a segment's start and end."""
+    """Returns the temperatures [degC] at the start and at the end of a segment."""
     start = now if segment.temperature is None else segment.temperature - ZERO_CELSIUS
     return start, start if segment.ramp_to is None else segment.ramp_to - ZERO_CELSIUS
 
@@ -221,10 +222,10 @@ class SegmentProposal:
     """Contains the segments that a diagnosis proposes to measure next.
 
     `segments`: the proposed segments in order; empty if nothing on the bench helps. `rivals`: names and present probabilities of
-    the explanations that remain possible. `now`: expected probability of the true rival at present. `probability`: expected
-    probability of the true rival after `seconds` of test time. `repeating`: the time [s] for which the recorded segments would have
-    to be repeated, and the expected probability of the true rival after this time. `sensor`: description of an instrument that
-    could distinguish the rivals if the segments of the bench cannot.
+    the explanations that remain possible. `now`: expected probability that is given to the true explanation at present.
+    `probability`: the same after the proposed segments, which take `seconds` of test time. `repeating`: for comparison, the time
+    [s] for which the recorded segments would have to be repeated, and the expected probability of the true explanation after this
+    time. `sensor`: description of an instrument that could distinguish the explanations, if the segments of the bench cannot.
     """
 
     segments: tuple[Segment, ...]
@@ -331,8 +332,8 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
 
 
 def _gains(rivals: Sequence[Rival], total: Array, loss: float, moves: Sequence[Sequence[Foreseen]]) -> list[float]:
-    """How much each move reduces the expected loss if the information `total` (P, P) is already available. A move is one segment or
-    a bundle of segments."""
+    """Returns how much each move reduces the expected loss if the information `total` (P, P) is already available. A move is one
+    segment or a bundle of segments."""
     after = np.array([total + _sum(move, len(total)) for move in moves])
     gains: list[float] = (loss - expected_loss(rivals, after)).tolist()
     return gains
@@ -355,8 +356,8 @@ def _shortened(
     last: Segment | None,
     seconds: Seconds,
 ) -> tuple[list[list[Foreseen]], list[float], list[float]]:
-    """Shortens the list of moves: keeps the best by gain and by gain per second, and adds bundles of the best moves at each
-    temperature."""
+    """Shortens the list of moves. It keeps the moves with the largest gain and with the largest gain per second, and adds bundles
+    of the best moves at each temperature."""
     by_gain, by_rate = np.argsort(-np.array(gains)), np.argsort(-np.array(gains) / np.array(costs))
     temperatures: dict[float | None, list[int]] = {}
     for index in by_gain:
@@ -380,8 +381,8 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """Removes those of the chosen segments that are not needed, because the target is reached without them. If all chosen segments
-    together do not reach the target, the probability that they give is used as the target."""
+    """Removes those of the chosen segments without which the target probability is still reached. If all chosen segments together
+    do not reach the target, the probability that they reach takes its place."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:
@@ -452,8 +453,8 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
 def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
-    """Returns the rivals, extended by the instrument's own nominal parameters, and the total information from all options when they
-    are measured with this instrument in addition."""
+    """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all options
+    if they are measured with this instrument in addition."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)
@@ -487,7 +488,8 @@ def _columns(layout: Layout, channels: tuple[Channel, ...]) -> Callable[[Observe
 
 
 def _seen(layout: Layout) -> Array:
-    """Information (P,) that a direct measurement of pointing gives about the amplitudes of table effects that are angles."""
+    """Returns the information (P,) that a direct measurement of pointing gives about those amplitudes of table effects that are
+    angles."""
     found = [np.zeros(layout.widths[0])]
     for part, width in zip(layout.parts, layout.widths[1:], strict=True):
         columns = part.weighed.variant.columns

@@ -1,9 +1,9 @@
 """Computes how an effect on the output of the sensor changes with the nominal parameters.
 
-A dead zone or a limit acts on the output, so its size depends on the bias and the scale factors of the sensor. To first order in the
-nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The expansion point θ₀ are the nominal parameters at which the form of
-the effect was computed. The columns of E are central differences over one standard uncertainty of each parameter either way, because
-the exact derivative of a dead zone is infinite at its edge.
+A dead zone or a limit acts on the output, so its size depends on the bias and the scale factors of the sensor. To first order in
+the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The expansion point θ₀ are the nominal parameters at which the
+form of the effect was computed. The columns of E are central differences with a step of one standard uncertainty of each parameter,
+because the exact derivative of a dead zone is infinite at its edge.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from planrunner.gap.hypotheses.candidates import Weighing
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Contains the nominal parameters about which an effect on the output is linear. For each channel: `values` (q,), the nominal
-    parameters θ₀ in magnitudes; `nominal` (M, q), their columns; `change` (M, q), the columns of E, multiplied by the amplitude of
-    the effect; all zero if the effect does not act on the channel."""
+    """Contains the nominal parameters about which an effect on the output is linear. Each attribute has one array per channel.
+    `values`: shape (q,), the nominal parameters θ₀ in units of their magnitudes. `nominal`: shape (M, q), the columns of the
+    nominal parameters. `change`: shape (M, q), the columns of E, multiplied by the amplitude of the effect; zero if the effect does
+    not act on the channel."""
 
     values: tuple[Array, ...]
     nominal: tuple[Array, ...] = field(repr=False)
@@ -31,7 +32,7 @@ class OperatingPoint:
 
 
 def on_output(effect: Effect) -> Shaped | None:
-    """Returns the effect if it acts on the output and its shape determines it; otherwise None."""
+    """Returns the effect if it acts on the output and is fully determined by its shape; otherwise None."""
     acts = isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output"
     return effect if acts and isinstance(effect, Shaped) else None
 
@@ -45,8 +46,8 @@ def operating_point(
 ) -> OperatingPoint:
     """Computes how an effect on the output changes with the nominal parameters.
 
-    `shape`, `amplitude`: shape and amplitude of the effect. `taken`: for each channel, the coefficients
-    (M,) that the effect explains, if the nominal parameters are fitted together with it; None if they are fitted without it.
+    `shape`, `amplitude`: shape and amplitude of the effect. `taken`: for each channel, the part (M,) of the coefficients that the
+    effect explains if it is fitted together with the nominal parameters; None if these are fitted without the effect.
     """
     values, seen = weighing.nominal_values(taken), weighing.seen(taken)
     steps = [_uncertainty(weighing, channel) for channel in range(len(values))]
@@ -66,12 +67,12 @@ def operating_point(
 
 
 def _moved(values: Sequence[Array], steps: Sequence[Array], j: int, sign: float) -> list[Array]:
-    """Returns the nominal parameters of all channels, each parameter number j changed by its step."""
+    """Returns the nominal parameters of all channels after parameter number j of each channel has been changed by its step."""
     return [own + sign * np.where(np.arange(len(own)) == j, step, 0.0) for own, step in zip(values, steps, strict=True)]
 
 
 def _uncertainty(weighing: Weighing, channel: int) -> Array:
-    """Standard uncertainties (q,) of the nominal parameters of a channel in magnitudes, each with the other parameters fixed; 0 for a
-    parameter that the recording does not show."""
+    """Returns the standard uncertainties (q,) of the nominal parameters of a channel, in units of their magnitudes. The uncertainty
+    of each parameter is computed with the other parameters fixed; it is 0 for a parameter that the recording does not determine."""
     energy = (weighing.weights[channel][0].whiten(weighing.whole[channel]) ** 2).sum(axis=0)
     return np.where(energy > 0, 1 / np.sqrt(np.maximum(energy, 1e-300)), 0.0)

@@ -1,5 +1,5 @@
-"""Estimates of parameters: amplitudes and shapes of the effects that a diagnosis names, and the terms that the nominal simulation
-fits. The terms are compared with the specification of the sensor.
+"""Estimates parameters: the amplitudes and shapes of the effects that a diagnosis names, and the terms that the nominal simulation
+fits. These terms can be compared with the specification of the sensor.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def amplitudes(
     walking: bool = False,
     ratios: Array | None = None,
 ) -> list[ParameterEstimate]:
-    """Returns means and standard deviations of the amplitudes of an effect, at the most probable prior size of the amplitudes.
+    """Returns the posterior means and standard deviations of the amplitudes of an effect. The prior of the amplitudes has the most
+    probable size.
 
     `columns`: the columns that belong to this effect, if it is one of a set of effects. `walking`: True if a random walk of the
-    gyros acts in addition. `ratios`: array of shape (K,), for each channel the variance of the residuals divided by the variance of
-    the noise at its most probable setting; None if the residuals are only noise. An amplitude that is fixed at 1 is not a
-    parameter.
+    gyros acts in addition. `ratios`: array of shape (K,), variance of the residuals of each channel, divided by the variance of the
+    noise at the most probable setting; None if the residuals are only noise. An amplitude that is fixed at 1 is not a parameter.
     """
     if weighed.held:
         return []
@@ -67,8 +67,8 @@ def amplitudes(
 
 def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array | None) -> list[ParameterEstimate]:
     """Increases the uncertainties of shape estimates, because the residuals are more than noise. `ratios`: the same as in
-    `amplitudes`. The variances of the shape are multiplied by the average of `ratios`, in which each channel has the weight of the
-    effect's energy in it."""
+    `amplitudes`. The variances of the shape are multiplied by a weighted average of `ratios`. The weight of a channel is the energy
+    of the effect in this channel."""
     if ratios is None:
         return list(listed)
     energy = np.array([float((own**2).sum()) for own in weighed.by_channel])
@@ -77,7 +77,7 @@ def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array |
 
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
-    """Returns the shape of an effect and its uncertainty. Both are computed from the evidence for each value of the shape that was
+    """Returns the shape of an effect and its uncertainty. Both are computed from the evidence for all values of the shape that were
     evaluated."""
     effect = candidate.effect
     if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
@@ -114,9 +114,9 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """Returns the shape with a negative sign, for data that require the effect with the opposite sign. The effect has no amplitude.
-    The size of the shape is the fitted amplitude times the shape of the best form. A negative delay means that the table's angle is
-    delayed instead of the outputs."""
+    """Returns a shape with a negative sign, for an effect without amplitude that the data require with the opposite sign. The
+    magnitude of the shape is the fitted amplitude times the shape of the best form. A negative delay means that the table's angle
+    is delayed instead of the outputs."""
     (share,), ((variance,),) = best.amplitudes
     size = float(best.variant.shape or 0.0)
     return [
@@ -166,9 +166,9 @@ _UNDETERMINED = 1e-6
 
 
 def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:
-    """Estimates bias, scale factor and misalignment of every channel by weighted least squares. Terms that the plan does not
-    determine are omitted. The field `effect` of each estimate contains the name of the term, such as `accel_bias`. The estimates
-    include the influence of effects that are not in the simulation."""
+    """Estimates bias, scale factor and misalignment of every channel by weighted least squares. Terms that the data of the plan do
+    not determine are omitted. The field `effect` of each estimate contains the name of the term, such as `accel_bias`. Effects that
+    the simulation does not contain influence these estimates."""
     terms = [
         f"{kind}_{part}"
         for kind in ("gyro", "accel")

@@ -1,17 +1,17 @@
-"""Examines what a fit leaves unexplained: a goodness-of-fit test in every channel, the size of the unexplained part, and the
-dispersion that corrects evidence.
+"""Examines what a fit leaves unexplained. Computes a goodness-of-fit test for every channel, the size of the unexplained part, and
+the dispersion, which corrects the evidence.
 
-The whitened residuals of a channel are compared with noise alone: the sum of their squares is tested against the χ² distribution,
-with Bonferroni's correction for the number of tests. The remainder is the part of a gap that the named effects, fitted to all
-segments, do not explain.
+The test asks whether noise alone explains the whitened residuals of a channel: the sum of their squares is compared with the χ²
+distribution, with Bonferroni's correction for the number of tests. The remainder is the part of a gap that the named effects,
+fitted to all segments, do not explain.
 
-The dispersion is the ratio χ²/ν of the residuals if the test shows that noise alone does not explain them. If no explanation leaves
-only noise, differences of log evidence are too large by this ratio. The reason is that the errors of an explanation are the same in
-all samples, while the evidence treats the samples as independent. The evidence is then computed with the variance of the noise
+If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. If no explanation leaves only
+noise, the differences between log evidences are too large by this ratio, because the evidence treats the samples as independent,
+while the errors of an explanation are the same in all samples. In this case, the evidence is computed with a noise variance that is
 multiplied by the dispersion. This is the dispersion of quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989,
 section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932). It corresponds to a likelihood raised to
 the power ν/χ² (Miller and Dunson, Journal of the American Statistical Association 114, 2019). If chance can explain the ratio, the
-dispersion is 1, so that evidence without misfit does not change.
+dispersion is 1. Without a misfit, the evidence therefore remains unchanged.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
     over the means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
 
     `rest`: array of shape (M,), the whitened residuals. `degrees`: degrees of freedom of `rest`. `means`: array of shape (S,),
-    indices of the coefficients of order 0, in which errors of the form of an effect accumulate. `tests`: number of tests in all
-    channels, for Bonferroni's correction.
+    indices of the coefficients of order 0. They are tested separately because errors in the form of an effect accumulate in them.
+    `tests`: number of tests in all channels, for Bonferroni's correction.
     """
     from scipy.special import chdtrc
 
@@ -71,11 +71,11 @@ class Remainder:
     """Describes the part of a gap that the named effects do not explain.
 
     `share`: size of the unexplained part divided by the size of the gap; both sizes are root mean squares without noise. It is 0 if
-    noise alone explains the residuals. `times_noise`: for each channel, root mean square of the coefficients' residuals in standard
-    deviations of the noise; 1 for noise alone. `sigma`: for each channel, the size of all residuals in standard deviations, √(χ² −
-    ν); 0 if they are not larger than the noise. `p`: p-value of the goodness-of-fit test over all channels. `passes`: True if noise
-    alone explains the residuals in every channel, and no pattern outside the catalogue explains them better. A misfit smaller than
-    `VISIBLE` standard deviations of the noise is ignored.
+    noise alone explains the residuals. `times_noise`: for each channel, root mean square of the residuals, in standard deviations
+    of the noise; 1 for noise alone. `sigma`: for each channel, the size √(χ² − ν) of all residuals together, in standard deviations
+    of the noise; 0 if they are not larger than the noise. `p`: p-value of the goodness-of-fit test over all channels. `passes`:
+    True if noise alone explains the residuals in every channel, and no pattern outside the catalogue explains them better. A misfit
+    of less than `VISIBLE` standard deviations of the noise is ignored.
     """
 
     share: float

@@ -1,11 +1,12 @@
 """Describes rival explanations after a diagnosis, and computes the log evidence between them that further measurements are expected
 to give.
 
-Every explanation is a linear model that predicts further recordings. It consists of the nominal parameters and of effects with normally
-distributed amplitudes. The posterior from the recording is the prior for the next measurements. If A is true, the expected log evidence
-of A against B is therefore the Kullback-Leibler divergence of the two predictions. This is the criterion of Box and Hill (Technometrics
-9, 1967): T-optimality (Atkinson and Fedorov, Biometrika 62, 1975), averaged over the uncertainty of the amplitudes. New measurements
-enter only through their information matrix, so the cost does not depend on the number of samples.
+Every explanation is a linear model that predicts further recordings. It consists of the nominal parameters and of effects with
+normally distributed amplitudes. The posterior from the recording is the prior for the next measurements. If explanation A is true,
+the expected log evidence of A against explanation B is therefore the Kullback-Leibler divergence between their predictions. This is
+the criterion of Box and Hill (Technometrics 9, 1967): T-optimality (Atkinson and Fedorov, Biometrika 62, 1975), averaged over the
+uncertainty of the amplitudes. Only the information matrix of the new measurements is needed, so the computing time does not depend
+on the number of samples.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class Rival:
         cls, name: str, probability: float, columns: NDArray[np.int64], prior: Array, information: Array, score: Array
     ) -> Rival:
         """Returns the rival with the posterior of its amplitudes after a recording. `prior`: array of shape (p,), precision of the
-        amplitudes about zero before the recording, 0 for a nominal parameter. `information` (P, P) and `score` (P,): information
-        matrix and score vector of the recording for all columns of all rivals, in units of the noise."""
+        amplitudes about zero before the recording, which is 0 for a nominal parameter. `information` (P, P) and `score` (P,):
+        information matrix and score vector of the recording for all columns of all rivals, in units of the noise."""
         own = information[np.ix_(columns, columns)]
         precision = own + np.diag(prior + _FLAT * np.maximum(np.diag(own), 1.0))
         mean = np.asarray(np.linalg.solve(precision, score[columns]))
@@ -100,9 +101,9 @@ def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
 
 
 def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> Array:
-    """Averages a measure of the posterior odds against the true rival over the rivals and over the random log evidence. `evidence`:
-    array of shape (…, R, R), expected log evidence of each rival against each other one. The result has the shape (…). `measure`:
-    function that is averaged; its argument is the odds against the true rival."""
+    """Averages a function of the posterior odds against the true rival, over the rivals and over the random log evidence.
+    `evidence`: array of shape (…, R, R), expected log evidence of each rival against each other one. The result has the shape (…).
+    `measure`: function that is averaged; its argument is the odds against the true rival."""
     share = np.array([rival.probability for rival in rivals])
     share = share / share.sum()
     total = np.zeros(evidence.shape[:-2])
@@ -153,7 +154,7 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
     """Returns the most probable explanations that predict different recordings, at most `MOST`.
 
     Effects that act only on the noise predict nothing: explanations that differ only in such effects count as one. "Unknown"
-    predicts nothing, like "none": the two count as one, under the name of the more probable one.
+    predicts nothing, and neither does "none". The two count as one explanation, with the name of the more probable one.
     """
     by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
     silent = max(SILENT, key=lambda name: found.probability[name])
@@ -166,8 +167,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """If a subset of a set is more probable than the set, adds the probability of the set to the probability of the subset, because
-    the additional effect may be absent."""
+    """If a subset of a set of effects is more probable than the set itself, adds the probability of the set to that of the subset.
+    The reason is that the effects missing from the subset may be absent."""
     found: dict[str, float] = {}
     for name, value in sorted(total.items(), key=lambda item: item[0].count("+")):
         parts = set(name.split("+"))
@@ -191,15 +192,15 @@ def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple
 
 
 def _size(weighed: Weighed, columns: slice) -> float:
-    """Mean square of the posterior amplitudes."""
+    """Returns the mean square of the posterior amplitudes."""
     mean, covariance = weighed.amplitudes
     return float(np.mean(mean[columns] ** 2 + np.diag(covariance)[columns]))
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Contains all columns of several explanations: first those of the nominal parameters, then those of the effects. Each effect
-    is identified by its name and shape."""
+    """Describes the order of all columns of several explanations: first the columns of the nominal parameters, then those of the
+    effects. Each effect is identified by its name and shape."""
 
     nominal: tuple[str, ...]
     parts: tuple[ExplanationPart, ...]
@@ -249,7 +250,7 @@ class Layout:
         return rivals, information
 
     def _recorded(self, weighing: Weighing) -> tuple[Array, Array]:
-        """Information (P, P) and score (P,) that the recording gives about all columns."""
+        """Returns the information matrix (P, P) and the score vector (P,) of the recording for all columns."""
         size = sum(self.widths)
         starts = np.concatenate(([0], np.cumsum(self.widths)))
         information, score = np.zeros((size, size)), np.zeros(size)

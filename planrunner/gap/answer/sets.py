@@ -1,9 +1,10 @@
-"""Sets of two or more effects. The search adds one effect at a time to the most probable smaller sets and fits all amplitudes
-again; in the most probable set, it also fits the shapes again (forward selection with a beam).
+"""Searches for sets of two or more effects that explain a recording together. The search adds one effect at a time to the most
+probable smaller sets, and fits all amplitudes again (forward selection with a beam). In the most probable set, it also fits the
+shapes again.
 
 In a quick evaluation, the amplitudes of a set are fixed at their most probable values, and every form of every other effect is
 evaluated on the residuals. The best sets are then evaluated in full: with a separate strength for every effect, at every setting of
-the noise that matters, and also with a random walk of the gyros.
+the noise that has a noticeable weight, and also with a random walk of the gyros.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Member:
     """Describes an effect of a set, in one of its forms.
 
     `candidate`: the effect with all its forms, evaluated alone or in addition to the other effects of the set. `form`: the chosen
-    form. `cost`: the log evidence that is lost by averaging over the shape of the effect, as a number that is never positive.
+    form. `cost`: change of the log evidence if it is averaged over the shape of the effect; zero or negative.
     """
 
     candidate: Candidate
@@ -130,8 +131,8 @@ def sets_of(
 
 
 def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
-    """Log evidence of pairs that consist of a probable effect and any other effect, from a quick evaluation at the declared noise;
-    and the best pairs, evaluated in full."""
+    """Evaluates all pairs of a probable effect and any other effect. Returns the log evidence of each pair from a quick evaluation
+    at the declared noise, and the best pairs, evaluated in full."""
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
     quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
     for first in map(Member.best, ranked):
@@ -176,7 +177,7 @@ def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
 
 
 def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """Returns the same set, with its evidence also computed for a random walk in addition."""
+    """Returns the same set, with its evidence also computed for the case that a random walk acts in addition."""
     if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
         return one
     log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])
@@ -184,7 +185,8 @@ def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], log_prior: Array) -> Array:
-    """Log Bayes factor (G,) of the set at each setting of the noise that matters under the given prior; −∞ at the other settings."""
+    """Returns the log Bayes factor of the set at each setting of the noise, shape (G,). It is −∞ at settings that have no
+    noticeable weight under the given prior."""
     widths = weighed.variant.widths
     traces = [member.form.trace for member in members]
     scales = best_scales(weighed.gram[0], weighed.score[0], widths)
@@ -223,8 +225,8 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
-    """For each of the other effects, yields the form that fits best if the effect `a` also acts at its most probable size, and the
-    log Bayes factor that this form adds."""
+    """Assumes that the effect `a` acts with its most probable size. Yields, for each of the other effects, the form that then fits
+    best, and the log Bayes factor that this form adds."""
     if not others:
         return
     mean, covariance = a.amplitudes

@@ -1,15 +1,15 @@
-"""Derives a verdict from a posterior: none, one effect, a pair, several effects, unknown, or a class that this plan cannot
-distinguish.
+"""Derives a verdict from a posterior: none, one effect, a pair, several effects, unknown, or a class of effects that this plan
+cannot distinguish.
 
-An effect that explains nearly all of a gap is named, even if something else acts in addition. The other part of the gap is reported
-as a remainder. This remainder may consist of terms of the full nominal model that a reduced model lacks. For example, the
-simulation of a sensor may have no bias: then a small additional deviation that no hypothesis explains must not prevent the naming
-of the bias. Effects can also be so strong that the deviation from their idealised form is visible. If a flexible "something else"
-explains the energy of this deviation, it is called form residue.
+An effect that explains nearly all of a gap is named, even if an unknown cause acts in addition. The rest of the gap is reported as
+the remainder. The remainder may consist of nominal terms that a reduced model lacks. For example, if the simulation of a sensor has
+no bias, a small further deviation that no hypothesis explains must not prevent the naming of the bias. An effect can also be so
+strong that its deviation from its idealised form becomes visible. The energy of this deviation, which the flexible patterns outside
+the catalogue seem to explain, is called form residue.
 
-Confusability states which effects a plan can distinguish, before and after it is recorded. ρ(A|B) is the fraction of the energy of
-effect A's projected, whitened signature that effect B reproduces with its own amplitudes. If effect A is fitted with the energy λ,
-λ(1 − ρ) is the non-centrality of the test between A and B.
+Confusability states which effects a plan can distinguish, before and after it is recorded. ρ(A|B) is a fraction of the energy of
+effect A's projected, whitened signature: the fraction that effect B reproduces with its own amplitudes. If effect A is fitted with
+the energy λ, λ(1 − ρ) is the non-centrality of the test between A and B.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def energy_beside(together: EffectSet, name: str) -> float:
-    """Returns the fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. An
-    imperfect form of the other effects cannot leave residuals with this energy."""
+    """Returns the fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act.
+    This energy cannot be a residue that comes from an imperfect form of the other effects."""
     weighed, own = together.weighed, together.columns(name)
     amplitudes, _ = weighed.amplitudes
     others = np.ones(len(amplitudes), dtype=bool)
@@ -68,7 +68,7 @@ def energy_beside(together: EffectSet, name: str) -> float:
 
 def shared(best: Sequence[Weighed]) -> Array:
     """Computes the confusability ρ(A|B) before data are recorded, one row for each A. It is averaged over amplitudes from A's
-    prior: ρ = tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
+    prior: ρ = tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa), where G is the Gram matrix of the signatures of A and B."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
     parts = [slice(low, high) for low, high in pairwise(bounds)]
     blocks = [np.hstack(channel) for channel in zip(*(item.by_channel for item in best), strict=True)]
@@ -95,11 +95,11 @@ TWO_NAMES = 4.0  # nats of evidence between hypotheses that may have the same ca
 
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
-    """Finds an effect or pair that explains, at more than 50 σ, nearly as much as the most probable hypothesis `top`. Returns this
-    effect or pair, and the effects of `top` that then count as a remainder. Returns None if there is no such effect, or if `top`
-    consists only of terms of the nominal model.
+    """Finds an effect or a pair that explains nearly as much as the most probable hypothesis `top`, and more than 50 σ. Returns
+    this effect or pair, and the effects of `top` that then count as the remainder. Returns None if there is no such effect, or if
+    `top` consists only of terms of the nominal model.
 
-    `log_evidence`: log evidence of every hypothesis relative to none; for a strong effect, this is half the explained energy.
+    `log_evidence`: log evidence of every hypothesis relative to "none"; for a strong effect, it is about half the explained energy.
     `signatures`: effects that change more than the noise.
     """
     parts = set(top.split("+"))
@@ -137,10 +137,9 @@ class Verdict:
 
     `kind`: none, effect, pair, several, unknown or indistinguishable. `effects`: the effects of the most probable hypothesis.
     `members`: the hypotheses that this plan cannot distinguish, including `effects`; a set of effects is written 'a+b'. `residue`:
-    an effect, or "unknown", that may be only form residue. Form residue is energy that is left because the strongest named effect
-    deviates from its idealised form. `residue` can be one of the named effects. `something_else`: True if something that the
-    catalogue does not contain acts in addition to the named effects. `noise`: effects on the level of the noise that probably act
-    in addition.
+    an effect, or "unknown", which may be only form residue: energy that is left because the strongest named effect deviates from
+    its idealised form. `residue` may be one of the named effects. `something_else`: True if something that the catalogue does not
+    contain acts in addition to the named effects. `noise`: effects on the level of the noise that probably act in addition.
     """
 
     kind: str
@@ -162,8 +161,8 @@ class Verdict:
 
 
 def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
-    """Derives the verdict from the posterior. No effect is named if P(none) is 5 % or more. If the plan cannot distinguish the
-    members of a class, the class is named, not a single member."""
+    """Derives the verdict from the posterior. No effect is named if P(none) is 5 % or more. If the plan cannot distinguish several
+    effects, their class is named instead of a single effect."""
     said = _cause(weighing, found, candidates)
     if said.kind == "none":
         return said
@@ -207,7 +206,8 @@ def _without(name: str, effect: str) -> str:
 
 
 def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None, left: bool) -> Verdict:
-    """Returns the verdict that names the effects or, if they have rivals, the class of effects and rivals."""
+    """Returns the verdict that names the effects or, if there are rivals, the class that consists of the effects and their
+    rivals."""
     if len(rivals) > 1:
         return Verdict("indistinguishable", effects, rivals, residue, left)
     return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)
@@ -215,8 +215,8 @@ def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | Non
 
 def ambiguity_set(probability: Mapping[str, float], said: Verdict) -> list[str]:
     """Returns the most probable hypotheses, in descending order, up to a total probability of 95 %. The hypothesis of the verdict
-    is added if it is not among them. The verdict may be less probable than these hypotheses if the residuals count as form residue,
-    or if "none" is so probable that nothing is named."""
+    is added if it is not among them. It may be missing if a more probable hypothesis explains only form residue, or if "none" is so
+    probable that no effect is named."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)
@@ -236,8 +236,8 @@ def _confusable(weighed: Weighed, rivals: Sequence[Weighed]) -> bool:
 
 
 def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], top: str) -> tuple[str, ...]:
-    """Single effects that cannot be distinguished from `top`; the first one is `top`. Effects on the noise have no signature, so
-    only their probabilities are compared."""
+    """Returns the single effects that cannot be distinguished from `top`; the first one is `top` itself. Effects on the noise have
+    no signature, so only their probabilities are compared."""
     found = [top]
     for name, value in probability.items():
         if name == top or "+" in name or name in ("none", "unknown") or value < RIVAL * probability.get(top, 0.0):
@@ -253,7 +253,7 @@ def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], to
 def _rival_sets(
     probability: Mapping[str, float], sets: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
 ) -> tuple[str, ...]:
-    """Sets that differ from `top` in one effect and cannot be distinguished from it; the first one is `top`."""
+    """Returns the sets that differ from `top` in one effect and cannot be distinguished from it; the first one is `top` itself."""
     found = [top]
     mine = set(top.split("+"))
     for name, value in probability.items():
@@ -273,11 +273,12 @@ def _rival_sets(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
-    """Returns the effects of a set that are named, and the weakest effect of the set if it may be form residue of the strongest:
-    energy that is left because the strongest effect deviates from its idealised form. The weakest effect may be form residue if the
-    other effects explain more than 50 σ and it adds less than the fraction `RESIDUE` of what all effects explain together. If it
-    adds less than the fraction `FORM`, it is not named. An effect is not form residue if most of its energy is in channels on which
-    the other effects do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
+    """Returns the effects of a set that are named, and the weakest effect of the set if it may be form residue. Form residue is
+    energy that is left because the strongest effect deviates from its idealised form. The weakest effect may be form residue if two
+    conditions hold: the other effects explain more than 50 σ, and the weakest effect adds less than the fraction `RESIDUE` of what
+    all effects explain together. If it adds less than the fraction `FORM`, it is not named. An effect is not form residue if most
+    of its energy is in channels on which the other effects do not act, or if it raises the noise level. Terms of a nominal model
+    are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

@@ -1,15 +1,15 @@
 """Locates the gap: the channel, the factor that the gap follows, and the most conspicuous level of this factor; and, if the catalogue does
 not contain the cause, the form of the gap along this factor.
 
-Factors are orientation, rate, temperature, time, angle of the table, and frequency band. The evidence for the patterns of the open
-set determines which factor the whitened residual of a channel follows. Levels are compared by a score, which is their energy in
-standard deviations of the energy of pure noise. With pure noise, levels have different degrees of freedom, and many levels are
-examined. The p-value of such a part of the recording is therefore the probability that, for pure noise projected like the data, the
-highest score of all parts is at least as high as the score of this part (max-statistic parametric bootstrap; Westfall and Young,
-Resampling-Based Multiple Testing, 1993).
+The factors are orientation, rate, temperature, time, angle of the table, and frequency band. The evidence for the patterns of the
+open set determines which factor the whitened residual of a channel follows. The levels of a factor are compared by a score: the
+excess of their energy over that of pure noise, in standard deviations of the energy of pure noise. Many levels are examined, so a
+high score of one of them may be chance. The p-value of a level is therefore the probability that, for pure noise projected like the
+data, the highest score of all levels is at least as high as the score of this level (max-statistic parametric bootstrap; Westfall
+and Young, Resampling-Based Multiple Testing, 1993).
 
-The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable of them determines the factor that an
-unknown gap follows. The residuals of the simulation give the form of this gap.
+The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable pattern determines the factor
+that an unknown gap follows. The residuals of the simulation give the form of this gap.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class MisfitPlace:
 
     `share`: fraction of the energy above the noise. Every factor divides the same energy: the shares of one factor, over all
     channels, add up to at most 1; shares of different factors overlap. `of`: the quantity of which `share` is a fraction. It is
-    `gap`, or `noise` for energy outside the basis, which is compared with the noise of the channel. `p`: p-value, adjusted for the
-    number of parts of the recording that are examined.
+    `gap` or, for energy outside the basis, `noise`; such energy is compared with the noise of the channel. `p`: p-value, adjusted
+    for the number of parts of the recording that are examined.
     """
 
     channel: str
@@ -63,9 +63,9 @@ def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPla
     """Lists all parts of the recording that were examined, the most conspicuous first. `kinds`: for each pattern outside the
     catalogue, the log Bayes factor (K,) of the pattern in each channel alone.
 
-    The best level of each channel and factor is ranked by the evidence that the residual of the channel follows the factor. This
-    evidence is the mean over the patterns of the factor, which penalises factors with many levels. The other levels of a factor
-    follow in the order of their scores.
+    The best level of each channel and factor comes first. These levels are ranked by the evidence that the residual of the channel
+    follows the factor. This evidence is averaged over the patterns of the factor, which penalises factors with many levels. The
+    other levels follow in the order of their scores.
     """
     outside = _outside(weighing, kinds)
     evidence = _by_factor(outside[1], kinds)
@@ -84,7 +84,8 @@ def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPla
 
 
 def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, Array]:
-    """Log Bayes factor (K,) of each factor. `noisier`: log Bayes factor (K,) that the white noise is larger than declared."""
+    """Returns the log Bayes factor of each factor in each channel, shape (K,). `noisier`: array of shape (K,), log Bayes factor of
+    the hypothesis that the white noise is larger than declared."""
     sorted_: dict[Factor, list[Array]] = {Factor.BAND: [noisier]}
     for pattern, values in kinds.items():
         sorted_.setdefault(pattern.factor, []).append(values)
@@ -92,8 +93,8 @@ def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, A
 
 
 def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
-    """Log Bayes factor (3, K) of three hypotheses: slow changes within segments, more white noise than declared, and a tone outside
-    the basis."""
+    """Returns the log Bayes factors, shape (3, K), of three hypotheses: slow changes within segments, more white noise than
+    declared, and a tone outside the basis."""
     none = np.full(len(weighing.observed.channels), -np.inf)
     more = excess_by_channel(weighing.declared, weighing.white, weighing.white_degrees)
     return np.array([kinds.get(WHOLE[Sort.TRANSIENT], none), more, kinds.get(TONE, none)])
@@ -111,8 +112,8 @@ def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -
 
 
 def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
-    """Yields, for every channel and level, the place and its score, which is the energy in standard deviations of the energy of
-    pure noise."""
+    """Yields, for every channel and level, the place and its score: the excess of the energy over that of pure noise, in standard
+    deviations of the energy of pure noise."""
     channels = [channel.name for channel in weighing.observed.channels]
     listed = list(_masks(weighing))
     masks = np.array([mask for _, _, mask in listed], dtype=float)
@@ -133,7 +134,7 @@ def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
 
 
 def _replicates(weighing: Weighing) -> Iterator[Array]:
-    """Yields, for each channel, the squared residuals (M, replicates) of simulated pure noise that is projected like the data."""
+    """Simulates pure noise and projects it like the data. Yields the squared residuals of each channel, shape (M, replicates)."""
     draw = np.random.default_rng(SEED)
     rows = len(weighing.spectrum.segment)
     for weights in weighing.weights:
@@ -186,7 +187,7 @@ def _binned(values: Array, unit: str) -> list[str]:
 
 
 def _up(attitude: Array) -> str:
-    """Describes the vertical direction in the sensor's axes; nothing else is known of a pose."""
+    """Describes the direction of the vertical in the sensor's axes. Of a pose in an unknown orientation, nothing else is known."""
     return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
 
 
@@ -203,8 +204,8 @@ SEEN = 3.0
 
 @dataclass(frozen=True)
 class FormPoint:
-    """Offsets of the channels at one level of the factor, and their standard uncertainties due to noise, in the units of the
-    channels."""
+    """Contains the offsets of the channels at one level of the factor, and the standard uncertainties of these offsets due to
+    noise, in the units of the channels."""
 
     level: str
     values: tuple[float, ...]
@@ -217,7 +218,7 @@ class UnknownForm:
 
     `pattern`: name of the pattern in words. `factor`: the factor that the gap follows. `channels`, `units`: channels that show the
     gap, and their units. `share`: fraction of the gap's energy in all channels; None for noise and tones, which lie outside the
-    coefficients. `points`: offsets at each level if the pattern consists of offsets; otherwise empty.
+    coefficients. `points`: the offsets at each level; empty if the pattern does not consist of offsets.
     """
 
     pattern: str
@@ -275,7 +276,7 @@ def _labels(weighing: Weighing, factor: Factor) -> list[str]:
 
 
 def _excess(weighing: Weighing, index: int, rows: NDArray[np.bool_]) -> float:
-    """Energy of the selected coefficients (`rows`) of a channel, minus the energy that noise alone would have."""
+    """Returns the energy of the selected coefficients (`rows`) of a channel, minus the energy that noise alone would have."""
     residual = weighing.weights[index][0].residual[rows]
     return float(residual @ residual) - len(residual)
 

@@ -1,2 +1,2 @@
-"""Whitens a recording with its noise, and evaluates how much better certain amplitudes explain the recording than no amplitudes do
-(evidence)."""
+"""Whitens a recording with its noise, and evaluates the evidence for an effect: how much better the recording is explained with the
+effect than without it."""

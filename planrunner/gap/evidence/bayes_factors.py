@@ -1,14 +1,15 @@
-"""Bayes factors: the evidence for an effect with unknown amplitudes, relative to no effect.
+"""Computes Bayes factors: the evidence for an effect with unknown amplitudes, relative to no effect.
 
 The strength of an effect is its energy λ: the energy of its signature in units of the noise, after the part that the nominal
 parameters absorb has been removed. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to
 `STRONGEST`. Weaker effects cannot be distinguished from no effect; they count as absent. Amplitudes θ ~ N(0, s²·D) with a
 log-uniform s² have the same directions, but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three
 steps. For given s², the Bayes factor of the Gaussian model is log Bayes factor = −½·log det(I + s²DG) + ½·s²·cᵀD½(I +
-s²D½GD½)⁻¹D½c, where G is the Gram matrix of the signatures and c their product with the data. This Bayes factor is multiplied by
-the posterior probability that λ = θᵀGθ is at least `WEAKEST`. The product is averaged over log s². For given s², λ is a sum of
-scaled non-central χ² variables; its distribution is approximated by a scaled χ² with the same mean and variance (Patnaik,
-Biometrika 36, 1949). Above `STRONGEST`, the prior density continues, because a stronger effect is still the same effect.
+s²D½GD½)⁻¹D½c, where G is the Gram matrix of the signatures and c is the product of the signatures with the data. This Bayes factor
+is then multiplied by the posterior probability that λ = θᵀGθ is at least `WEAKEST`. Finally, the product is averaged over log s².
+For given s², λ is a sum of scaled non-central χ² variables; its distribution is approximated by a scaled χ² with the same mean and
+variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST`, the prior density continues, because a stronger effect is still the same
+effect.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> 
     """Computes the log Bayes factor, averaged over λ, for stacked arrays gram (…, p, p) and score (…, p). The arrays are in units
     of the prior magnitudes (D = I).
 
-    `trace`: energy of an effect with the amplitude 1, which scales the grid of s²; by default it is tr(gram) of the first element.
+    `trace`: energy of the effect for an amplitude of 1, which scales the grid of s²; by default it is tr(gram) of the first stacked
+    array.
     """
     return averaged(by_energy(gram, score, trace))
 
@@ -53,8 +55,8 @@ def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
 
 
 def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array:
-    """Computes the log Bayes factor at each of the E points of the grid of s², shape (…, E). The arguments are the eigenvalues (…,
-    p) of the Gram matrix, and the squared scores (…, p) along its eigenvectors."""
+    """Computes the log Bayes factor at each of the E points of the grid of s², shape (…, E). `values`: array of shape (…, p),
+    eigenvalues of the Gram matrix. `along`: array of shape (…, p), squared scores along its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
     s2 = ENERGIES[:, None] / max(trace, 1e-300)
@@ -86,8 +88,8 @@ def strong_enough(mean: Array, variance: Array) -> Array:
 
 
 def held_log_bayes_factor(gram: Array, score: Array) -> Array:
-    """Computes the log Bayes factor of an amplitude with the prior N(1, `GAIN`²) from its information `gram` and its score. All
-    arrays have the shape (…)."""
+    """Computes the log Bayes factor of an amplitude with the prior N(1, `GAIN`²). `gram`: the information about the amplitude.
+    `score`: its score. All arrays have the shape (…)."""
     precision = 1 / GAIN**2
     grown = gram + precision
     return np.asarray(0.5 * ((score + precision) ** 2 / grown - precision - np.log(grown / precision)))
@@ -142,8 +144,9 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
-    """Returns the log Bayes factor that two effects act together. The first effect has the columns 0 … first − 1, the second the
-    remaining columns. Each effect has a separate s², averaged over the grid `energies`, and at least the strength `WEAKEST`."""
+    """Returns the log Bayes factor of the hypothesis that two effects act together. The first effect has the columns 0 … first − 1,
+    the second the remaining columns. Each effect has a separate s², averaged over the grid `energies`, and at least the strength
+    `WEAKEST`."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
@@ -154,12 +157,12 @@ def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
     """Computes the log Bayes factor for the hypothesis that several effects act together. Each effect has a separate s², averaged
-    over the grid `energies`, and at least the strength `WEAKEST`. `near`: array of shape (p,), s² with which the search for the
-    most probable s² starts.
+    over the grid `energies`, and at least the strength `WEAKEST`. `near`: array of shape (p,), the values of s² at which the search
+    for the most probable s² starts.
 
     A grid over all s² together would have one dimension for each effect. Instead, the most probable s² are found for one effect at
-    a time, and the average over the s² of each effect is computed with the other s² fixed at their most probable values. This is
-    exact if the integrand is a product of functions that each depend on the s² of one effect.
+    a time. The average over the s² of one effect is then computed while the other s² are fixed at their most probable values. This
+    is exact if the integrand is a product of functions, each of which depends on the s² of one effect.
     """
     grids = [energies / trace for trace in traces]
     start = near[np.cumsum(widths) - 1]
@@ -189,8 +192,8 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
-    """Returns the log Bayes factor (E,) of several effects at E combinations of their s² (E, effects), plus the log probability
-    that each effect has at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
+    """Returns the log Bayes factor (E,) of several effects at E combinations of their s² (E, effects), plus the logarithm of the
+    probability that each effect has at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]

@@ -1,4 +1,4 @@
-"""Covariances of the coefficients of a segment with one another.
+"""Represents the covariances between the coefficients of a segment.
 
 Coefficients of different segments are independent, apart from slow noise, which acts on the means. The covariance of all coefficients of a
 channel therefore consists of one block for each segment. Blocks of different sizes are padded with the identity, so that all of them are
@@ -62,8 +62,8 @@ class Blocks:
 
 
 class Correlation:
-    """Correlations of the coefficients (M,) of a channel, from their covariances. `apart` changes standardised coefficients, each
-    of which has the variance 1, into independent ones; `joined` changes independent coefficients into standardised ones."""
+    """Contains the correlations between the M coefficients of a channel. `apart` converts standardised coefficients, each of which
+    has the variance 1, to independent ones; `joined` converts independent coefficients to standardised ones."""
 
     def __init__(self, covariance: Blocks):
         root = np.sqrt(np.diagonal(covariance.matrix, axis1=1, axis2=2))
@@ -93,7 +93,8 @@ class Correlation:
         return out
 
     def among(self, rows: NDArray[np.bool_]) -> Correlation:
-        """Returns the correlations of the rows that a mask (M,) selects. The coefficients (M, …) are zero in all other rows."""
+        """Returns the correlations between the rows that a mask (M,) selects. It is used with coefficients (M, …) that are zero in
+        all other rows."""
         made = Correlation.__new__(Correlation)
         made._rows, made._inside, made.count = self._rows, self._inside, self.count
         chosen = rows[self._rows] & self._inside

@@ -1,9 +1,9 @@
 """Computes the evidence for the effects that act only on the noise. White noise and resolution are compared with their
 declarations.
 
-A declaration can be wrong: with probability 0.8 it is correct within a few per cent. Otherwise it is wrong by up to a factor of
-two, either by the same factor in all channels or by a different factor in each triad. Only larger deviations, or deviations of the
-gyros alone, are evidence of excess noise.
+A declaration can be wrong. It is assumed to be correct within a few per cent with probability 0.8. Otherwise it is wrong by up to a
+factor of two, either by the same factor in all channels or by a different factor in each triad. Only larger deviations, or
+deviations of the gyros alone, are evidence of excess noise.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ Level = Literal["declared", "white", "resolution"]
 
 
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
-    """Computes log densities of the white levels for all combinations of the noise states of the gyros and of the accelerometers.
+    """Computes the log density of the measured white levels for every combination of a noise state of the gyros and one of the
+    accelerometers.
 
     If the noise of a triad, declared or measured, is too small to dither its counts, there is no white level to compare. The white
     level of this triad is then assumed to deviate from its declaration as much as the level of the other triad. If neither triad
@@ -92,7 +93,7 @@ def _other(kind: str) -> str:
 
 
 def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
-    """Returns True if the declared and the measured noise of a channel of the triad are both too small to dither its counts."""
+    """Returns True if the triad has a channel whose declared and measured noise are both too small to dither its counts."""
     for index in observed.of_kind(kind):
         declared = observed.channels[index].white ** 2 * observed.sample_rate + counts_[index] ** 2 / 12
         if is_coarse(max(float(white[index]), np.sqrt(declared)), counts_[index]):
@@ -103,7 +104,7 @@ def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[floa
 def _excess(
     observed: Observed, white: Array, degrees: Array, steps: Sequence[float] | Array
 ) -> tuple[dict[str, float], float]:
-    """Returns, for each triad, the logarithm of (measured ÷ declared) white level; and the standard deviation of this logarithm."""
+    """Returns the logarithm of (measured ÷ declared) white level for each triad, and the standard deviation of this logarithm."""
     found, sigma = {}, 0.01
     for kind in ("gyro", "accel"):
         ratios = []
@@ -120,8 +121,8 @@ def _excess(
 
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
-    """Returns the log Bayes factor for a white noise that is larger than declared, for each channel, shape (K,). The alternative is
-    that the declaration is right or has a usual error."""
+    """Returns, for each channel, the log Bayes factor of the hypothesis that the white noise is larger than declared, shape (K,).
+    The alternative is that the declaration is right or has a usual error."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:
@@ -137,16 +138,16 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 
 def _within_two(x: Array | float) -> Array:
-    """Returns a density of x that is uniform between −ln 2 and ln 2, which is a factor of two in both directions, with edges of 10
-    % and a small floor beyond."""
+    """Returns the value at x of a probability density. It is uniform between −ln 2 and ln 2, which is a factor of two in either
+    direction; it has soft edges of 10 %, and a small constant value beyond them."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)
 
 
 def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
-    """Log density of the excess of each triad if no effect acts and only the declaration can be wrong. The arrays in `excess` are
-    evaluated element by element."""
+    """Returns the log density of the excesses of the triads if no effect acts and only the declaration can be wrong. The arrays in
+    `excess` are evaluated element by element."""
     width = float(np.hypot(HOLDS, sigma))
     holds, each = np.ones(()), np.ones(())
     for x in excess.values():
@@ -158,8 +159,8 @@ def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
 
 
 def _density(excess: Mapping[str, float], sigma: float, larger: Sequence[str]) -> float:
-    """Log density of the excess of each triad if effects raise the noise of the triads `larger`. The declaration of a triad may be
-    right or wrong; each triad in `larger` has a separate additional factor."""
+    """Returns the log density of the excesses of the triads if effects raise the noise of the triads in `larger`. The declaration
+    of a triad may also be wrong. The effect of each triad in `larger` has its own factor."""
     shapes = [EXCESS[:, None], EXCESS[None, :]]
     lowered: dict[str, Array | float] = dict(excess)
     for kind, more in zip(larger, shapes, strict=False):

@@ -1,4 +1,4 @@
-"""Outliers in coloured noise: single samples whose error is larger than the spectrum of the noise allows.
+"""Finds outliers in coloured noise: single samples whose error is larger than the spectrum of the noise allows.
 
 In white noise, an outlier lies far from all other samples. In coloured noise, an outlier can be smaller than the scatter of the
 samples and still change the low frequencies. An example is a gyro whose rounding errors cancel from sample to sample. Each sample
@@ -7,12 +7,12 @@ is therefore compared with the value that all other samples of its segment predi
 Let Σ be the covariance of the noise, V the basis of the segment, x the samples, and P = Σ⁻¹ − Σ⁻¹V(VᵀΣ⁻¹V)⁻¹VᵀΣ⁻¹. Then the
 estimated error of sample t is (Px)_t/P_tt, and its variance is 1/P_tt (Chang, Tiao and Chen, "Estimation of time series parameters
 in the presence of outliers", Technometrics 30, 1988). The discrete cosine transform makes Σ diagonal, except near the ends of the
-segment. At an end of the segment, no further sample cancels the error of the last one. If this error is large, the sample at the
-end also counts as an outlier.
+segment. At an end of the segment, there is no further sample that could cancel the error of the last sample. If this error is
+large, the last sample also counts as an outlier.
 
-A step of the signal also gives large values. A sample is therefore an outlier only if a step near it explains less than the outlier
-does (Tsay, "Outliers, level shifts, and variance changes in time series", Journal of Forecasting 7, 1988), and if its segment has
-few outliers.
+A step of the signal also gives a large error of a sample. A sample is therefore an outlier only if no step near it explains more of
+the signal than the outlier does (Tsay, "Outliers, level shifts, and variance changes in time series", Journal of Forecasting 7,
+1988), and if its segment has few outliers.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def outliers(
     observed: Observed, spectrum: Spectrum, noise: NoiseWithin, white: Array, coarse: NDArray[np.bool_]
 ) -> Array | None:
     """Returns the errors of the outliers, SI, shape (N, K); None if there are no outliers. `white`: array of shape (K,) in SI
-    units, standard deviation of the white noise of a sample. `coarse`: array of shape (K,), True for channels that are not
-    examined, because their samples show the rounding. The errors of samples that `spectrum` replaced are estimated, too."""
+    units, standard deviation of the white noise of a sample. `coarse`: array of shape (K,), True for channels with coarse counts,
+    which are not examined. The result also contains the errors of the samples that `spectrum` replaced."""
     from scipy.fft import dct
 
     found = np.zeros_like(spectrum.remainder)
@@ -81,10 +81,10 @@ def outliers(
 def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.int64]) -> Pulses:
     """Returns the outliers among the samples of a segment, shape (n,).
 
-    `basis`: array of shape (n, m), cosine transforms of m vectors that may be part of the samples with unknown amplitudes.
-    `variance`: array of shape (n,), variance of the noise in each coefficient of the cosine transform. `known`: rows of samples
-    that are already known to be wrong. If too many outliers are found, only the known rows are returned; if there are too many
-    known rows, none are returned.
+    `basis`: array of shape (n, m), cosine transforms of m vectors that the samples may contain with unknown amplitudes. `variance`:
+    array of shape (n,), variance of the noise in each coefficient of the cosine transform. `known`: rows of samples that are
+    already known to be wrong. If too many outliers are found, only the known rows are returned; if there are too many known rows,
+    none are returned.
     """
     from scipy.fft import dct, idct
 
@@ -117,9 +117,9 @@ def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.i
 
 
 def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
-    """Whitens columns, and returns an orthonormal basis Q of the whitened columns and the matrix T that fulfils Q = (whitened
-    columns)·Tᵀ. The columns are the vectors `basis` (n, m) and a unit pulse at each of the rows. `root`: array of shape (n,),
-    inverse standard deviations."""
+    """Whitens columns: the vectors `basis` (n, m), and a unit pulse at each of the rows. Returns an orthonormal basis Q of the
+    whitened columns, and the matrix T for which Q = (whitened columns)·Tᵀ. `root`: array of shape (n,), inverse standard
+    deviations."""
     columns = np.column_stack([basis, _unit(len(root), rows)]) * root[:, None]
     size = np.linalg.norm(columns, axis=0)
     turned = np.linalg.inv(np.linalg.cholesky((columns.T @ columns) / np.outer(size, size))) / size
@@ -127,7 +127,7 @@ def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
 
 
 def _unit(count: int, rows: Sequence[int] | NDArray[np.int64]) -> Array:
-    """Cosine transforms (n, p) of unit pulses, one at each of the rows."""
+    """Returns the cosine transforms (n, p) of unit pulses, one pulse at each of the rows."""
     order = np.arange(count)[:, None]
     waves = np.cos(np.pi * order * (2 * np.asarray(rows, dtype=float) + 1) / (2 * count)) * np.sqrt(2 / count)
     waves[0] /= np.sqrt(2)
@@ -144,13 +144,13 @@ def _diagonal(weight: Array) -> Array:
 
 
 def _left(columns: Array, q: Array) -> Array:
-    """Energies (p,) of columns (n, p) after their part in the span of q has been removed."""
+    """Returns the energies (p,) of columns (n, p) after removal of their part that lies in the span of q."""
     return np.asarray(np.maximum((columns**2).sum(0) - ((q.T @ columns) ** 2).sum(0), 1e-300))
 
 
 def _step(error: Array, row: int, root: Array, q: Array) -> float:
-    """Returns the largest test statistic of a step near a row. It can be compared with the statistic of an outlier, because both
-    have the same scale."""
+    """Returns the largest test statistic of a step near a row. It has the same scale as the test statistic of an outlier, so that
+    the two can be compared."""
     from scipy.fft import dct
 
     count = len(error)

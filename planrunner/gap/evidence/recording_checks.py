@@ -77,7 +77,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 
 
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
-    """Checks from segment averages whether segments can be held out and whether the nominal model fits."""
+    """Checks, from the averages of segments, whether segments can be held out and whether the nominal model fits."""
     mark = Mark(where)
     if observed.along is not None:
         _check_poses(observed, mark, log)
@@ -131,7 +131,7 @@ _LOOK = (
 
 
 def _check_steady_rates(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Warns if the table still changes its rate when the record of a segment starts, or already changes it before the record ends."""
+    """Warns if the rate of the table still changes at the start of a segment's record, or already changes before its end."""
     found = []
     for index, motion in enumerate(observed.motions):
         if not isinstance(motion, Spin):
@@ -160,8 +160,8 @@ def _check_steady_rates(observed: Observed, mark: Mark, log: Findings) -> None:
 def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
     """Adds a note about the errors of the channels that measure the motion. White noise of variance s² in a rate makes a fitted
     scale factor smaller by s²/v, where v is the variance of the rate (W. A. Fuller, Measurement Error Models, 1987, section 1.1).
-    s² is estimated from the third differences, which have the variance 20·s² for white noise. They also contain fast motion, so the
-    result is an upper limit."""
+    s² is estimated from the third differences, which have the variance 20·s² for white noise. The third differences also contain
+    fast motion, so the result is an upper limit."""
     whole = zip(observed.segments(), observed.moved, np.diff(observed.bounds), strict=True)
     parts = [rows for rows, moved, count in whole if moved and count > 3]
     if not parts:
@@ -180,11 +180,12 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, float]:
-    """Returns two numbers: the fraction of a segment, at its start and end together, in which the output (n,) of a gyro deviates
-    from the output in the middle because the rate changes; and the largest such deviation relative to the rate. Both numbers are 0
-    if the rate is steady. For this purpose, the segment is divided into `PARTS` parts. Other changes, such as an uneven motion, are
-    judged by the scatter between the means of the parts in the middle half. If this scatter is large, no part of the segment counts
-    as steady. `earth_rate`: rad/s, amplitude of the input that the Earth's rotation may add once per turn."""
+    """Compares the output (n,) of a gyro at the start and the end of a segment with its output in the middle. Returns two numbers:
+    the fraction of the segment in which the output deviates because the rate changes, and the largest such deviation relative to
+    the rate. Both numbers are 0 if the rate is steady. For the comparison, the segment is divided into `PARTS` parts. How much the
+    output changes for other reasons, such as an uneven motion, is judged from the scatter between the means of the parts in the
+    middle half. If this scatter is large, the result is as if no part of the segment were steady. `earth_rate`: amplitude of the
+    input that the Earth's rotation may cause once per turn, rad/s."""
     if len(values) < 4 * PARTS:
         return 0.0, 0.0
     means = np.array([part.mean() for part in np.array_split(values, PARTS)])
@@ -201,7 +202,7 @@ def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, flo
 
 
 def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Warns if the nominal model would fit far better with the labels of two segments exchanged."""
+    """Warns if the nominal model would fit far better if the labels of two segments were exchanged."""
     found = exchanged_labels(observed)
     if found is not None:
         first, second, times = found
@@ -215,11 +216,12 @@ def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
-    """Finds two segments whose exchange reduces the misfit of the nominal model to the segment means at least by the factor
-    `EXCHANGED`. Returns their indices and the ratio of the root mean squares before and after; None if there are no such segments.
+    """Finds two segments whose exchange reduces the misfit between the nominal model and the segment means at least by the factor
+    `EXCHANGED`. Returns their indices and the ratio of the root mean square misfits before and after the exchange; None if there
+    are no such segments.
 
     Let M be the projection onto the residuals of the fit, and e the difference of the unit vectors of the two segments. An exchange
-    changes the means y by δ·e with δ = −eᵀy, and the sum of squares of the residuals by 2δ·eᵀMy + δ²·eᵀMe.
+    adds δ·e with δ = −eᵀy to the means y, and 2δ·eᵀMy + δ²·eᵀMe to the sum of squares of the residuals.
     """
     segments = len(observed)
     before, after = 0.0, np.zeros((segments, segments))
@@ -249,7 +251,7 @@ def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
 
 
 def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Warns if the noise of a channel at rest, from sample to sample, differs strongly from its declaration."""
+    """Warns if the sample-to-sample noise of a channel at rest differs strongly from its declaration."""
     still = [s for s, motion in enumerate(observed.motions) if isinstance(motion, Rest)]
     if not still:
         return
@@ -267,7 +269,7 @@ def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Checks whether the readings in poses of unknown orientation have the magnitude of gravity, and whether there are enough poses
+    """Checks poses of unknown orientation: whether their readings have the magnitude of gravity, and whether there are enough poses
     to hold some out."""
     expected = segment_means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
     ratio = float(np.median(segment_means(observed, observed.values)[:, 0] / expected))

@@ -1,7 +1,8 @@
-"""Describes slow noise by the exact covariances of its means over segments, and by its spectra for the remainder within a segment.
+"""Describes slow noise: the exact covariances of its means over segments, and its spectra, which describe the remainder within a
+segment.
 
-Flicker is a sum of Ornstein–Uhlenbeck processes whose correlation times are two octaves apart (Keshner, "1/f noise", Proc. IEEE 70,
-1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form.
+Flicker is represented by a sum of Ornstein–Uhlenbeck processes whose correlation times are two octaves apart (Keshner, "1/f noise",
+Proc. IEEE 70, 1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ def flicker(starts: Array, ends: Array) -> Array:
     """Computes the covariance of the segment means of flicker noise whose coefficient of bias instability B is 1, shape (S, S).
 
     Flicker noise has the one-sided density B²/(π·f), and the Allan deviation √(2·ln 2/π)·B = 0.664·B (IEEE Std 952, annex C). It is
-    represented by a sum of processes of variance v whose correlation times differ by a factor r. The total density of the processes
-    between their corner frequencies is v/(ln r·f), so v = ln r/π.
+    represented by a sum of processes of variance v whose correlation times differ by a factor r. Between the corner frequencies of
+    the processes, their total density is v/(ln r·f). It equals B²/(π·f) with B = 1 if v = ln r/π.
     """
     level = math.log(OCTAVES[1] / OCTAVES[0]) / math.pi
     total = np.zeros((len(starts), len(starts)))
@@ -52,8 +53,8 @@ def random_walk(starts: Array, ends: Array) -> Array:
     """Computes the covariance of the segment means of a random walk with unit density (1/√s), shape (S, S). The walk starts from
     zero at the first start time.
 
-    The covariance of two disjoint segments is the middle time of the earlier segment. The variance for a segment of length T is its
-    start time + T/3.
+    The covariance of two disjoint segments is the middle time of the earlier segment. The variance of a segment of length T is its
+    start time plus T/3.
     """
     begin = starts - starts[0]
     middles = (begin + ends - starts[0]) / 2
@@ -64,7 +65,8 @@ def random_walk(starts: Array, ends: Array) -> Array:
 
 @dataclass(frozen=True)
 class SlowMeans:
-    """Covariances (S, S) of the segment means, one for flicker and one for a random walk, each at unit level."""
+    """Contains two covariances (S, S) of the segment means: one for flicker with B = 1, and one for a random walk with unit
+    density."""
 
     flicker: Array
     random_walk: Array

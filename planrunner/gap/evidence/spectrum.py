@@ -1,13 +1,13 @@
-"""Reduces a recording to the form that a diagnosis uses: a few exact coefficients for each segment and channel, and the energy of
+"""Reduces a recording to the data that a diagnosis uses: a few exact coefficients for each segment and channel, and the energy of
 the remainder in each frequency band.
 
 The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
 and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If an encoder
-shows the motion, the angular rates take the place of the harmonics. The angular accelerations are then removed from the samples and
-not used as evidence. An unknown delay between the encoder and the sensor makes a signal in proportion to them, which would
-otherwise count as noise at the frequencies of the rates. Deterministic effects lie in the span of this basis. The remainder is
-noise or a tone; it is stored as energies in bands of the DCT-II. Outliers far outside the noise are replaced by the fit of the
-basis and counted, because a single one would affect all coefficients.
+shows the motion, the angular rates take the place of the harmonics. In this case, the part of the samples that is proportional to
+the angular accelerations is removed and not used as evidence: an unknown delay between the encoder and the sensor causes such a
+part, which would otherwise count as noise at the frequencies of the rates. Deterministic effects lie in the span of this basis. The
+remainder is noise or a tone; only its energies in bands of the DCT-II are stored. Outliers far outside the noise are replaced by
+the fit of the basis and counted, because a single outlier would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -38,11 +38,10 @@ class SpectralBasis:
     """The basis of one segment.
 
     `vectors`: array of shape (n, m), whose columns are orthonormal; the first column is constant. `frequency`: array of shape (m,),
-    the frequency of each vector in Hz; it is 0 for the constant vector. `harmonic`: array of shape (m,) that states what each
-    vector is. The value is 0 for a vector of the cosine transform, and `RESPONSE` for the response to a recorded motion. For a
-    harmonic of the motion, the value is its order. `latency`: array of shape (n, q), further orthonormal columns, orthogonal to
-    `vectors`: the response to a delay between the sensor and the encoder. These columns are removed from the samples, but their
-    coefficients are not used.
+    the frequency of each vector in Hz; it is 0 for the constant vector. `harmonic`: array of shape (m,), the kind of each vector: 0
+    for a vector of the cosine transform, `RESPONSE` for the response to a recorded motion, and the order of the harmonic for a
+    harmonic of the motion. `latency`: array of shape (n, q), further orthonormal columns, orthogonal to `vectors`: the response to
+    a delay between the sensor and the encoder. These columns are removed from the samples, but their coefficients are not used.
     """
 
     vectors: Array
@@ -102,7 +101,7 @@ class Spectrum:
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     def outside(self, observed: Observed, columns: Array) -> Array:
-        """Removes from columns of samples (N, P) what was removed from the samples of each segment."""
+        """Removes the basis of each segment from columns of samples (N, P), as it was removed from the samples."""
         out = columns.copy()
         for basis, part in zip(self.bases, observed.segments(), strict=True):
             out[part] -= basis.removed @ (basis.removed.T @ out[part])
@@ -110,8 +109,8 @@ class Spectrum:
 
     @cached_property
     def runs(self) -> list[tuple[Array, slice]]:
-        """Groups consecutive segments whose bases have the same shape. Each group consists of the transposed bases (k, m, n), or
-        one transposed basis (m, n) that all its segments share, and the slice of its samples."""
+        """Groups consecutive segments whose bases have the same shape. Each group consists of two items: the transposed bases (k,
+        m, n) of its k segments, or one transposed basis (m, n) that all of them share; and the slice of its samples."""
         found, first = [], 0
         for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
             bases = list(run)
@@ -178,10 +177,10 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 
 def _by_axis(motion: Array) -> list[Array]:
-    """Returns the components (n,) of a recorded motion (n, 3) about the axes that it has, without their means. Scale factors and
-    misalignments act in proportion to the angular rates. A delay acts nearly in proportion to the angular accelerations, like the
-    first-order lag of a filter. Only the motion that an encoder shows is used: the reference of a free motion has its own delays
-    and filters, which act at the same frequencies."""
+    """Returns the components (n,) of a recorded motion (n, 3) about those axes about which there is motion. Their means are
+    subtracted. Scale factors and misalignments act in proportion to the angular rates. A delay, like the first-order lag of a
+    filter, acts nearly in proportion to the angular accelerations. Only motion that an encoder shows is used. The reference of a
+    free motion is not used, because it has its own delays and filters, which act at the same frequencies."""
     motion = motion - motion.mean(axis=0)
     size = np.linalg.norm(motion, axis=0)
     return [motion[:, axis] for axis in np.flatnonzero(size > _DEPENDENT * size.max())]
@@ -238,7 +237,8 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
 
 
 def _of_bands(samples: Array, orders: NDArray[np.int64]) -> Array:
-    """Energy (B, K) of the DCT-II of samples (n, K) between neighbouring orders (B + 1,)."""
+    """Returns the energy of the DCT-II of samples (n, K) in B bands, shape (B, K). `orders`: array of shape (B + 1,), the orders
+    that bound the bands."""
     from scipy.fft import dct
 
     squares = dct(samples, type=2, norm="ortho", axis=0) ** 2
@@ -246,14 +246,15 @@ def _of_bands(samples: Array, orders: NDArray[np.int64]) -> Array:
 
 
 def _roots(observed: Observed) -> Array | None:
-    """Weight (S,) of the means over the bins of each segment: √size, with which a weighted mean has the noise of a single sample.
-    None if the recording contains single samples instead of means over bins."""
+    """Returns the weight √size of the means over the bins of each segment, shape (S,). A mean over a bin, multiplied by this
+    weight, has the white noise of a single sample. None if the recording contains single samples instead of means over bins."""
     return None if observed.bins is None else np.sqrt(observed.bins.size)
 
 
 def band_edges(half: float) -> Array:
-    """Edges (B + 1,), Hz, of the frequency bands. The bands are octaves, the upper of which are divided into four; the lowest band
-    contains all lower frequencies. `half`: half of the sampling rate, which is the upper edge of the highest band."""
+    """Returns the edges (B + 1,) of the frequency bands, Hz. The bands are octaves. The upper octaves are divided into four bands
+    each, and the lowest band contains all lower frequencies. `half`: half of the sampling rate, which is the upper edge of the
+    highest band."""
     octaves = 2.0 ** -np.arange(OCTAVES, -1, -1)
     fine = [np.linspace(low, 2 * low, 5)[1:] for low in octaves[-FINE - 1 : -1]]
     return half * np.concatenate([[0.0], octaves[: OCTAVES - FINE + 1], *fine])

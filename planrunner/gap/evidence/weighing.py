@@ -1,17 +1,18 @@
 """Whitens coefficients with the noise, projects the nominal parameters out of them, and evaluates designs on the result.
 
 A setting of the noise consists of a level of flicker and a level of random walk for each triad. At every setting, the coefficients
-of each channel are whitened (order 0 jointly over the segments, the others one by one). Then the nominal parameters, which have a
-flat prior, are projected out. The residuals are evaluated with the residual likelihood (REML: Patterson and Thompson, Biometrika
-58, 1971).
+of each channel are whitened: those of order 0 jointly over the segments, the others one by one. Then the nominal parameters, which
+have a flat prior, are projected out. The likelihood of the residuals is the residual likelihood (REML: Patterson and Thompson,
+Biometrika 58, 1971).
 
-A recording may be unable to separate some nominal parameters: gravity is never along an axis, there is only one orientation, or the
-orientations of the poses are unknown. The columns of such parameters are linearly dependent or zero. An independent basis of all
-nominal columns is therefore computed first, so that they absorb only the space that they span.
+Some recordings cannot separate all nominal parameters, for example because gravity is never along an axis, because there is only
+one orientation, or because the orientations of the poses are unknown. The columns of these parameters are linearly dependent or
+zero. Therefore, an independent basis of all nominal columns is computed first, so that the parameters absorb only the space that
+their columns span.
 
 The evidence of a design needs only the eigenvalues of its Gram matrix and the squared scores along the eigenvectors. Both are
-computed from the few rows on which a design acts. Let Y be its whitened rows and B an orthonormal basis of the nominal columns:
-then the Gram matrix is YᵀY − (BᵀY)ᵀ(BᵀY), and the score is Yᵀr, because the residual r has no component along B.
+computed from the few rows in which the design is not zero. Let Y be its whitened rows and B an orthonormal basis of the nominal
+columns: then the Gram matrix is YᵀY − (BᵀY)ᵀ(BᵀY), and the score is Yᵀr, because the residual r has no component along B.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ class Setting:
     """Describes one setting of the noise of a triad.
 
     `flicker`: factor by which the declared flicker level is multiplied. `walk`: level of the random walk in SI/√s. If `alike` is
-    True, it is the density of the random walk in every axis; otherwise it is the scale of the prior from which the density of each
-    axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings with a random walk add up to
-    1, and so do those of all settings without one.
+    True, `walk` is the density of the random walk in every axis; otherwise it is the scale of the prior from which the density of
+    each axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings with a random walk add
+    up to 1, and so do those of all settings without one.
     """
 
     flicker: float
@@ -59,7 +60,8 @@ class Setting:
 
 
 def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
-    """Lists the settings of a triad: random walks for gyros only, and factors of the flicker level only if flicker is declared."""
+    """Lists the settings of a triad. Random walks are included only for gyros; different factors of the flicker level are included
+    only if flicker is declared."""
     members = observed.of_kind(kind)
     if not members:
         return (Setting(0.0, 0.0, 1.0),)
@@ -81,8 +83,8 @@ def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, ki
 
 
 def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, white: float) -> float:
-    """Expected energy that a random walk with unit density has in the segment means of one channel, relative to white noise and the
-    declared flicker, after a constant has been removed."""
+    """Returns the expected energy of a random walk with unit density in the segment means of one channel, after a constant has been
+    removed. The energy is in units of the noise, which is white noise and the declared flicker."""
     noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow.flicker
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
     walk = inverse @ slow.random_walk @ inverse.T
@@ -99,18 +101,18 @@ def lasting(observed: Observed) -> tuple[Array, Array]:
 
 def _sharing(readings: Array, count: float) -> Array:
     """Returns, for each segment (S,), the number of segments, itself included, whose mean readings have the same rounding error.
-    The mean over such segments has the same rounding error as a single one of them."""
+    The mean over such segments has the same rounding error as each of them."""
     return np.asarray(np.exp(-0.5 * ((readings[:, None] - readings) / (count / 4)) ** 2).sum(0))
 
 
 def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
-    """Weights and log likelihood (G,) of a channel at each setting of the noise. In settings that are not `alike`, the random walks
-    of a triad have a common scale, but each axis has its own density.
+    """Returns the weights and the log likelihood (G,) of a channel at each setting of the noise. In settings that are not `alike`,
+    the random walks of a triad have a common scale, but each axis has its own density.
 
     For a scale q, the density of an axis has the prior |N(0, q²)|. The likelihood is averaged over the density levels with this
-    prior, and the weights are those of the most probable level. This level is estimated from data that may also contain an effect.
-    If a strong effect is present, random walks with the same density in all axes are closer to the truth; such settings (`alike`)
-    are therefore included, too.
+    prior, and the weights are those of the most probable level. The data from which this level is estimated may also contain an
+    effect. If a strong effect is present, random walks with the same density in all axes are closer to the truth. Settings with
+    such random walks (`alike`) are therefore included as well.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])
@@ -136,9 +138,9 @@ class ChannelWeights:
 
     `relative`: array of shape (M,), variance of the noise of each coefficient, divided by the variance of the white noise.
     `undithered`: variance of the rounding error of a segment mean. `log_likelihood`: REML of the data without any effect.
-    `log_det`: −2·log_likelihood, without the sum of the squared residuals. `basis`: array of shape (M, q), orthonormal basis of the
+    `log_det`: −2·log_likelihood minus the sum of the squared residuals. `basis`: array of shape (M, q), orthonormal basis of the
     whitened nominal columns. `scale`: array of shape (M,), factors that whiten coefficients one by one. They apply to all
-    coefficients if there is no slow noise, otherwise to those above order 0.
+    coefficients if there is no slow noise, otherwise only to the coefficients above order 0.
     """
 
     def __init__(
@@ -206,9 +208,10 @@ class ChannelWeights:
 
     def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
         """Returns the weights for the covariance C + share·(C′ − C). C is the covariance of these weights; C′ is the covariance of
-        `other`, which must contain slow noise. `share` may be negative or above 1, as long as the result is a covariance. As the
-        covariance is linear in the square of the flicker level, this gives the weights for any level of flicker. `nominal`: array
-        of shape (M, q), nominal columns. `values`: array of shape (M,) in SI units, coefficients of the channel."""
+        `other`, which must contain slow noise. `share` may be negative or above 1, as long as the result is a covariance. The
+        covariance is linear in the square of the flicker level, so this method gives the weights for any level of flicker.
+        `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in SI units, coefficients of the
+        channel."""
         made = copy(self)
         made._covariance = self._covariance + share * (other._covariance - self._covariance)
         variance = 1 / self.scale**2
@@ -221,8 +224,8 @@ class ChannelWeights:
         return made
 
     def beside(self, columns: Array) -> ChannelWeights:
-        """Returns a copy in which further columns (M, p), SI, have been added to the nominal columns. `log_likelihood` changes only
-        because the residual becomes smaller; the determinant of the additional columns is not included."""
+        """Returns a copy in which further columns (M, p), SI, have been added to the nominal columns. The `log_likelihood` of the
+        copy takes account of the smaller residual, but not of the determinant of the additional columns."""
         made = copy(self)
         whitened = self.whiten(columns[:, columns.any(axis=0)])
         whitened /= np.linalg.norm(whitened, axis=0)
@@ -327,8 +330,9 @@ class ChannelWeights:
 
 
 def _beyond_measured(density: Callable[[Array], Array], spectrum: Spectrum, noise: NoiseWithin, channel: int) -> Array:
-    """Density of slow noise to be added at the frequency of each coefficient (M,); 0 for means. Where a coloured spectrum was
-    measured, it already contains the slow noise. Only the increase below its lowest frequency is then added."""
+    """Returns the density of slow noise that must be added at the frequency of each coefficient, shape (M,); 0 for means. A
+    measured coloured spectrum already contains the slow noise; in this case, only the increase below the lowest measured frequency
+    is added."""
     out = np.zeros(len(spectrum.frequency))
     within = spectrum.frequency > 0
     out[within] = density(spectrum.frequency[within])
@@ -358,10 +362,10 @@ def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Co
 
 @dataclass
 class _Shared:
-    """A table of samples (N, P), each column of which may belong to several effect columns.
+    """A table of samples (N, P). Each column of the table may belong to several columns of effects.
 
-    `places`: for each effect column, its index, its channel, and the index of the table's column to which it belongs. `acting`:
-    True for segments in which any of these effect columns acts."""
+    `places`: for each column of an effect, its index, its channel, and the index of the table's column that contains its samples.
+    `acting`: True for segments in which any of these effect columns acts."""
 
     table: Array
     places: list[tuple[int, int, int]] = field(default_factory=list)
@@ -369,8 +373,8 @@ class _Shared:
 
 
 def _table(part: Array) -> tuple[Array, int]:
-    """Returns the table of samples of which an array is a column, and the index of that column. The signatures of a triad are
-    columns of one table, so they can be projected together."""
+    """Finds the table of samples that contains an array as one of its columns. Returns the table and the index of the column. The
+    signatures of a triad are columns of one table, so they can be projected together."""
     whole = part.base
     if isinstance(whole, np.ndarray) and whole.ndim == 2 and whole.flags.c_contiguous and len(whole) == len(part):
         offset = part.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
@@ -380,8 +384,8 @@ def _table(part: Array) -> tuple[Array, int]:
 
 
 def independent(columns: Array) -> Array:
-    """Returns the columns (M, q) unchanged if they are linearly independent; otherwise combinations (M, r) that span the same
-    space."""
+    """Returns the columns (M, q) unchanged if they are linearly independent; otherwise returns r < q combinations (M, r) that span
+    the same space."""
     size = np.linalg.norm(columns, axis=0)
     used = columns[:, size > 0] / size[size > 0]
     left, values, _ = np.linalg.svd(used, full_matrices=False)
@@ -410,8 +414,8 @@ class Left:
         return cls(weight, np.ones(len(weight.residual), dtype=bool), weight.basis, weight.residual)
 
     def without(self, taken: Rows) -> Left:
-        """Removes further rows. The remaining rows then determine the nominal parameters. Rows of order 0 are whitened jointly, so
-        they must be removed together."""
+        """Returns the channel after further rows have been removed. Only the remaining rows then determine the nominal parameters.
+        Rows of order 0 are whitened jointly, so they must be removed together."""
         rows = self.rows & ~taken
         basis, size, _ = np.linalg.svd(self.basis * rows[:, None], full_matrices=False)
         basis = basis[:, size > _NOTHING]
@@ -428,8 +432,9 @@ class Left:
 
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Eigenvalues and squared scores of a design. `design`: columns (M, P); or a mask (M,) of rows, which means a design with one
-    column for each selected row that is zero in all other rows. Both results are empty if the design is zero in all remaining rows."""
+    """Returns the eigenvalues and the squared scores of a design. `design`: columns (M, P), or a mask (M,) of rows. A mask stands
+    for a design with one column for each selected row; this column is zero in all other rows. Both results are empty if the design
+    is zero in all remaining rows."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
     columns = np.asarray(design[:, design.any(axis=0)], dtype=float)
@@ -443,9 +448,10 @@ def eigen(left: Left, design: Array | Rows) -> Eigen:
 
 
 def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
-    """Eigenvalues and squared scores of a design that has one column for each of the given rows. The Gram matrix of such columns is
-    diagonal except for the part that the nominal parameters absorb. Among rows of equal weight, the absorbed part has no more
-    directions than there are parameters; all directions orthogonal to it are eigenvectors with a common eigenvalue."""
+    """Returns the eigenvalues and the squared scores of a design that has one column for each of the given rows. The Gram matrix of
+    such columns is diagonal except for the part that the nominal parameters absorb. Among rows of equal weight, the absorbed part
+    has at most as many directions as there are parameters. All directions that are orthogonal to the absorbed part are eigenvectors
+    with the same eigenvalue."""
     if not len(at):
         return np.zeros(0), np.zeros(0)
     scale = left.weight.scale[at]
@@ -471,7 +477,7 @@ def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
 
 
 def _seen(values: Array, along: Array, largest: float) -> Eigen:
-    """Removes from the eigenvalues and the squared scores those directions that the nominal parameters absorb completely.
-    `largest`: largest energy of a column before the projection."""
+    """Removes the eigenvalues and squared scores of those directions that the nominal parameters absorb completely. `largest`:
+    largest energy of a column before the projection."""
     seen = values > _NOTHING**2 * largest
     return values[seen], along[seen]

@@ -1,1 +1,2 @@
-"""Analysis of several recordings together: the amplitudes in each recording, and their attribution to device, bench and occasion."""
+"""Analyses several recordings together: estimates the amplitudes in each recording, and attributes them to device, bench and
+occasion."""

@@ -1,7 +1,8 @@
-"""The amplitudes of one run. The nominal terms and all effects that are named in any run of the fleet are fitted together.
+"""Estimates the amplitudes of one run. The nominal terms and all effects that are named in any run of the fleet are fitted
+together.
 
 The fit is generalised least squares with the noise model of the diagnosis and without priors. The estimates of different runs are
-therefore independent, and a prior is used only once: in the attribution.
+therefore independent. A prior is used only later, in the attribution.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ class AmplitudeEstimate:
 def amplitudes(
     weighing: Weighing, nominal: Sequence[str], effects: Sequence[tuple[Effect, float | None]]
 ) -> list[AmplitudeEstimate]:
-    """Estimates the amplitudes that a run determines. `nominal`: terms that the nominal simulation fits. `effects`: further
-    effects, each with the value of its shape, or None if it has no shape."""
+    """Estimates those amplitudes that the data of a run determine. `nominal`: terms that the nominal simulation fits. `effects`:
+    further effects, each with the value of its shape, or None if it has no shape."""
     observed = weighing.observed
     listed = [(key, column) for key, column in zip(_terms(observed, nominal), weighing.nominal_columns, strict=True)]
     orientations = tuple(dict.fromkeys(map(orientation_key, observed.attitude)))

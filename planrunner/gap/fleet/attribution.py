@@ -1,19 +1,20 @@
 """Attributes one amplitude, which was estimated in several runs, to its sources. The sources are the device, the bench, the
-occasion (the switch-on), and what all runs have in common (the type of device, the plan, the site, the declarations).
+occasion (one switch-on of the device), and everything that all runs have in common (the type of device, the plan, the site, the
+declarations).
 
 The estimate in run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, where e_r ~ N(0, s_r²) is known from the
-fit of the run. The parts that come from one source are independent draws from N(0, σ²); each source has its own σ. This is a
-random-effects model (Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9). The common part c also has a σ
-instead of a flat prior, because an amplitude of zero means that the run agrees with the simulation.
+fit of the run. The parts of one kind of source, such as those of all devices, are independent draws from N(0, σ²); each kind has
+its own σ. This is a random-effects model (Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9). The common
+part c has a σ as well. It has no flat prior, because zero is a special value: the run then agrees with the simulation.
 
 The hypotheses are all subsets of the sources, including the empty set. For given σ, the evidence is Gaussian:
 
     log p(y | σ) = −½ (n·log 2π + log det V + yᵀ V⁻¹ y),    V = S + Z G Zᵀ
 
-Z holds the grouping of the runs, and G the variances σ² of the parts. S is diagonal. It contains the variances s², to which the σ²
-of a source is added if no two runs belong to the same group of this source. With M = I + G^½ ZᵀS⁻¹Z G^½, log det V = log det S +
-log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion lemma). Each σ has a log-uniform prior and is
-integrated out on a grid, which is refined where the evidence is large.
+Z contains the grouping of the runs, and the diagonal matrix G contains the variances σ² of the parts. The diagonal matrix S
+contains the variances s². If every run is a group of its own for a source, the σ² of this source is added to S instead. With M = I
++ G^½ ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion lemma).
+Each σ has a log-uniform prior. It is integrated out on a grid, which is finer where the evidence is large.
 
 Sources that group the runs in the same way cannot be distinguished, for example one device on one bench, or devices with one run
 each. Such sources form one component.
@@ -70,8 +71,8 @@ class Estimates:
 
     `values`, `standard_uncertainties`: arrays of shape (n,), in one unit; all are finite, and the uncertainties are positive.
     `groups`: for each source except `COMMON`, the labels (n) of the groups to which the runs belong. `since`: for each source with
-    steps, one text for every run (n): the moment of the last step of the run's group that is not later than the run; an empty text
-    if there is no such step. After each step, the group counts as a new group.
+    steps, n texts, one for each run. Each is the moment of the last step of the run's group up to this run; it is empty if there
+    was no step. After each step, the group counts as a new group.
     """
 
     values: Array
@@ -102,7 +103,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Uncertain:
-    """A value with its uncertainty. The interval of this half-width about the value has the probability `COVERAGE`."""
+    """A value with its uncertainty: the half-width of an interval about the value that has the probability `COVERAGE`."""
 
     value: float
     expanded: float
@@ -110,14 +111,14 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """Describes the part of an amplitude that belongs to one device, one bench or one occasion, under the condition that parts of
-    this kind contribute at all.
+    """Describes the part of an amplitude that belongs to one device, one bench or one occasion. It is computed under the condition
+    that parts of this kind contribute at all.
 
-    `level`: the sum of this part and of the part that all runs have in common; the data often determine the sum better than either
-    part. `difference`: this part minus the average of the parts of the other devices (or benches, or occasions). `level` and
+    `level`: the sum of this part and of the part that all runs have in common; the data often determine this sum better than its
+    two parts. `difference`: this part minus the average of the parts of the other devices (or benches, or occasions). `level` and
     `difference` are None if every device (or bench, or occasion) has only one run; `difference` is also None if there is only one
-    device (or bench, or occasion). `runs`: number of runs that contain the part. `since`: moment of the step from which the part
-    counts; empty if the part counts from the first run.
+    device (or bench, or occasion). `runs`: number of runs that contain the part. `since`: if the part is valid only after a step,
+    the moment of this step; empty if it is valid from the first run on.
     """
 
     label: str
@@ -132,9 +133,9 @@ class SourcePart:
 class Contribution:
     """Describes what one component contributes to an amplitude.
 
-    `probability`: probability that the component contributes. `share`: fraction of the mean square of the amplitude over the runs,
-    without noise, that the component explains; the shares of all components add up to 1, or all are 0. `spread`: posterior median
-    of the σ of the component under the condition that it contributes. `spread_interval`: limits of the central 95 % of this
+    `probability`: probability that the component contributes. `share`: the fraction of an amplitude's mean square over the runs
+    that the component explains. Noise is not counted. The shares of all components add up to 1, or all are 0. `spread`: posterior
+    median of the σ of the component under the condition that it contributes. `spread_interval`: limits of the central 95 % of this
     posterior. `parts`: the parts of the component's groups, in the order of the labels.
     """
 
@@ -162,12 +163,12 @@ class Attribution:
 
     @property
     def named(self) -> tuple[Contribution, ...]:
-        """Components that contribute with a probability of at least `SURE`."""
+        """Returns the components that contribute with a probability of at least `SURE`."""
         return tuple(one for one in self.contributions if one.probability >= SURE)
 
     @property
     def open(self) -> tuple[Contribution, ...]:
-        """Components that are neither named nor excluded."""
+        """Returns the components for which the data do not decide: they are neither named nor excluded."""
         return tuple(one for one in self.contributions if 1 - SURE < one.probability < SURE)
 
 
@@ -191,8 +192,8 @@ def components(
 
 
 def log_evidence(given: Estimates, chosen: Sequence[Component], spreads: Array) -> Array:
-    """Computes the log evidence log p(y | σ), shape (P,). The P sets of standard deviations σ (P, C) belong to the chosen
-    components and are in the unit of the estimates."""
+    """Computes the log evidence log p(y | σ), shape (P,). `spreads`: array of shape (P, C), P sets of the standard deviations σ of
+    the C chosen components, in the unit of the estimates."""
     return _Model(given, chosen).log_evidence(spreads)
 
 
@@ -306,9 +307,9 @@ class _Model:
 
     @cached_property
     def _moments(self) -> tuple[Array, list[Array], list[Array], Array, Array]:
-        """Returns the weights (Q,) of those Q points of the grid that have a noticeable weight. For these points, it also returns
-        the means (Q, m) and variances (Q, m) of the parts of each component, and the joint mean (Q, M) and covariance (Q, M, M) of
-        all parts that belong to groups of several runs."""
+        """Returns the weights (Q,) of the Q points of the grid whose weight is noticeable. For these points, it also returns the
+        means (Q, m) and variances (Q, m) of the parts of each component. The last two results are the joint mean (Q, M) and
+        covariance (Q, M, M) of all parts that belong to groups of several runs."""
         points, weights, _ = self._grid
         kept = weights > _CONSIDERED * weights.max()
         points, weights = points[kept], weights[kept] / weights[kept].sum()
@@ -345,14 +346,15 @@ class _Model:
         return weights, mean @ design.T, np.einsum("ai,qij,aj->qa", design, covariance, design)
 
     def power(self, component: Component) -> float:
-        """Expected mean square, over the runs, of the parts of a component."""
+        """Returns the expected mean square of the parts of a component over the runs."""
         weights, means, variances = self.parts(component)
         runs = np.bincount(component.members, minlength=len(component.labels))
         return float(weights @ (means**2 + variances) @ runs / runs.sum())
 
 
 def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tuple[float, tuple[float, float]]:
-    """Median and limits of the central 95 % of the σ of a component, over the models that contain the component."""
+    """Returns the median of the σ of a component and the limits of its central 95 %, averaged over the models that contain the
+    component."""
     found = [(p * weights, values) for p, model in having for values, weights in [model.spread(component)]]
     weights, values = np.concatenate([w for w, _ in found]), np.concatenate([v for _, v in found])
     order = np.argsort(values)
@@ -382,8 +384,8 @@ def _parts(
 
 
 def _averaged(found: Sequence[tuple[float, Array, Array, Array]]) -> list[Uncertain]:
-    """Averages over models: values and their intervals, from the probability, weights (Q,), means (Q, m) and variances (Q, m) of
-    every model."""
+    """Averages values and their intervals over models. `found`: for every model, its probability, weights (Q,), means (Q, m) and
+    variances (Q, m)."""
     weights = np.concatenate([p * w for p, w, _, _ in found])
     means, variances = np.vstack([m for _, _, m, _ in found]), np.vstack([v for _, _, _, v in found])
     order = np.argsort(-weights)
@@ -395,8 +397,8 @@ def _averaged(found: Sequence[tuple[float, Array, Array, Array]]) -> list[Uncert
 
 
 def _half_width(weights: Array, offsets: Array, spreads: Array) -> Array:
-    """Half-widths (m,) of the intervals about 0 that have the probability `COVERAGE`, found by bisection. The distributions are
-    mixtures of Gaussians with these weights (Q,), means (Q, m) and standard deviations (Q, m)."""
+    """Finds, by bisection, the half-widths (m,) of the intervals about 0 that have the probability `COVERAGE`. The distributions
+    are mixtures of Gaussians with the given weights (Q,), means `offsets` (Q, m) and standard deviations `spreads` (Q, m)."""
     from scipy.special import ndtr
 
     spreads = np.maximum(spreads, 1e-300)

@@ -1,18 +1,18 @@
-"""Changes of an amplitude in a fleet: when the amplitude changed, and in which device or on which bench.
+"""Finds changes of an amplitude in a fleet: when the amplitude changed, and in which device or on which bench.
 
 The estimates of one amplitude in n runs, in order of time, are the sum of a part for each device, a part for each bench, and
 possibly changes:
 
     y_r = d[device of r] + b[bench of r] + Σ_j x_j·h_j(r) + e_r,    e_r ~ N(0, c²·s_r²)
 
-For a step of a device, of a bench or of all runs, h is 1 in the runs of this source from a certain run on, and 0 elsewhere. For a
-drift, h is the number of days since the first run of its source. The parts are fitted without priors (analysis of covariance), so a
-constant difference between devices or between benches does not count as a change. The change with the smallest p-value is added to
-the model if its p-value, multiplied by the number of changes that were tried (Bonferroni), is at most `LEVEL`. This is repeated
-until no change qualifies. The p-value of a change is that of Student's t test of the amplitude x_j of the change (forward
-selection; Hawkins, Journal of the American Statistical Association 72, 1977, for the place of a step). c² is the χ²/ν of the fit
-with the change, but at least 1. Scatter between runs that the s_r do not contain can therefore make changes less significant, but
-never more. A drift is preferred to a step only if it has the smaller p-value.
+For a step of a device, of a bench or of all runs, h is 1 in the runs of this source from a certain run on, and 0 in all other runs.
+For a drift, h is the number of days since the first run of its source. The parts are fitted without priors (analysis of
+covariance), so a constant difference between devices or between benches does not count as a change. The change with the smallest
+p-value is added to the model if its p-value, multiplied by the number of changes that were tried (Bonferroni), is at most `LEVEL`.
+This is repeated until no change qualifies. This is a forward selection (for the place of a step, see Hawkins, Journal of the
+American Statistical Association 72, 1977). The p-value of a change comes from Student's t test of its size x_j. c² is the χ²/ν of
+the fit with the change, but at least 1. If the runs scatter more than their uncertainties s_r allow, changes therefore become less
+significant. A drift is preferred to a step only if it has the smaller p-value.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class FleetChange:
     """A change of an amplitude: a step or a drift.
 
     `sources`: the sources to which the change belongs, each with its label. There are several sources if the runs cannot
-    distinguish them. `runs`: indices of the runs of the first of these sources. `before`: for a step, the number of runs in `runs`
-    before the step. `earliest`, `latest`: for a step, indices into `runs` between which the step occurred with 95 % confidence:
-    after the run `earliest`, and not after the run `latest`. `size`: size of a step, or of a drift per day. `degrees_of_freedom`: ν
+    distinguish them. `runs`: indices of the runs that belong to the first of these sources. `before`: for a step, the number of
+    runs in `runs` before the step. `earliest`, `latest`: for a step, indices into `runs`. With 95 % confidence, the step occurred
+    after the run `earliest` and not after the run `latest`. `size`: size of a step, or of a drift per day. `degrees_of_freedom`: ν
     of the standard uncertainty of `size`. `p`: p-value, corrected for the number of changes that were tried.
     """
 
@@ -67,7 +67,8 @@ class FleetChange:
 
     @property
     def expanded(self) -> float:
-        """Returns the half-width of the interval about the size that has the probability `COVERAGE`, from Student's t distribution."""
+        """Returns the half-width of an interval about the size that has the probability `COVERAGE` according to Student's t
+        distribution."""
         from scipy.stats import t as student
 
         return self.standard_uncertainty * float(student.ppf((1 + COVERAGE) / 2, self.degrees_of_freedom))
@@ -85,7 +86,7 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A candidate change after its fit.
+    """The result of fitting one candidate change.
 
     `size`, `u`, `freedom`, `p`: estimated size, standard uncertainty, degrees of freedom and p-value. `chi2`: χ² of the fit with
     this change. `factor`: c², by which the variances are multiplied. `direction`: the column of the change, made orthogonal to the
@@ -127,9 +128,9 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
 
 
 def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
-    """Returns, for each run, the moment of the last step of its device or bench up to this run, in the form of `Estimates.since`.
-    `moments`: moment of every run, in order of time. A step that several sources may have made is attributed to the first of them.
-    A step of all runs does not start new groups."""
+    """Returns the moments of steps in the form of `Estimates.since`: for each run, the moment of the last step of its device or
+    bench up to this run. `moments`: moment of every run, in order of time. A step that several sources may have made is attributed
+    to the first of them. A step of all runs does not start new groups."""
     since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}
     for change in sorted(found, key=lambda one: one.before):
         source, _ = change.sources[0]

@@ -1,4 +1,4 @@
-"""Amplitudes that distinguish the devices of one lot from all other devices."""
+"""Finds amplitudes that distinguish the devices of one lot from all other devices."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class SharedByLot:
 
     `difference`: mean of the lot minus mean of the others, in the unit of the key. `expanded`: half-width of its 95 % interval.
     Each device contributes one value, the mean of its amplitudes. `others`: number of the other devices. `chance`: probability that
-    a random choice of devices, as many as the lot has, is exactly this lot. It is 1 divided by the number of possible choices.
+    a random choice of as many devices as the lot has gives exactly this lot, which is 1 divided by the number of possible choices.
     """
 
     lot: str
@@ -34,9 +34,9 @@ class SharedByLot:
 def shared_by_lots(
     key: AmplitudeKey, levels: Mapping[str, Sequence[Uncertain]], lots: Mapping[str, str]
 ) -> Iterator[SharedByLot]:
-    """Finds the lots whose devices all have larger amplitudes, or all have smaller ones, than all other devices, with intervals
-    that do not overlap. `levels`: amplitudes of each device: a single one, or one for each time between steps of the device.
-    `lots`: the lot of each device for which it is known."""
+    """Finds the lots whose devices all have larger amplitudes than all other devices, or all have smaller ones; the intervals of
+    the two groups must not overlap. `levels`: amplitudes of each device: a single amplitude, or one for each period between steps
+    of the device. `lots`: the lot of each device for which it is known."""
     for lot in sorted(set(lots.values())):
         own = [name for name in levels if lots.get(name) == lot]
         others = [name for name in levels if lots.get(name) != lot]
