@@ -1,9 +1,9 @@
 """Computes the results of a recording: first every estimate of the plan, in the order that `uses` requires, then the limits.
 
-If one estimate fails, its failure is kept as a message, and the other estimates are still made.
+If one estimate fails, the results contain a message about the failure, and the other estimates are still made.
 
-Each estimate also gets warnings about missing samples, and about counts that are too coarse for the noise, so that rounding errors
-do not average out.
+Each estimate also gets two kinds of warnings: about missing samples, and about counts that are so coarse compared with the noise
+that rounding errors do not average out.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def analyse(
     notice: Announce | None = None,
     workers: Workers = ALONE,
 ) -> Results:
-    """Makes all estimates of a plan and applies its limits. `notice`: called with the progress while samples are read. `workers`:
-    processes that share the Monte Carlo draws.
+    """Makes all estimates of a plan and applies its limits. `notice`: a function that is called with the progress while samples are
+    read. `workers`: processes that share the Monte Carlo draws.
 
     The data never make this function raise an exception: a failure becomes a message under the name of the estimate, or under
     `limit on …`. Raises `ClusterError` or `ProcessEndedError` if the workers fail.
@@ -107,7 +107,7 @@ def analyse(
 
 def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
     """Returns the names of the estimates, ordered so that every estimate comes after the estimates that it uses. Estimates that use
-    each other in a circle come last, and fail because their inputs are missing."""
+    each other in a circle come last. They fail later, because their inputs are missing."""
     order: list[str] = []
     waiting = list(estimates)
     while waiting:
@@ -237,8 +237,8 @@ NAMED = 3
 
 
 def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[Said, ...]:
-    """Reports samples that the segments lack, and gaps within the segments. Returns at most two sentences, one about each of these
-    faults. `sample_rate`: sample rate [Hz] for segments that state none."""
+    """Reports two faults: samples that are missing or not a number, and gaps between samples. Returns at most one sentence about
+    each fault. `sample_rate`: sample rate [Hz] for segments that state none."""
     left_out, gaps = [], []
     for recorded in segments:
         statistics = recorded.statistics

@@ -1,5 +1,5 @@
-"""Checks the two kinds of uncertainty, `residual` and `within_segment`, and writes notes and warnings for the report. Also checks
-whether the two kinds are consistent."""
+"""Writes notes and warnings for the report about the two kinds of uncertainty, `residual` and `within_segment`. Also checks whether
+the two kinds are consistent with each other."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
     """Checks that the fit can give the kind of uncertainty that the plan requests. Raises `EstimationError` if the plan requests
-    uncertainties from residuals and there are too few segments, and `UnfitDataError` if it requests uncertainties from the noise
-    within segments and the samples do not show this noise."""
+    uncertainties from residuals, but there are too few segments. Raises `UnfitDataError` if the plan requests uncertainties from
+    the noise within segments, but the samples do not show this noise."""
     if fit.available(basis):
         return
     if basis == "residual":
@@ -82,7 +82,7 @@ MORE_SEGMENTS = "add segments or write `uncertainty: within_segment`"
 
 
 def no_residual(count: int) -> str:
-    """Returns a message which says that there are only as many segments as coefficients."""
+    """Returns a message that there are only as many segments as coefficients."""
     return f"{count} segments for {count} coefficients leave no residuals from which an uncertainty could be estimated"
 
 
@@ -137,7 +137,7 @@ class FitNote:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Notes and warnings for a report about the chosen kind of uncertainty."""
+    """Contains the notes and warnings of a report about the chosen kind of uncertainty."""
 
     notes: tuple[FitNote, ...]
     warnings: tuple[Said, ...]
@@ -149,8 +149,8 @@ class Judgement:
 
 
 def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgement:
-    """Notes and warnings for the report about the chosen kind of uncertainty. `channels`: the channels whose flicker affects the
-    outputs; by default these are the outputs themselves."""
+    """Returns the notes and warnings of the report about the chosen kind of uncertainty. `channels`: the channels whose flicker
+    affects the outputs; by default these are the outputs themselves."""
     notes: list[FitNote] = []
     warnings: list[Said] = []
     if basis == "residual":
@@ -232,15 +232,15 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
 
 @dataclass(frozen=True, slots=True)
 class DriftWords:
-    """Notes and warnings for a report about a drift during the test."""
+    """Contains the notes and warnings of a report about a drift during the test."""
 
     notes: tuple[Said, ...] = ()
     warnings: tuple[Said, ...] = ()
 
 
 def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
-    """Notes about a drift that the plan asks for or that the segments could not show, and warnings about a drift that the segments
-    show or do not exclude."""
+    """Returns the notes and warnings about a drift. Notes are about a drift that the plan requests, or that the segments cannot
+    show. Warnings are about a drift that the segments show, or do not exclude."""
     drift = fit.drift
     if not drift.courses:
         suspected = tuple(_suspected(fit, one, basis) for one in drift.suspected)
@@ -318,8 +318,8 @@ def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
 
 
 def _included(fit: OutputsFit, found: DoubtedDrift) -> Said:
-    """Returns a note about a drift that is included in the uncertainties because it was not fitted: a nonlinearity may explain the
-    residuals instead."""
+    """Returns a note about a drift that was not fitted, because a nonlinearity may explain the residuals instead. The drift is
+    therefore included in the uncertainties."""
     return said(
         "{outputs}: the uncertainties include the change of the coefficients that the drift ({drift}) would cause.",
         outputs=fit.outputs,
@@ -376,7 +376,7 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
 
 
 def _consequence(fit: OutputsFit, found: SuspectedDrift) -> Said:
-    """Returns a clause that states whether the uncertainties include a drift that is not fitted."""
+    """Returns a clause that states whether the uncertainties include a drift that was not fitted."""
     if any(one.course.name == found.course.name for one in fit.drift.doubted):
         return said("but the uncertainties include the change that it would cause")
     return said("so no uncertainty includes it")
@@ -393,14 +393,14 @@ def _size(found: SuspectedDrift) -> Said:
 
 
 def _written(courses: Sequence[DriftCourse]) -> str:
-    """Returns the value of the plan's key `drift` that asks for these drift functions."""
+    """Returns the value of the plan key `drift` that requests these drift functions."""
     highest = max((course for course in courses if course.order), key=lambda one: one.order, default=None)
     words = [course.name for course in courses if course is highest or not course.order]
     return words[0] if len(words) == 1 else f"[{', '.join(words)}]"
 
 
 def _exceeding(found: BasisComparison, basis: str) -> Said:
-    """Returns a warning that the residuals are larger than the noise can explain."""
+    """Returns a warning that the residuals are larger than the noise explains."""
     values: dict[str, str | float] = {"output": found.output, "ratio": found.ratio, "chance": found.probability}
     if basis == "within_segment":
         return said(
@@ -437,7 +437,8 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> Said:
 
 
 def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[Said]:
-    """Notes about effects that the weights of the fit include in addition to the noise, and about outputs without declared flicker."""
+    """Returns notes about effects that the weights of the fit include in addition to the noise, and about outputs without declared
+    flicker."""
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)

@@ -1,8 +1,8 @@
 """Checks whether outputs respond as declared: detects reversed and exchanged axes, left-handed triads, and wrong units.
 
 An output is calibrated in its own unit against the true rate or specific force. The result is a row of ratios, which should be
-close to one along the output's own axis, and close to zero along the other axes. The fit accepts any row, so each row is compared
-with the declaration here.
+close to one along the output's own axis, and close to zero along the other axes. A fit accepts any row. This module therefore
+compares each row with the declaration.
 """
 
 from __future__ import annotations

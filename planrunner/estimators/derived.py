@@ -1,5 +1,5 @@
-"""Computes the results of an estimate from one formula of the fitted coefficients. Values, covariance, degrees of freedom,
-influences and draws follow from this formula.
+"""Computes the results of an estimate from a formula of the fitted coefficients. The same formula gives the values, covariance,
+degrees of freedom, influences and Monte Carlo draws.
 
 An estimator gives only the formula and the names of its quantities. The derivatives of the formula are computed automatically
 (`uncertainty.derivatives`), and Monte Carlo draws pass through the same formula.
@@ -54,15 +54,15 @@ class Derived:
     between: Mapping[str, Array] = field(default_factory=dict)
 
     def covariance(self, basis: str) -> Array:
-        """Returns the covariance matrix that the data give to the quantities, shape (q, q)."""
+        """Returns the covariance matrix of the quantities due to the data, shape (q, q)."""
         data = independent([fit.covariance(basis) for fit in self.fits])
         if basis in self.between:
             data = data + self.between[basis]
         return np.asarray(self.gradient @ data @ self.gradient.T)
 
     def spread(self, basis: str) -> tuple[Array, Array]:
-        """Returns two arrays of shape (q,): the standard uncertainties that the data give to the quantities, and their effective
-        degrees of freedom (Welch–Satterthwaite formula over the fits)."""
+        """Returns two arrays of shape (q,): the standard uncertainties of the quantities due to the data, and their effective
+        degrees of freedom. These are computed from those of the fits by the Welch–Satterthwaite formula."""
         variance, squares = np.zeros(len(self.values)), np.zeros(len(self.values))
         least = np.full(len(self.values), math.inf)
         for fit, own in zip(self.fits, self._by_fit(), strict=True):
@@ -91,7 +91,7 @@ class Derived:
 
     @property
     def unstated(self) -> tuple[UnstatedFlicker, ...]:
-        """Computes how the quantities change with flicker that the bench file neither states nor excludes."""
+        """Computes how the quantities change due to flicker that the bench file neither states nor excludes."""
         by_fit = zip(self.fits, self._by_fit(), strict=True)
         return tuple(one.through(gradient) for fit, gradient in by_fit for one in fit.unstated_flicker())
 
@@ -122,9 +122,10 @@ def derived(
     """Evaluates a formula of fitted coefficients, with its derivatives.
 
     `formula`: a function that converts an array (r, n) of coefficients to an array (q, n) of quantities; its argument contains the
-    coefficients of all outputs in sequence. `at`: array of shape (r,), values of the coefficients for which the formula is
-    evaluated, if the fits give only small changes of these values. `between`: for each kind of uncertainty, the covariance (r, r)
-    between the coefficients of different fits. Passes on the exceptions that the formula raises.
+    coefficients of all outputs in sequence. `at`: array of shape (r,), values of the coefficients at which the formula is
+    evaluated. It is given if the coefficients of the fits are only small changes of these values. `between`: for each kind of
+    uncertainty, the covariance (r, r) between the coefficients of different fits. Exceptions that the formula raises are not
+    caught.
     """
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits, between or {})
@@ -145,8 +146,8 @@ def _through(formula: Formula, parts: Sequence[Draws], rng: np.random.Generator,
 
 
 def independent(blocks: Sequence[Array]) -> Array:
-    """Returns the covariance matrix of several groups of quantities, shape (Σn, Σn). The groups are independent of each other.
-    `blocks`: for each group of n quantities, its covariance matrix, shape (n, n)."""
+    """Returns the joint covariance matrix of several independent groups of quantities, shape (Σn, Σn). `blocks`: for each group of
+    n quantities, its covariance matrix, shape (n, n)."""
     if len(blocks) == 1:
         return blocks[0]
     size = sum(len(block) for block in blocks)

@@ -1,27 +1,28 @@
-"""Decides which drift functions the data show, and which drift functions are fitted together with the terms. A drift function is a
-power of the time or a recorded temperature, to which the drift of an output is proportional.
+"""Decides which drift functions the data show, and which ones are fitted together with the terms. A drift function is a power of
+the time or a recorded temperature; the drift of an output may be proportional to it.
 
 A drift function is adopted if its amplitude in one output, or its amplitudes in all outputs together, are larger than chance
-explains. `SIGNIFICANCE` is the level of this test for all tried drift functions together. The size of chance amplitudes is computed
-from the noise within the segments and the declared effects, if these explain the residuals without the drift. Otherwise it is
-computed from the residuals themselves. After the drift is fitted, the noise and the effects must explain the residuals. If they do
-not, the model is incomplete, and the drift is not adopted: a part of the residuals of an incomplete model always looks like a
-drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is
-rarely exactly linear: once a power of the time is adopted, the next power is fitted too if the segments allow it.
+explains. `SIGNIFICANCE` is the level of this test for all tried drift functions together. How large amplitudes can be by chance is
+computed from the noise within the segments and the declared effects, if these explain the residuals of the fit without the drift.
+Otherwise it is computed from these residuals. After the drift is fitted, the noise and the effects must explain the residuals. If
+they do not, the model is incomplete, and the drift is not adopted: a part of the residuals of an incomplete model always looks like
+a drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is
+rarely exactly linear: after a power of the time is adopted, the next power is fitted as well if the segments allow it.
 
-A drift is not adopted if a nonlinearity of the outputs explains the data better. A nonlinearity explains the data better if two
-conditions hold: the square of the outputs' fitted values leaves residuals no larger than noise, and the fit with this square has a
-lower information criterion (BIC) (regression specification error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969).
+A drift is not adopted if a nonlinearity of the outputs explains the data better. To test this, the square of the outputs' fitted
+values is fitted as a further column (regression specification error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969). The
+nonlinearity explains the data better if two conditions hold: this fit leaves residuals that are no larger than noise, and it has a
+lower information criterion (BIC).
 
-A drift function that is not adopted is suspected in two cases, which the report names. In the first case, the evidence is a little
-weaker than required, and the drift function would change a coefficient by more than its standard uncertainty. In the second case,
-the drift function is a recorded temperature that changed, and the segments do not separate it well from a coefficient. An amplitude
-that the data cannot exclude would then change the coefficient by several standard uncertainties.
+A drift function that is not adopted is called suspected in two cases, and the report then names it. In the first case, the evidence
+is a little weaker than required, and the drift function would change a coefficient by more than its standard uncertainty. In the
+second case, the drift function is a recorded temperature that changed, and the segments do not separate it well from a coefficient.
+An amplitude that the data do not exclude would then change the coefficient by several standard uncertainties.
 
-With few degrees of freedom, some tests do not notice even a drift that changes coefficients by several standard uncertainties. If
-there is weak evidence, either for a drift function or in the residuals of all outputs, the change that the drift function would cause
-is therefore added to the uncertainties, as an error that is not corrected (JCGM 100:2008, F.2.4.5). The same applies to a suspected
-temperature that the segments do not separate well from a coefficient.
+With few degrees of freedom, the test may miss even a drift that changes coefficients by several standard uncertainties. For this
+reason, weak evidence, either for a drift function or in the residuals of all outputs, is sufficient to call the drift function
+doubted. The change that it would cause is then added to the uncertainties, as an error that is not corrected (JCGM 100:2008,
+F.2.4.5). The same applies to a suspected temperature that the segments do not separate well from a coefficient.
 """
 
 from __future__ import annotations
@@ -55,8 +56,8 @@ _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SuspectedDrift:
-    """Describes a drift function that is not fitted, although the data do not exclude a drift large enough to matter. The fields
-    describe the coefficient that the drift function affects most.
+    """Describes a drift function that is not fitted, although the data do not exclude a drift large enough to matter. The other
+    fields describe the coefficient that the drift function affects most.
 
     `output`, `term`: indices of the output and of the term of this coefficient. `growth`: factor by which the standard uncertainty
     of the coefficient grows if the drift function is fitted; infinite if the segments cannot separate the drift function from the
@@ -78,8 +79,9 @@ class SuspectedDrift:
 class DoubtedDrift:
     """Describes a drift function that is not fitted, although there is some evidence for it. `amplitudes`: array of shape (m, r),
     for each output and each column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u.
-    `probability`: probability that chance alone gives amplitudes at least as large as the fitted ones, or residuals at least as
-    large as those of the fit without drift, whichever is smaller; 1 for a drift function that was not tested."""
+    `probability`: the smaller of two probabilities: that chance alone gives amplitudes at least as large as the fitted ones, and
+    that chance alone gives residuals at least as large as those of the fit without drift. It is 1 for a drift function that was not
+    tested."""
 
     course: DriftCourse
     amplitudes: Array
@@ -91,11 +93,12 @@ class FittedDrift:
     """Contains the result of the search for a drift in a fit.
 
     `courses`: the fitted drift functions. `by_evidence`: True if they were chosen because the data show them, False if the plan
-    asks for them. `judged`: True if a drift could have been found in the data. `without`: array of shape (m, p), the coefficients
-    of a fit without drift. `explained`: array of shape (m,), the fraction of the sum of squared residuals that the drift explains.
-    `without` and `explained` are None if no drift function was adopted. `suspected`: the suspected drift functions, if none was
-    adopted. `rivals`: drift functions that the data show but that are not adopted, because a nonlinearity explains the residuals as
-    well. `nonlinear`: array of shape (m,), the fraction of the sum of squared residuals that the nonlinearity explains.
+    asks for them. `judged`: True if the data were such that a drift could have been found. `without`: array of shape (m, p), the
+    coefficients of a fit without drift. `explained`: array of shape (m,), the fraction of the sum of squared residuals that the
+    drift explains. `without` and `explained` are None if no drift function was adopted. `suspected`: the suspected drift functions,
+    if none was adopted. `rivals`: drift functions that the data show, but that are not adopted because a nonlinearity explains the
+    residuals equally well. `nonlinear`: array of shape (m,), the fraction of the sum of squared residuals that the nonlinearity
+    explains.
     """
 
     courses: tuple[DriftCourse, ...] = ()
@@ -114,7 +117,7 @@ class FittedDrift:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Returns the denominator of the unit of each of the q fitted amplitudes, such as h for a drift per hour."""
+        """Returns, for each of the q fitted amplitudes, the denominator of its unit, such as h for a drift per hour."""
         return tuple(course.per for course in self.courses for _ in course.parts)
 
 
@@ -129,8 +132,8 @@ def joined(matrix: Array, courses: Sequence[DriftCourse]) -> Array:
 
 
 def sizes(magnitudes: Array, columns: Array) -> Array:
-    """Returns the magnitude of each column that `joined` returns: for a term its declared magnitude, for a drift function its root
-    mean square."""
+    """Returns the magnitudes of the columns that `joined` returns. The magnitude of a term is the declared one; the magnitude of a
+    drift function is its root mean square."""
     further = columns[:, len(magnitudes) :]
     return np.concatenate([magnitudes, np.sqrt(np.mean(further**2, axis=0))]) if further.size else magnitudes
 
@@ -201,9 +204,9 @@ def fitted_drift(
 
 
 def _scattering(plain: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float:
-    """Returns the probability that the noise within the segments causes residuals at least as large as those of all outputs
-    together (F-test); 1 if the noise is unknown, or if the residuals are so large that another warning names them. Unlike the test
-    of one drift function, this test finds a drift of any form."""
+    """Tests the residuals of all outputs together. Returns the probability that the noise within the segments causes residuals at
+    least as large (F-test). Returns 1 if the noise is unknown, or if the residuals are so large that another warning names them.
+    Unlike the test of one drift function, this test finds a drift of any form."""
     found = _probability_of_residuals(plain, noises)
     return 1.0 if found is None or found < SIGNIFICANCE else found
 
@@ -217,8 +220,8 @@ def _doubted(
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """Returns a `DoubtedDrift` for the drift function, if there are few degrees of freedom and the probability by chance is small
-    enough; otherwise an empty tuple. `plain`: the fits of the outputs without the drift function."""
+    """Returns a `DoubtedDrift` for the drift function if there are few degrees of freedom and the `probability` that chance
+    explains the data is small enough; otherwise an empty tuple. `plain`: the fits of the outputs without the drift function."""
     found = fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
@@ -234,9 +237,9 @@ def _hidden(
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """Makes a `DoubtedDrift` for each recorded temperature that changed and that the segments hardly separate from a coefficient. A
-    temperature is left out if it is already in doubt, or if it cannot be separated at all. `plain`: the fits of the outputs without
-    a drift."""
+    """Makes a `DoubtedDrift` for each recorded temperature that changed and that the segments can hardly separate from a
+    coefficient. A temperature is left out if it is already among the doubted drift functions, or if it cannot be separated at all.
+    `plain`: the fits of the outputs without a drift."""
     known = {one.course.name for one in doubted}
     return tuple(
         DoubtedDrift(
@@ -256,10 +259,10 @@ def _not_corrected(
     noises: Sequence[WithinSegmentNoise],
     basis: str,
 ) -> Array:
-    """Returns the sizes (m, r) of a drift function as an error that is not corrected: √(a² + u²) of each fitted amplitude a and its
-    standard uncertainty u. `plain`, `found`: the fits of the outputs without and with the drift function. If the uncertainties are
-    based on residuals, u follows from the residuals of the fits with the drift function. If these fits have no degrees of freedom, u
-    follows from the residuals of the fits without the drift function."""
+    """Returns the sizes (m, r) of the error that a drift function causes if it is not corrected. A size is √(a² + u²), where a is
+    the fitted amplitude and u is its standard uncertainty. `plain`, `found`: the fits of the outputs without and with the drift
+    function. If the uncertainties are based on residuals, u follows from the residuals of the fits with the drift function. If
+    these fits have no degrees of freedom, u follows from the residuals of the fits without the drift function."""
     r = course.columns.shape[1]
     amplitudes = np.array([one.coefficients[-r:] for one in found])
     by_noise = [noise.known and basis != "residual" for noise in noises]
@@ -283,8 +286,8 @@ def _criterion(found: Sequence[LinearFit], n: int) -> float:
 
 
 def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[LinearFit, ...]:
-    """Returns the fits of m outputs with an additional column, the square of the output's fitted values. The result is empty if the
-    terms can reproduce this square for one of the outputs."""
+    """Returns the fits of m outputs with an additional column, which is the square of the output's fitted values. The result is
+    empty if the terms can reproduce this column for one of the outputs."""
     found = []
     for k, one in enumerate(plain):
         fitted = matrix @ one.coefficients
@@ -332,8 +335,8 @@ def _suspected(
     hinted: tuple[DriftCourse, float] | None,
     fits: Fits,
 ) -> tuple[SuspectedDrift, ...]:
-    """Returns the suspected drift functions, if none is adopted. `hinted`: the most likely of the tested drift functions, and its
-    probability by chance."""
+    """Returns the suspected drift functions. It is used if no drift function is adopted. `hinted`: the most likely of the tested
+    drift functions, and the probability that chance alone gives its amplitude."""
     found = []
     for course in drift.courses:
         probability = hinted[1] if hinted is not None and hinted[0] is course else 1.0
@@ -374,7 +377,7 @@ def _chance(
     correlation: Array,
 ) -> float:
     """Returns the probability that chance alone reduces χ² as much as the drift function does, in one output or in all outputs
-    together (F-tests, Bonferroni's bound). Outputs whose noise is correlated count as a smaller number of outputs, by
+    together (F-tests, Bonferroni's bound). If the noise of the outputs is correlated, they count as fewer outputs, according to
     Satterthwaite's formula."""
     from scipy.special import fdtrc
 
@@ -398,8 +401,8 @@ def _chance(
 
 
 def explained_by_noise(after: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> bool:
-    """Tests whether the noise within the segments explains the residuals of all outputs together (F-test). Returns False if the
-    noise is unknown."""
+    """Returns True if the noise within the segments explains the residuals of all outputs together (F-test); False if it does not,
+    or if the noise is unknown."""
     found = _probability_of_residuals(after, noises)
     return found is not None and found >= SIGNIFICANCE
 

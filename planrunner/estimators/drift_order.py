@@ -1,10 +1,10 @@
-"""Checks whether the order of planned segments couples a drift to the coefficients. Computes how much the uncertainties grow if the
-drift is fitted, and proposes an order that avoids this.
+"""Checks whether the order of the planned segments makes a drift change the coefficients. Computes how much the uncertainties grow
+if the drift is fitted, and proposes an order that avoids this.
 
 Let A be the weighted design matrix of the terms, and T the weighted columns of the drift. If the drift is fitted, the covariance of
 the coefficients grows from C = (AᵀA)⁻¹ to C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix
-Computations, 5.3). If the segments of a test are repeated in the opposite order, a linear drift does not affect the coefficients,
-because the average time is the same for all positions.
+Computations, 5.3). If all segments are recorded a second time in the opposite order, a linear drift does not affect the
+coefficients, because all positions then have the same average time.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ class FittedWithDrift(Protocol):
 
 
 def planned_drift(request: DesignRequest[FittedWithDrift], blocks: Sequence[DesignBlock]) -> tuple[Remark, ...]:
-    """Remarks about the drift that the plan asks for, or about a drift that the segments could show. Raises `EstimationError` for
-    options that exclude each other, and for a temperature that the plan needs but that is not recorded.
+    """Returns remarks about the drift that the plan requests, or about a drift that the segments could show. Raises
+    `EstimationError` for options that exclude each other, and for a temperature that the plan requires but that is not recorded.
 
-    If a linear drift is fitted only when the segments show it, the remark is a note. If the plan asks for a drift that the order of
-    the segments couples to a coefficient, the remark is a warning. If the requested drift cannot be separated from the terms at
+    If a linear drift is fitted only when the segments show it, the remark is a note. If the plan requests a drift and the order of
+    the segments couples it to a coefficient, the remark is a warning. If the requested drift cannot be separated from the terms at
     all, the remark is an error.
     """
     parameters = request.parameters
@@ -97,10 +97,10 @@ _CLOSING = "repeat the first segment at the end, or add segments"
 class _Design:
     """The design of one output for the planned segments.
 
-    `matrix`: array of shape (n, p), the columns divided by their magnitudes, and the rows multiplied by their weights. `weights`:
-    array of shape (n,), weight of each row. `start`, `seconds`: arrays of shape (N,), start and duration of all segments of the
-    estimate, s. `rows`: array of shape (n,), indices of the segments that this output uses, in the order of `block`. `orders`:
-    number of powers of the time in the drift.
+    `matrix`: array of shape (n, p), the design matrix after its columns have been divided by their magnitudes and its rows
+    multiplied by their weights. `weights`: array of shape (n,), weight of each row. `start`, `seconds`: arrays of shape (N,), start
+    and duration of all segments of the estimate, s. `rows`: array of shape (n,), indices of the segments that this output uses, in
+    the order of `block`. `orders`: number of powers of the time in the drift.
     """
 
     block: DesignBlock
@@ -186,14 +186,15 @@ def _growth(matrix: Array, courses: Array, weights: Array) -> Array:
 
 @kept(64)
 def _projections(matrix: Array) -> tuple[Array, Array, Array]:
-    """For a weighted design matrix A: the matrix G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and the matrix M = 1 − A·G (n, n)."""
+    """Returns three arrays for a weighted design matrix A: the pseudo-inverse G = A⁺ (p, n), the diagonal of G·Gᵀ (p,), and the
+    matrix M = 1 − A·G (n, n)."""
     gains = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
     return gains, np.einsum("ij,ij->i", gains, gains), np.eye(len(matrix)) - matrix @ gains
 
 
 def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
-    """Returns the blocks after leaving out each block whose design equals the design of an earlier block. The outputs of a triad
-    often have the same design."""
+    """Returns the blocks without those whose design equals the design of an earlier block. The outputs of a triad often have the
+    same design."""
     found: dict[tuple[object, ...], DesignBlock] = {}
     for block in blocks:
         found.setdefault((block.labels, block.matrix.tobytes(), block.sigma.tobytes()), block)
@@ -201,8 +202,8 @@ def _distinct(blocks: Sequence[DesignBlock]) -> list[DesignBlock]:
 
 
 def _proposal(designs: Sequence[_Design]) -> str:
-    """Proposes how to decouple the drift from the coefficients: by a closing segment, by another order, or by recording the
-    segments a second time in the opposite order."""
+    """Proposes how to decouple the drift from the coefficients: repeat the first segment at the end, choose another order, or
+    record all segments a second time in the opposite order."""
     first = designs[0].block.labels[designs[0].first]
     closed = max(float(one.closed().max()) for one in designs)
     if closed < COUPLED:
@@ -216,7 +217,7 @@ def _proposal(designs: Sequence[_Design]) -> str:
 
 def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | None:
     """Returns a better order of the segments, and the largest growth factor in this order; None if the segments cannot be exchanged
-    freely. Each step of the search exchanges the two segments whose exchange reduces the largest growth factor most."""
+    freely. In each step, the search exchanges the two segments for which this reduces the largest growth factor most."""
     one = designs[0]
     same = all(other.block.labels == one.block.labels for other in designs)
     alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1

@@ -1,5 +1,5 @@
-"""Reads tables of results in format 1, whose columns have titles but no roles. The module derives the roles of the columns from
-titles and cells.
+"""Reads tables of results in format 1. Their columns have titles but no roles, so this module derives the roles from the titles and
+the cells.
 
 No other module interprets titles, because tables in the present format state the roles.
 """

@@ -1,8 +1,8 @@
-"""Makes the recording that is expected from a schedule: segments with the means of a nominal sensor and with the declared noise.
+"""Makes the recording that is expected from a schedule. Its segments have the means of a nominal sensor and the declared noise.
 
-An estimator applied to this recording gives the nominal value of every coefficient of a run (`planrunner.estimators.method`).
-Quantities that neither plan nor bench state are assumed with two different sets of values. A coefficient that is equal for both
-sets does not depend on the assumptions.
+From this recording, an estimator computes the nominal value of every coefficient of a run (`planrunner.estimators.method`). For
+quantities that neither the plan nor the bench states, two different sets of values are assumed. A coefficient that is equal for
+both sets does not depend on the assumptions.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _ALONG_UP = np.eye(3)
 @dataclass(frozen=True, slots=True)
 class Known:
     """States what an estimator knows about the outputs; the keys are names of outputs. `responses`: the error model and its
-    coefficients, as declared for the sensor. `directions`: for each output, its input axis (3,) in the sensor's frame, if the keys
-    of the estimator define the axis."""
+    coefficients, as declared for the sensor. `directions`: the input axis (3,), in the sensor's frame, of each output for which the
+    keys of the estimator define this axis."""
 
     responses: Responses = field(default_factory=dict)
     directions: Mapping[str, Array] = field(default_factory=dict)
@@ -132,7 +132,7 @@ def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Pose
 
 
 def _along(about: Sequence[float]) -> Array:
-    """Returns an attitude in which a given direction is the z axis."""
+    """Returns an attitude whose z axis is the given direction."""
     z = np.asarray(about, dtype=float) / np.linalg.norm(about)
     x = np.eye(3)[int(np.abs(z).argmin())]
     x = x - (x @ z) * z
@@ -147,7 +147,8 @@ def _means(
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
-    """Returns the means (n,) of an output, derived from its name and unit; and True if they depend on declared values only."""
+    """Returns the means (n,) of an output, derived from its name and unit. The second value is True if the means depend only on
+    declared values."""
     try:
         own = unit(output.unit)
     except UnknownUnitError:

@@ -1,5 +1,5 @@
-"""Fits the mean readings of outputs in several positions, for all estimators that use positions. The weights of the fit come from
-the noise within positions, the declared flicker and the declared errors of the table."""
+"""Fits the mean readings of outputs in several positions. All estimators that use positions share this module. The weights of the
+fit come from the noise within positions, the declared flicker and the declared errors of the table."""
 
 from __future__ import annotations
 

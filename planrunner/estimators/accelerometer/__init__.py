@@ -1,2 +1,2 @@
-"""Calibrates accelerometer triads at rest in several positions. The orientations are known, or only the magnitude of gravity is
-known."""
+"""Calibrates accelerometer triads at rest in several positions. Either the orientations are known, or only the magnitude of
+gravity."""

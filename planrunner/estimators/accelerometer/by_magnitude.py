@@ -1,10 +1,10 @@
 """Calibrates an accelerometer triad with the magnitude of gravity: nine parameters from still spans or whole segments in unknown
 attitudes.
 
-A Gauss–Newton fit with equal weights gives first values. The last step is a weighted linear fit of |f| − g, with the code that all
-position estimators share. The weights of the last fit come from the noise within the poses and from the declared flicker of each
-channel. The flicker affects |f| in proportion to the channel's component of gravity. The attitude of a table does not matter,
-because |f| equals g in any attitude.
+A Gauss–Newton fit with equal weights gives approximate values. The last step is a weighted linear fit of |f| − g. It uses the same
+code as all estimators that use positions. The weights of the last fit come from the noise within the poses and from the declared
+flicker of each channel. The flicker affects |f| in proportion to the channel's component of gravity. The attitude of the sensor
+does not matter, because |f| equals g in any attitude.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _SCALE = np.array([1 / unit(text).factor for text in _UNITS])
 
 def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design:
     """Checks that the planned poses can determine the nine parameters. The poses are checked only if attitudes or the number of
-    poses are planned. Raises `EstimationError` if the poses are at unsuitable attitudes or the channels do not fit."""
+    poses are planned. Raises `EstimationError` if the attitudes of the poses or the channels are not suitable."""
     outputs, detection = request.parameters.outputs, request.detection
     if detection is not None:
         units = {output.name: output.unit for output in request.sensor.outputs}
@@ -86,8 +86,8 @@ def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Desi
 def foresee(
     request: DesignRequest[AccelerometerMultiPositionParameters], general: Callable[[], Foresight]
 ) -> Foresight:
-    """Predicts the coefficients if all poses are planned. Otherwise it gives only the names of the coefficients, because the poses
-    are found only in the recording."""
+    """Predicts the coefficients if all poses are planned. Otherwise returns only the names of the coefficients, because the poses
+    become known only from the recording."""
     if all(segment.attitude is not None for segment in request.segments):
         seen = general()
         if seen.known:
@@ -171,7 +171,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
 
 
 def _size(fit: OutputsFit, residuals: Array) -> float:
-    """Root mean square of the residuals, corrected for the number of degrees of freedom."""
+    """Returns the root mean square of the residuals, corrected for the number of degrees of freedom."""
     return float(np.sqrt(np.sum(residuals**2) / fit.freedom)) if fit.freedom else 0.0
 
 
@@ -181,9 +181,9 @@ def _weighted(
     recorded: Sequence[RecordedSegment],
     found: GravityFit,
 ) -> OutputsFit:
-    """Returns the last step of the calibration: a weighted fit of |f| − g [m/s²] as a single output. `recorded`: the recorded
-    segments that are the poses; empty if the poses are only parts of segments. Raises `EstimationError` if the plan or the data are
-    not suitable."""
+    """Makes the last step of the calibration: a weighted fit of |f| − g [m/s²], which is treated as a single output. `recorded`:
+    the recorded segments that are the poses; empty if the poses are only parts of segments. Raises `EstimationError` if the plan or
+    the data are not suitable."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
     variance = np.einsum("ni,nj,ij->n", felt, felt, poses.correlation)
@@ -257,7 +257,7 @@ def _fitted(
 
 
 def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Observations:
-    """Observations of the still spans that are found in all chosen segments: one mean per span and channel."""
+    """Finds the still spans in all chosen segments. Returns them as observations: one mean per span and channel."""
     outputs = request.parameters.outputs
     assert request.detection is not None
     channels = request.detection.channels
@@ -289,7 +289,7 @@ def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Ob
 
 
 def _whole(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> list[RecordedSegment]:
-    """Returns the segments that count as poses; in a schedule, the segments in which a pose will be found."""
+    """Returns the segments that count as poses. In a schedule, these are the segments in which a pose will be found."""
     return [
         recorded
         for recorded in request.segments
@@ -298,13 +298,13 @@ def _whole(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> li
 
 
 def _factors(poses: Observations) -> Array:
-    """Factors from the units of the three channels to m/s², shape (3,)."""
+    """Returns the factors that convert the three channels to m/s², shape (3,)."""
     return _factors_of(dict(zip(poses.channels, poses.units, strict=True)))
 
 
 def _factors_of(units: Mapping[str, str]) -> Array:
-    """Factors that convert the channels to SI units. `units`: maps each channel to its unit. Raises `EstimationError` for a channel
-    that is not an acceleration."""
+    """Returns the factors that convert the channels to SI units. `units`: maps each channel to its unit. Raises `EstimationError`
+    for a channel that is not an acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
             raise EstimationError(f"channel '{name}' is recorded in {text}, which is not a unit of acceleration")
@@ -320,8 +320,8 @@ def _same_channels(channels: Sequence[str], outputs: Sequence[str]) -> None:
 
 
 def _gives_pose(segment: Segment, detection: Detection | None, sample_rate: float) -> bool:
-    """Returns True if a segment at rest is long enough for a pose. True for a moving segment in which spans are detected, because
-    it may contain any number of poses."""
+    """Returns True if a segment at rest is long enough for a pose. Also returns True for a moving segment in which spans are
+    detected, because it may contain any number of poses."""
     if detection is None or segment.dwell is None or segment.attitude is None:
         return True
     # Windows hold whole samples, and a span ends at samples: one interval may be lost at either end.

@@ -1,9 +1,9 @@
 """Calibrates an accelerometer triad with gravity in known attitudes, by a linear fit for each axis.
 
-The fit of F_i = b_i + Σ_j S_ij·f_j gives three results for each axis i. The first is the bias b_i. The second is the scale factor,
-which is the length of the row S_i: the sensitivity along the axis's own input direction, which a constant attitude error does not
-change. The third are the misalignments S_ij/|S_i|, which to first order are the angles between the input axis and its planned
-direction.
+The fit of F_i = b_i + Σ_j S_ij·f_j to the readings F_i gives three results for each axis i: the bias, the scale factor and the
+misalignments. The bias is b_i. The scale factor is the length |S_i| of the row S_i, which is the sensitivity along the actual input
+axis; a constant attitude error does not change it. The misalignments are S_ij/|S_i|; to first order, they are the angles between
+the input axis and its planned direction.
 """
 
 from __future__ import annotations
@@ -128,7 +128,8 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
 
 
 def _excited(model: ErrorModel) -> dict[int, int]:
-    """Maps the index of each axis along which gravity acts in some position to the index of its term."""
+    """Finds the axes along which gravity acts in at least one position. Returns a mapping from the index of each such axis to the
+    index of its term."""
     return {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
 
 

@@ -1,12 +1,13 @@
 """Calibrates an accelerometer triad from the magnitude of gravity alone: nine parameters from still poses in unknown attitudes.
 
-The model of the readings is a = b + A·f with |f| = g. Only A·Aᵀ can be determined, so the model has three input axes with scale
-factors s_i, biases b_i and the non-orthogonalities γ_ij by which the angle between axes i and j falls short of 90°:
+The model of the readings is a = b + A·f with |f| = g. Only A·Aᵀ can be determined. The parameters of the model are therefore the
+scale factors s_i and biases b_i of three input axes, and the non-orthogonalities γ_ij. The angle between the axes i and j is 90° −
+γ_ij:
 
     (a − b)ᵀ·G⁻¹·(a − b) = g²,    G_ij = s_i·s_j·sin γ_ij (i ≠ j),   G_ii = s_i²
 
-(Shin and El-Sheimy, Z. Vermessung 2002; Frosio et al., IEEE Trans. Instrum. Meas. 58, 2009.) Solved by Gauss–Newton from
-b = 0, s = 1, γ = 0.
+(Shin and El-Sheimy, Z. Vermessung 2002; Frosio et al., IEEE Trans. Instrum. Meas. 58, 2009.) The equations are solved by
+Gauss–Newton steps that start from b = 0, s = 1, γ = 0.
 """
 
 from __future__ import annotations
@@ -83,7 +84,8 @@ def _too_alike(sight: rank.MatrixRank, readings: Array) -> str:
 
 
 def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, Array, Array]:
-    """Residuals |f| − g (n,), their Jacobian (n, 9), and their gradient with respect to the readings (n, 3)."""
+    """Returns the residuals |f| − g (n,), their Jacobian (n, 9) with respect to the parameters, and their gradient (n, 3) with
+    respect to the readings."""
     size = _magnitude(readings[..., None], values[:, None])[:, 0]
     slopes = jacobian(lambda changed: _magnitude(readings[..., None], changed), values)
     # A residual follows the readings of its own pose alone, so that all poses' readings along an axis change at once.
@@ -92,7 +94,7 @@ def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, A
 
 
 def _magnitude(readings: Array, values: Array) -> Array:
-    """Returns the magnitudes |f| (n, k) that follow from readings (n, 3, k) and parameters (9, k); either k may be 1."""
+    """Computes |f| from readings (n, 3, k) and parameters (9, k), where either k may be 1. Returns an array of shape (n, k)."""
     bias, scale, gamma = values[:3], values[3:6], values[6:]
     cosines = np.broadcast_to(np.eye(3)[..., None], (3, 3, values.shape[1])).astype(values.dtype)
     for (i, j), angle in zip(_PAIRS, gamma, strict=True):

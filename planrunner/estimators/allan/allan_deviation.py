@@ -242,8 +242,8 @@ def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[s
 
 
 def _influences(results: Sequence[_Result]) -> list[Influence]:
-    """Returns the contribution of the scale factors' uncertainty. Every coefficient is proportional to the scale factor of its
-    output, or to the reciprocal of the scale factor."""
+    """Returns the contribution of the uncertainty of the scale factors. Every coefficient is proportional to the scale factor of
+    its output, or to the reciprocal of the scale factor."""
     values = np.array([item.value for result in results for item in result.coefficients])
     found, place = [], 0
     for result in results:

@@ -1,5 +1,5 @@
-"""Determines how well deviations are known: the power-law noise at each averaging time, and the equivalent degrees of freedom (EDF)
-that follow from it.
+"""Determines how well deviations are known: identifies the type of power-law noise at each averaging time, and computes the
+equivalent degrees of freedom (EDF) that follow from this type.
 
 The type of noise is given by the exponent α of the frequency spectrum S_y ∝ f^α. White phase noise (in this field: quantisation)
 has α = 2, flicker phase noise α = 1, white frequency noise (angle random walk) α = 0, flicker frequency noise (bias instability) α
@@ -7,10 +7,10 @@ has α = 2, flicker phase noise α = 1, white frequency noise (angle random walk
 
 Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST
 SP 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003
-(SP 1065, 5.4.1). The phase is computed from rate samples; it is the exact integral of the rate, and is not averaged over a sampling
+(SP 1065, 5.4.1). The phase is computed from rate samples, so it is the exact integral of the rate, not an average over a sampling
 interval. Therefore the filter factor is F = ∞ for α ≤ 0. For white noise, the resulting degrees of freedom equal those of the
-empirical formula of SP 1065, even at the shortest averaging times. Sums whose length grows with the averaging factor are computed
-on a coarser grid with the same number of averaging times.
+empirical formula of SP 1065, even at the shortest averaging times. For sums whose length grows with the averaging factor, a coarser
+grid is used, which covers the same number of averaging times.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _GRID = 600  # terms of a sum over lags
 
 
 def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
-    """Determines the noise exponent α from averages over `factor` samples of the runs of the phase. Returns None if there are fewer
-    than `LEAST_POINTS` averages.
+    """Determines the noise exponent α from averages of the phase over `factor` samples within its runs. Returns None if there are
+    fewer than `LEAST_POINTS` averages.
 
     `before`: the exponent found at the next shorter averaging time. The function returns `before`, unless the exponent of the
-    averages differs from it by more than half a step plus two standard deviations. From thirty averages alone, white noise would be
-    mistaken for a neighbouring type one time in four.
+    averages differs from `before` by more than half a step plus two standard deviations. The reason is that few averages are not
+    reliable: from thirty averages alone, white noise would be mistaken for a neighbouring type one time in four.
     """
     averages, count = [], 0
     for run in runs:
@@ -67,7 +67,7 @@ def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None
 
 
 def _delta(parts: Sequence[Array]) -> float:
-    """Computes r/(1 + r), where r is the lag-1 autocorrelation of all parts together."""
+    """Returns r/(1 + r), where r is the lag-1 autocorrelation of all parts together."""
     products, squares = 0.0, 0.0
     for part in parts:
         centred = part - part.mean()
@@ -78,8 +78,8 @@ def _delta(parts: Sequence[Array]) -> float:
 
 
 def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
-    """Returns the equivalent degrees of freedom (EDF) of a variance with maximum overlap; 0 if the run is too short for a single
-    difference.
+    """Returns the equivalent degrees of freedom (EDF) of a variance that is computed with maximum overlap; 0 if the run is too
+    short for a single difference.
 
     `order`: 2 for Allan, 3 for Hadamard. `factor`: averaging factor. `points`: number of phase points of the run.
 
@@ -131,8 +131,8 @@ def _white_phase(order: int, factor: int, terms: int) -> float:
 
 
 def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
-    """Computes s_z(t, F, α, d) of Greenhall and Riley (2003): the covariance, up to a constant factor, of order-d differences that
-    are t averaging times apart."""
+    """Computes s_z(t, F, α, d) of Greenhall and Riley (2003). Up to a constant factor, this is the covariance of two order-d
+    differences that are t averaging times apart."""
     signs = [(-1) ** k * math.comb(2 * order, order + k) for k in range(order + 1)]
     total: Array = signs[0] * _averaged(t, filtering, alpha)
     for k in range(1, order + 1):

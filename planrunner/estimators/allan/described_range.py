@@ -2,9 +2,9 @@
 
 A record may contain more than noise. A filter or a periodic disturbance changes the deviations at short averaging times; a warm-up
 changes the deviations at long averaging times; a steady drift looks like a random walk. The first fit uses all averaging times. If
-some averaging times contradict the model, as few as possible are omitted at either end of the range. Allan variances cannot
-distinguish a random walk from a drift. If they show either of these, Hadamard variances are fitted instead: their coefficients are
-right in both cases, and only a little less certain.
+some averaging times contradict the model, averaging times are omitted at the ends of the range, but as few as possible. Allan
+variances cannot distinguish a random walk from a drift. If they show one of the two, Hadamard variances are fitted instead: the
+coefficients are then right in both cases, and only a little less certain.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
 class DescribedRange:
     """The averaging times that the noise model describes.
 
-    `fitted`: the deviations that take part in `fit`; these are Hadamard deviations if `drift` is given. `shorter`, `longer`: number
-    of averaging times omitted at the short and at the long end. `fits`: True if the model describes the remaining averaging times.
-    `probability`: chance of a χ² at least this large if the model is right.
+    `fitted`: the deviations to which `fit` was fitted; these are Hadamard deviations if `drift` is given. `shorter`, `longer`:
+    number of averaging times omitted at the short and at the long end. `fits`: True if the model describes the remaining averaging
+    times. `probability`: probability of a χ² at least as large as the one found, if the model is right.
     """
 
     fit: NoiseFit
@@ -91,8 +91,8 @@ class _Ranges:
         self.whole = self.without(0, 0)
 
     def widest(self) -> DescribedRange:
-        """Returns the largest range that the model describes well; of several ranges of equal size, the range with the longer
-        averaging times. If the model does not describe any range, all averaging times are returned."""
+        """Returns the largest range that the model describes well. Of several ranges of equal size, it returns the one with the
+        longest averaging times. If the model does not describe any range, it returns all averaging times."""
         if self.whole.fits:
             return self.whole
         most = len(self.rows) - len(self.terms) - _SPARE
@@ -112,7 +112,7 @@ class _Ranges:
 
 
 def _walks(fit: NoiseFit) -> bool:
-    """Returns True if the fit found a rate random walk, which may also be a steady drift."""
+    """Returns True if the fit found a rate random walk. In Allan variances, this may also be a steady drift."""
     return bool(fit.squares[_WALK] > 2 * math.sqrt(fit.covariance[_WALK, _WALK]))
 
 

@@ -5,18 +5,18 @@ The model is as follows (IEEE Std 952, annex C; τ in s, σ in the unit of the o
 
     σ²(τ) = 3·Q²/τ² + N²/τ + (2·ln2/π)·B² + K²·τ/3
 
-Q is the quantisation, N the random walk of the integrated output (angle random walk), B the bias instability (the flat part lies at
-0.664·B), and K the rate random walk. The Hadamard variance uses third instead of second differences, and so does not respond to a
-steady drift of the output (NIST SP 1065, 5.2.8). Its model has the same four terms with other factors:
+Q is the quantisation, N is the random walk of the integrated output (angle random walk), B is the bias instability (the flat part
+of the deviation is at 0.664·B), and K is the rate random walk. The Hadamard variance uses third instead of second differences, and
+so does not respond to a steady drift of the output (NIST SP 1065, 5.2.8). Its model has the same four terms with other factors:
 
     Hσ²(τ) = (10/3)·Q²/τ² + N²/τ + ((8·ln2 − 3·ln3)/(2π))·B² + K²·τ/6
 
-Overlapping variances at two averaging times are computed from the same data and are therefore correlated. Their covariance is the
-covariance of sums of squares of Gaussian differences, 2·Σ_p Σ_q C(q − p)²/(M_i·M_j). Here M_i and M_j are the numbers of
-differences at the two averaging times, and C(q − p) is the covariance of difference p at one averaging time with difference q at
-the other. C follows from the generalised autocovariance of the phase, which is the sum of the autocovariances of the four kinds of
-noise (Greenhall and Riley, 2003). The covariance depends on the coefficients. Therefore the fit and the covariance are computed in
-turn until they no longer change.
+Overlapping variances at two averaging times are computed from the same data and are therefore correlated. Each variance is a mean
+of squares of Gaussian differences, so the covariance of two variances is 2·Σ_p Σ_q C(q − p)²/(M_i·M_j). Here M_i and M_j are the
+numbers of differences at the two averaging times, and C(q − p) is the covariance of difference p at one averaging time with
+difference q at the other. C follows from the generalised autocovariance of the phase, which is the sum of the autocovariances of
+the four kinds of noise (Greenhall and Riley, 2003). The covariance depends on the coefficients. Therefore the fit and the
+covariance are computed in turn until they no longer change.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class NoiseFit:
     """Contains the result of a fit of noise coefficients.
 
     `squares`: array of shape (4,), the estimates of Q²/τ0², N²/τ0, B² and K²·τ0 in the squared unit of the output, where τ0 is the
-    time between phase points; 0 for omitted terms. An estimate may be negative if the output lacks this type of noise; a fit
-    restricted to positive values would bias the other terms. `covariance`: array of shape (4, 4), covariance of the squares.
-    `fitted`: array of shape (k,), the variances according to the fitted model. `chi_square`: χ² of the fit, with `freedom` degrees
-    of freedom. `terms`: names of the fitted terms.
+    time between phase points; 0 for omitted terms. An estimate may be negative if the output does not have this type of noise.
+    Negative values are permitted, because a fit restricted to positive values would bias the other terms. `covariance`: array of
+    shape (4, 4), covariance of the squares. `fitted`: array of shape (k,), the variances according to the fitted model.
+    `chi_square`: χ² of the fit, with `freedom` degrees of freedom. `terms`: names of the fitted terms.
     """
 
     squares: Array
@@ -64,8 +64,8 @@ class NoiseFit:
 
 def model_matrix(factors: Integers, order: int = ALLAN) -> Array:
     """Returns the design matrix (k, 4) of the Allan (or Hadamard) variances at k averaging factors. Each column belongs to one
-    squared coefficient, in the order of `TERMS`. The column contains the variances that result if this squared coefficient is 1 and
-    the others are 0."""
+    squared coefficient, in the order of `TERMS`. The column contains the variances for the case that this squared coefficient is 1
+    and the others are 0."""
     m = factors.astype(float)
     quantisation, flat, walk = _FACTORS[order]
     return np.column_stack([quantisation / m**2, 1 / m, np.full(m.size, flat), walk * m])
@@ -101,7 +101,8 @@ class VarianceCovariance:
 
 @lru_cache(maxsize=4)
 def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...], order: int) -> VarianceCovariance:
-    """Returns a `VarianceCovariance` that is kept in a cache, because the next output usually has runs of the same lengths."""
+    """Returns a `VarianceCovariance` from a cache. The cache is useful because the next output usually has runs of the same
+    lengths."""
     return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64), order)
 
 
@@ -123,8 +124,9 @@ def _grouped(lengths: Integers) -> tuple[Integers, Array]:
 
 
 def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """Returns, for every pair of kinds of noise a and b, the sum Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs, (4, 4), where p
-    counts differences with the averaging factor `near` and q counts differences with the averaging factor `far` ≥ `near`."""
+    """Returns, for every pair of kinds of noise a and b, the sum Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs, shape (4, 4). The
+    index p counts differences with the averaging factor `near`, and q counts differences with the averaging factor `far` ≥
+    `near`."""
     points = range(order + 1)
     shifts = np.array([[a * near - b * far for b in points] for a in points], dtype=float).ravel()
     signs = np.outer(_SIGNS[order], _SIGNS[order]).ravel()
@@ -149,8 +151,8 @@ def _smooth(t: Array) -> Array:
 
 
 def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """Returns the number of pairs, over all runs, that consist of a difference with the averaging factor `near` and a difference
-    with the averaging factor `far`, `lag` samples apart."""
+    """Counts the pairs of a difference with the averaging factor `near` and a difference with the averaging factor `far` that are
+    `lag` samples apart. Returns the number of such pairs in all runs."""
     total = np.zeros(lag.shape)
     for length, count in zip(lengths, counts, strict=True):
         first, second = length - order * near, length - order * far
@@ -160,8 +162,8 @@ def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, or
 
 
 def _nodes(near: int, far: int, lengths: Integers, order: int) -> tuple[Array, Array]:
-    """Lags and weights for the numerical summation of a function with corners at the lags a·near − b·far. The function changes over
-    a width of about `near` around these corners."""
+    """Returns lags and weights for the numerical summation of a function with corners at the lags a·near − b·far, where a and b are
+    integers. Around these corners, the function changes over a width of about `near`."""
     longest = int(lengths.max())
     lowest, highest = -min(longest - order * near, 8 * far), min(longest - order * far, 8 * far)
     edges = {lowest, highest + 1}
@@ -242,9 +244,9 @@ def fit_noise(
 def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
-    """Returns the covariance of the squared coefficients, enlarged where a coefficient cannot be distinguished from zero, shape (4,
-    4). For such a coefficient, the covariance is computed from an upper bound, two standard uncertainties above the estimate.
-    Otherwise a coefficient that is too small by chance would also have too small an uncertainty."""
+    """Returns the covariance of the squared coefficients, shape (4, 4). It is enlarged for a coefficient that cannot be
+    distinguished from zero: its covariance is computed for a larger coefficient, two standard uncertainties above the estimate.
+    Otherwise, if a coefficient is too small by chance, its uncertainty would be too small as well."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])
@@ -268,8 +270,8 @@ def expected_covariance(factors: Integers, squares: Array, lengths: Integers, te
 
 
 def _sound(covariance: Array) -> Array:
-    """Returns the covariance with small and negative eigenvalues, which numerical integration can cause, raised to a small positive
-    value, so that it has a square root."""
+    """Returns the covariance after its small and negative eigenvalues have been raised to a small positive value, so that it has a
+    square root. Numerical integration can cause such eigenvalues."""
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     lifted = (vectors * np.maximum(values, 1e-6)) @ vectors.T

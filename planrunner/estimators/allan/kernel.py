@@ -3,8 +3,8 @@
 The module is imported only where such sums are needed (see `planrunner.base.compiled`).
 
 For the overlapping sums, the record is read in short pieces, and each piece is used for all averaging times before the next piece
-is read. With octave averaging times, a piece that was read for one averaging time is also the middle part for the next averaging
-time, so memory is read once per octave instead of three times.
+is read. If the averaging times are octaves, each of them uses a piece that was already read for the previous one. Memory is
+therefore read once per octave instead of three times.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A gap (missing or not-finite samples) ends a stretch, and the next sample begins a new stretch. No difference is taken across a gap.
 A gap of at most `bridge` seconds is filled by linear interpolation instead. If a record has more than `LONGEST` samples, only every
-D-th phase point is kept. Deviations at averaging times of D samples or more do not change, and shorter averaging times are not
+D-th phase point is stored. Deviations at averaging times of D samples or more do not change; shorter averaging times are not
 available.
 """
 
@@ -50,7 +50,7 @@ class Phase:
 
 
 class _Integrator:
-    """Integrates samples to phase, and collects all runs in one array, so that no memory is needed beyond the phase itself."""
+    """Integrates samples to phase. It stores all runs in one array, so that no memory is needed beyond the phase itself."""
 
     def __init__(self, capacity: int, decimation: int):
         self.flat = np.empty(capacity)

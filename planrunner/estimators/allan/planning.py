@@ -1,4 +1,4 @@
-"""Chooses the averaging times of a recorded or planned record, and determines whether there are enough averages for a fit.
+"""Chooses the averaging times of a record, and determines whether there are enough averages for a fit.
 
 The same rules apply to planned and to recorded data.
 """
@@ -45,8 +45,8 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
-    """Returns the averaging factors to use. These are the factors of the times `taus` that fit at least twice into the longest run;
-    if `taus` is empty, they are octaves. Raises `EstimationError` if there is no such factor."""
+    """Returns the averaging factors to use. They belong to those times in `taus` that fit at least twice into the longest run. If
+    `taus` is empty, they are octaves. Raises `EstimationError` if there is no such factor."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)
@@ -124,7 +124,7 @@ def planned_averaging(
 
 
 def _least_freedom(factor: int, lengths: Integers) -> float:
-    """Returns the degrees of freedom of an Allan variance if the type of noise is unknown: the smallest value over all possible
+    """Returns the degrees of freedom of an Allan variance for an unknown type of noise: the smallest value of all possible
     types."""
     return min(freedom_of_runs(alpha, 2, factor, lengths) for alpha in _EXPONENTS)
 

@@ -1,8 +1,9 @@
-"""Converts noise coefficients to the sensed quantity, for an output in pulses or volts with a scale factor.
+"""Converts noise coefficients of an output in pulses or volts to noise coefficients of the sensed quantity, by means of a scale
+factor.
 
-The scale factor is stated in the plan as a quantity, such as `0.2012 (deg/h)/(pulse/s)`, or as a coefficient of an estimate in
-`uses`, such as `drift.SF_Y`. The unit of the scale factor shows whether it is sensed quantity per output or output per sensed
-quantity.
+The plan states the scale factor as a quantity, such as `0.2012 (deg/h)/(pulse/s)`, or as a coefficient of an estimate in `uses`,
+such as `drift.SF_Y`. The unit of the scale factor shows whether it is the sensed quantity divided by the output, or the output
+divided by the sensed quantity.
 
 The results are in the units that are usual in the field: deg/√h and deg/h for rates, m/s/√h and µg for accelerations.
 """
@@ -47,8 +48,9 @@ class SensedBy:
     """Converts the noise coefficients of an output to noise coefficients of the sensed quantity.
 
     `units`: for each of Q, N, B and K, the unit of the result, and the factor by which a coefficient of the output is multiplied.
-    The coefficients of the output are in its unit times s (Q), √s (N), 1 (B) and 1/√s (K). `power`: 1 if these factors are
-    proportional to the scale factor, −1 if they are proportional to its reciprocal. `quantity`: the scale factor, in its own unit.
+    The unit of a coefficient of the output is the output's unit times s (Q), √s (N), 1 (B) or 1/√s (K). `power`: 1 if these factors
+    are proportional to the scale factor, −1 if they are proportional to its reciprocal. `quantity`: the scale factor, in its own
+    unit.
     """
 
     units: Mapping[str, tuple[str, float]]
@@ -103,8 +105,8 @@ def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design
 
 
 def _foreseen(used: Design) -> tuple[Coefficient, ...]:
-    """Returns the coefficients from which a scale factor is taken when a run is predicted. A coefficient that cannot be predicted
-    has the value 1 in its own unit."""
+    """Returns the coefficients from which the prediction of a run takes a scale factor. A coefficient that cannot be predicted gets
+    the value 1 in its own unit."""
     return (*used.predicted, *(Coefficient(one.name, 1.0, one.unit, math.nan) for one in used.unpredicted))
 
 
@@ -138,8 +140,8 @@ def named_units(dimension: Dimension) -> Mapping[str, str] | None:
 
 def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
     """Returns, for each of the coefficients Q, N, B and K, the unit in which it is reported, and the factor that converts the
-    coefficient to this unit. The factor applies to a coefficient in the output's unit times s (Q), √s (N), 1 (B) or 1/√s (K).
-    Raises `EstimationError` for an unknown unit."""
+    coefficient to this unit. It applies to a coefficient in the output's unit times s (Q), √s (N), 1 (B) or 1/√s (K). Raises
+    `EstimationError` for an unknown unit."""
     try:
         own = unit(output)
     except UnknownUnitError as error:
@@ -153,8 +155,7 @@ def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
 
 
 def squares_to_coefficients(interval: float) -> dict[str, float]:
-    """Returns a factor for each of the coefficients Q, N, B and K. A coefficient is this factor times the square root of the Allan
-    variance that it causes at τ0. These variances are Q²/τ0², N²/τ0, B² and K²·τ0. `interval`: τ0, the time between phase points,
-    s."""
+    """Returns a factor for each of the coefficients Q, N, B and K. A coefficient is this factor times the square root of its fitted
+    square, which is Q²/τ0², N²/τ0, B² or K²·τ0. `interval`: τ0, the time between phase points, s."""
     root = math.sqrt(interval)
     return {"Q": interval, "N": root, "B": 1.0, "K": 1 / root}

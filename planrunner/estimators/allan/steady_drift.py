@@ -1,9 +1,9 @@
-"""Determines whether a record drifts steadily more than its noise explains, and how large the drift is.
+"""Determines whether a record has a steady drift that its noise does not explain, and how large this drift is.
 
-The means of the two halves of a run differ by the drift over half the run and by noise. The variance of this noise is twice the
-Allan variance at an averaging time of half the run. The Allan variance is computed from a fit of Hadamard variances, which a steady
-drift does not change. This computed variance is uncertain, mainly because the random walk is poorly known. The test therefore uses
-an upper bound of the variance, two standard uncertainties above the estimate.
+The means of the two halves of a run differ by the drift during half the run, and by noise. The variance of this noise is twice the
+Allan variance at an averaging time of half the run. This Allan variance is computed from a fit to Hadamard variances, because a
+steady drift does not change them. The result is uncertain, mainly because the random walk is poorly known. The test therefore uses
+an upper bound of the variance, which is two standard uncertainties above the estimate.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CHANCE = 1e-3  # probability of differences at least this large by noise alone
 class SteadyDrift:
     """The steady drift of a record. `slope`: the drift in the output's unit per second (weighted mean over the runs), with its
     standard uncertainty. The uncertainty is computed for noise that is one standard uncertainty larger than estimated.
-    `probability`: chance that noise alone causes differences this large between the halves of runs."""
+    `probability`: probability that noise alone causes differences of this size between the halves of the runs."""
 
     slope: float
     standard_uncertainty: float

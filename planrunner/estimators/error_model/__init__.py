@@ -1,1 +1,1 @@
-"""The estimator that determines the amplitudes of catalogue effects, and its parts."""
+"""Contains the estimator that determines the amplitudes of catalogue effects, and the parts of this estimator."""

@@ -1,9 +1,9 @@
 """Combines amplitudes that several outputs have in common, such as the tilt of the table, to one value.
 
-The outputs are first fitted separately. The values z of all amplitudes have the joint covariance C. Least squares then adjusts the
-values so that the values of a common amplitude agree: z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, where R·z = 0 states the agreement (H. Theil,
-Principles of Econometrics, 1971, 6.8). This is equivalent to a joint fit of all outputs. The adjustment also changes amplitudes
-that only one output has, if they are correlated with a common amplitude.
+The outputs are first fitted separately. The values z of all amplitudes have the joint covariance C. Least squares then adjusts z so
+that the values of each common amplitude agree. The adjusted values are z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, where R·z = 0 states the agreement
+(H. Theil, Principles of Econometrics, 1971, 6.8). This is equivalent to a joint fit of all outputs. The adjustment also changes
+amplitudes that only one output has, if they are correlated with a common amplitude.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from planrunner.estimators.outputs_fit import OutputsFit
 class CommonAmplitudes:
     """Contains the amplitudes of all outputs, and states which amplitudes are common to several outputs.
 
-    `amplitudes`: the q reported amplitudes. The reported amplitudes are computed from the p amplitudes that are fitted separately,
-    output after output. `members`: for each reported amplitude, the indices of the fitted amplitudes that it combines; a single
-    index if only one output has this amplitude. `outputs`: for each of the p fitted amplitudes, the name of its output.
+    `amplitudes`: the q reported amplitudes. They are computed from the p amplitudes of the separate fits, which are listed output
+    after output. `members`: for each reported amplitude, the indices of the fitted amplitudes that it combines; a single index if
+    only one output has this amplitude. `outputs`: for each of the p fitted amplitudes, the name of its output.
     """
 
     amplitudes: tuple[ReportedAmplitude, ...]
@@ -33,8 +33,8 @@ class CommonAmplitudes:
 
     @property
     def contrasts(self) -> Array:
-        """Returns the matrix R that computes the differences within each common amplitude: each member minus the first member. Its
-        shape is (r, p)."""
+        """Returns the matrix R, shape (r, p). It computes, for each common amplitude, the differences between its other members and
+        its first member."""
         rows = []
         for places in self.members:
             for place in places[1:]:
@@ -70,8 +70,7 @@ class CommonAmplitudes:
 
 
 def common_amplitudes(outputs: Sequence[ModelledOutput]) -> CommonAmplitudes:
-    """Groups the amplitudes of all outputs, so that an amplitude which several outputs have in common becomes one reported
-    amplitude."""
+    """Groups the amplitudes of all outputs. An amplitude that several outputs have in common becomes one reported amplitude."""
     each = [(one, output.name) for output in outputs for one in output.coefficients]
     places: dict[str | int, list[int]] = {}
     for place, (one, _) in enumerate(each):
@@ -82,8 +81,8 @@ def common_amplitudes(outputs: Sequence[ModelledOutput]) -> CommonAmplitudes:
 
 def between_outputs(fits: Sequence[OutputsFit], rows: Sequence[Sequence[int]], correlation: Array, basis: str) -> Array:
     """Returns the covariance between the fitted amplitudes of different outputs, shape (p, p); it is zero within an output. The
-    covariance follows from the correlation between the samples of the outputs. Only the means of segments are taken as correlated,
-    not the contrasts within segments.
+    covariance follows from the correlation between the samples of the outputs. Only the means of segments are treated as
+    correlated, not the contrasts within segments.
 
     `rows`: for each fit, the indices of its segments among the segments of the estimate. `correlation`: array of shape (m, m),
     correlation between the samples of the outputs.

@@ -1,5 +1,5 @@
-"""Estimates the amplitudes of the effects that a plan names for each output, by generalised least squares from the means of
-segments.
+"""Estimates amplitudes of effects from the means of segments, by generalised least squares. The plan names the effects for each
+output.
 
     output = input along its own axis + Σ amplitude · column
 
@@ -262,7 +262,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
 
 
 def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str]:
-    """Returns the effects whose shape is fitted to samples, although the plan states no expected value for the shape."""
+    """Returns the effects whose shape is fitted to samples and for whose shape the plan states no expected value."""
     if one.within is None:
         return []
     shaped = [amplitude.effect.id for amplitude in one.columns.amplitudes if amplitude.shape]
@@ -280,8 +280,8 @@ def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ..
 
 
 def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParameters]) -> list[str]:
-    """Returns the quantities on which an output's effects depend and that no segment states, because they are known only from a
-    channel of the recording."""
+    """Returns the quantities that an output's effects need, but that no segment states because only a channel of the recording
+    shows them."""
     channels = {
         Follows.SUPPLY: request.parameters.supply_channel,
         Follows.PRESSURE: request.parameters.pressure_channel,
@@ -331,7 +331,7 @@ def _known_monitors(parameters: ErrorModelParameters, units: Mapping[str, str]) 
 
 
 def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remark]:
-    """Returns an error, with a remedy, for amplitudes that the planned segments do not determine or separate."""
+    """Returns an error, with a remedy, if the planned segments do not determine or separate some amplitudes."""
     amplitudes = one.columns.amplitudes
     seen = rank.look(_matrix(one) / one.columns.magnitudes)
     if not len(seen.null):
@@ -346,7 +346,8 @@ def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remar
 
 
 def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
-    """Returns the fraction of each segment's rate that acts along the input axis of an output, (n, 1); zero for an accelerometer."""
+    """Returns the fraction of each segment's rate that acts along the input axis of an output, shape (n, 1); zero for an
+    accelerometer."""
     axis = np.eye(3)[one.errors.axis]
     return shares_along(segments, [axis if one.errors.kind == "gyro" else 0 * axis])
 
@@ -356,8 +357,8 @@ def _fitted(
 ) -> list[FittedOutput]:
     """Fits all outputs of a group. `shown`: names of the drift functions that at least one output shows.
 
-    A first fit gives approximate amplitudes of each output. These amplitudes are needed because they determine how strongly errors
-    of table and site affect the output.
+    A first fit gives approximate amplitudes for each output. They are needed because they determine how strongly errors of the
+    table and the site affect the output.
     """
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]
@@ -407,7 +408,7 @@ def _fitted(
 
 
 def _of_angle(one: ModelledOutput) -> list[CorrelatedError]:
-    """The error of the means and of the contrasts within segments if nothing shows the angle of a turning table."""
+    """Returns the errors that an unknown angle of a turning table causes in the means and in the contrasts within segments."""
     if one.within is None or not one.within.phase.any():
         return []
     quantity = InputQuantity("angle of the table", 0.0, "1", 1.0, source="no channel shows the angle")
@@ -421,7 +422,7 @@ def _matrix(one: ModelledOutput) -> Array:
 
 
 def _with_contrasts(means: Observations, one: ModelledOutput) -> Observations:
-    """Observations of one output: the means of the segments, followed by the contrasts within segments."""
+    """Returns the observations of one output: the means of the segments, followed by the contrasts within segments."""
     if one.within is None or not len(one.within.contrasts.sigma):
         return means
     contrasts = one.within.contrasts
@@ -471,8 +472,8 @@ def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = F
 
 
 def _modelled(course: DriftCourse, drift: DriftCourses, output: ModelledOutput) -> bool:
-    """Returns True if the plan contains the temperature dependence of an output's bias as an effect. In this case, no drift with
-    temperature is sought in this output."""
+    """Returns True if the plan's effects include the temperature dependence of an output's bias. In this case, no drift with
+    temperature is fitted to this output."""
     return (
         drift.by_evidence
         and bool(course.changed)
@@ -496,7 +497,7 @@ def _of_channel(together: Observations, k: int) -> Observations:
 
 
 def _contradictions(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> list[Said]:
-    """Warnings about outputs that respond otherwise than declared."""
+    """Returns warnings about outputs whose response contradicts the declarations."""
     found = []
     for kind in KINDS:
         rows = [
@@ -527,7 +528,7 @@ def _stacked(rows: Sequence[Array]) -> Array:
 
 
 def _of_output(errors: Sequence[CorrelatedError], output: int) -> tuple[CorrelatedError, ...]:
-    """Restricts errors to their effect on one output."""
+    """Returns the errors, restricted to their effect on one output."""
     return tuple(
         replace(
             one,
@@ -655,7 +656,7 @@ def _names(one: ModelledOutput, effect: str) -> bool:
 
 
 def _of_samples(one: FittedOutput) -> list[Said]:
-    """Warnings about the fit to an output's samples."""
+    """Returns warnings about the fit to an output's samples."""
     within, found = one.model.within, []
     if within is None:
         return []

@@ -1,9 +1,9 @@
 """Computes how errors of the meters for supply voltage and ambient pressure change the observations of a model.
 
 Each meter may have two errors that are the same in all segments: a zero error, and a relative error of the reading. These errors
-cause no scatter between segments, so their contributions are added to the contribution of the data (JCGM 100:2008, F.1.2.3). These
-errors also act if the plan states the voltage or the pressure, because the stated value was read from a meter. Each change is given
-for a meter whose reading is too large; a reading that is too small gives the opposite sign.
+cause no scatter between segments, so their contributions are added to the contribution of the data (JCGM 100:2008, F.1.2.3). They
+also act if the plan states the voltage or the pressure, because the stated value was read from a meter. Each change is computed for
+a reading that is too large; for a reading that is too small, it has the opposite sign.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from planrunner.uncertainty.influences import InputQuantity
 def meter_errors(
     model: ErrorsAtSegments, estimate: str, parameters: ErrorModelParameters, nominal_supply: float, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Computes the errors of the observations that come from the meters. Only meters for which the plan states an uncertainty are
-    included.
+    """Computes the errors of the observations that errors of the meters cause. Only meters for which the plan states an uncertainty
+    are included.
 
     `estimate`: name of the estimate in the plan. `nominal_supply`: nominal supply voltage, V. `coefficients`: array of shape (m,
     p), for m outputs and p columns of the model, in the outputs' units per SI unit of each column.
@@ -44,8 +44,8 @@ def meter_errors(
 def _moved(
     states: SegmentStates, estimate: str, parameters: ErrorModelParameters, nominal_supply: float
 ) -> Iterator[tuple[InputQuantity, SegmentStates, SegmentStates]]:
-    """Yields each stated error, with the states of the segments if the reading is too small, and if it is too large, by the
-    standard uncertainty of the error."""
+    """Yields each stated error with two versions of the segments' states: one for a reading that is too small by the standard
+    uncertainty of the error, and one for a reading that is too large by it."""
     for field, unit, reference, errors in (
         ("overvoltage", "V", nominal_supply, ("supply_zero_uncertainty", "supply_reading_uncertainty")),
         ("overpressure", "Pa", STANDARD_PRESSURE, ("pressure_zero_uncertainty", "pressure_reading_uncertainty")),

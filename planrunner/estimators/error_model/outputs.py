@@ -54,7 +54,7 @@ class ReportedAmplitude:
     """Describes how one amplitude is reported.
 
     `si`: SI value of one `unit`. `common`: True if all outputs whose model contains the amplitude share one value. `origin`: the
-    reported value, in `unit`, if the fitted value is zero.
+    reported value, in `unit`, that corresponds to a fitted value of zero.
     """
 
     name: str
@@ -68,13 +68,13 @@ class ReportedAmplitude:
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledOutput:
     """The linear model of one output. If the output is recorded in the unit of the measured quantity (`direct`), the model is means
-    = own/unit.factor + matrix · amplitudes, where `own` and `matrix` are fields of `columns`. Otherwise the amplitude with the
-    index `gain` is the complete scale factor, and the other columns are multiplied by this factor.
+    = own/unit.factor + matrix · amplitudes, where `own` and `matrix` are fields of `columns`. Otherwise, the amplitude with the
+    index `gain` is the complete scale factor, by which the other columns are also multiplied.
 
     `rows`: indices of the output's segments among the segments of the estimate. `gain`: index of the scale factor among the
-    amplitudes; None if the scale factor is not fitted. `within`: the fit to the output's samples, around whose result the model is
-    linearised; None if the output needs only the means. `followed`: used only if `within` is given: (effect, name) of each
-    amplitude that determines how errors of the table and the site affect the output.
+    amplitudes; None if the scale factor is not fitted. `within`: the fit to the output's samples; the model is linearised around
+    its result. None if the output needs only the means. `followed`: empty unless `within` is given. It contains (effect, name) of
+    each amplitude that determines how errors of the table and the site affect the output.
     """
 
     errors: OutputErrors
@@ -100,8 +100,8 @@ class ModelledOutput:
 
     @property
     def ideal(self) -> Array | float:
-        """Returns the part of the observed means that is not fitted, in the output's unit, shape (n,). It is the reading of an
-        ideal sensor if no scale factor is fitted, otherwise zero."""
+        """Returns the part of the observed means that is not fitted, in the output's unit, shape (n,). If no scale factor is
+        fitted, this part is the reading of an ideal sensor; otherwise it is zero."""
         if self.within is not None:
             return self.within.offset
         return 0.0 if self.gain is not None else self.columns.own / self.unit.factor
@@ -333,8 +333,8 @@ def _sampled(
 
 
 def _as_if_held(segment: Segment) -> Segment:
-    """Returns the segment as it counts for errors of the table and the site: a rocking table counts as a table at rest, and in an
-    unknown attitude these errors have no influence."""
+    """Returns a simplified segment for the computation of errors of the table and the site. A rocking table is treated like a table
+    at rest; in an unknown attitude, these errors have no influence."""
     if not isinstance(segment.motion, Rock | RecordedMotion):
         return segment
     attitude = np.zeros((3, 3)) if segment.attitude is None else segment.attitude
@@ -374,7 +374,8 @@ def _modelled(errors: OutputErrors, own: Unit, columns: OutputColumns, rows: tup
 
 
 def _must_act(errors: OutputErrors, columns: OutputColumns) -> None:
-    """Raises `EstimationError` for an effect that cannot act in this plan, and for a parameter that an effect does not have."""
+    """Raises `EstimationError` for an effect that cannot act in this plan, and for a parameter that does not belong to its
+    effect."""
     key = f"outputs.{errors.output}"
     for item in errors.chosen:
         here = [one.name for one in columns.amplitudes if one.effect is item.effect]

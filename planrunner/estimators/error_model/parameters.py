@@ -20,7 +20,7 @@ _COLUMN = r"[A-Za-z][A-Za-z0-9_]{0,39}"
 
 @dataclass(frozen=True, slots=True)
 class EffectKind:
-    """Reads a plan value that names an installed effect, or one parameter of an effect after a dot."""
+    """Reads a plan value that names an installed effect or, after a dot, also one of its parameters."""
 
     what: str = "an effect, or one of its parameters such as `gyro_misalignment.towards_z`"
 

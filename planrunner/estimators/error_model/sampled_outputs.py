@@ -98,7 +98,7 @@ class SampledOutputs:
         return Channel(errors.output, errors.kind, errors.axis, text, factor, *numbers)
 
     def _expected(self) -> Mapping[str, Mapping[str, float]]:
-        """Returns the expected values of effects' parameters that the plan states, in their units."""
+        """Returns the expected values that the plan states for parameters of effects, in their units."""
         parameters = self.parameters
         if not parameters.expected:
             return {}

@@ -1,12 +1,12 @@
 """Fits the shape of an effect, such as a time constant, to the means of segments by variable projection.
 
 For a given value of the shape, the amplitudes are fitted linearly, so that the χ² of this fit is a function of the shape alone (G.
-Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At
-the shape that is found, the derivative with respect to the shape is a further column of the final fit, so that all uncertainties
-include the uncertainty of the shape.
+Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. In
+the final fit, the derivative with respect to the shape is a further column, so that all uncertainties include the uncertainty of
+the shape.
 
-Such an effect also changes the output within a segment, and this change is not noise. A first fit gives the change within each
-segment. The noise is then computed from the scatter about this change, and a second fit uses this noise.
+An effect with a shape also changes the output within a segment. This change is not noise. It is estimated by a first fit; the noise
+is then computed from the scatter of the samples about it, and a second fit uses this noise.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the mea
 
 
 def shaped_part(output: ModelledOutput) -> EffectPart | None:
-    """Finds the effect in an output's model that has a shape to be fitted to the means of segments; returns None if no effect has
-    such a shape."""
+    """Returns the effect in an output's model whose shape must be fitted to the means of segments; None if there is no such
+    effect."""
     if output.within is not None:
         return None
     return next((one for one in output.errors.chosen if isinstance(one.effect, ShapedOverSegments)), None)
@@ -42,9 +42,9 @@ def shaped_part(output: ModelledOutput) -> EffectPart | None:
 def with_shapes(
     group: Together, together: Observations, recorded: Sequence[RecordedSegment]
 ) -> tuple[Together, Observations]:
-    """Finds the best value of each shape in the models of a group of outputs. Returns the group with these values, and the
-    observations. The noise of the returned observations does not include the changes that these effects cause within segments. For
-    each shape, the model gets a further column: the derivative with respect to this shape.
+    """Finds the best value of each shape in the models of a group of outputs. Returns the group with these values, and observations
+    whose noise does not include the changes that the effects cause within segments. For each shape, the model gets a further
+    column: the derivative with respect to this shape.
 
     `together`: observations of the group's outputs in the recorded segments. Raises `UnfitDataError` if the observations do not
     determine a shape.
@@ -60,8 +60,9 @@ def with_shapes(
 def _about(
     group: Together, amplitudes: Array, k: int, together: Observations, recorded: Sequence[RecordedSegment]
 ) -> Observations:
-    """Returns the observations, in which the standard errors of the k-th output are computed from the scatter about the change due
-    to its effect within each segment. `amplitudes`: amplitudes of the effect, in the unit of the output."""
+    """Returns the observations with new standard errors of the k-th output. These are computed from the scatter of the samples
+    about the change that the output's effect causes within each segment. `amplitudes`: amplitudes of the effect, in the unit of the
+    output."""
     from scipy.interpolate import PchipInterpolator
 
     part = shaped_part(group.outputs[k])

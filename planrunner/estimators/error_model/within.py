@@ -1,15 +1,15 @@
-"""Fits effects that change an output within segments to samples: first the shapes by variable projection, then all amplitudes
-together with the means in one linear fit.
+"""Fits, to samples, effects that change an output within segments. First, the shapes are fitted by variable projection; then all
+amplitudes are fitted together with the means in one linear fit.
 
 The samples of a segment are split into their mean and the differences from this mean. For given shapes, such as a time constant,
 the amplitudes are fitted linearly, so that the χ² of this fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J.
 Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At this minimum, the model y is
 linearised in amplitudes and shapes: J = ∂y/∂(amplitudes, shapes). A contrast is a weighted sum of the differences of the samples
-from the means of their segments. For white noise of standard deviation σ, as many contrasts as J has columns contain everything
-that the N samples within the segments contribute to the fit. With JᵀJ = V·S·Vᵀ for the columns of J minus their means, the
-contrasts S^(−1/2)·Vᵀ·Jᵀ·y have uncorrelated noise of standard deviation σ and the design matrix √S·Vᵀ. The contrasts are added to
-the means of the segments as further observations of the generalised least-squares fit (`outputs_fit`). Drift, errors of the table
-and scatter between segments therefore act on the means as in every other fit.
+from the means of their segments. If the noise is white, a few contrasts, as many as J has columns, contain everything that the
+samples within the segments contribute to the fit. Let JᵀJ = V·S·Vᵀ after the means have been subtracted from the columns of J. The
+contrasts S^(−1/2)·Vᵀ·Jᵀ·y then have the design matrix √S·Vᵀ, and their noise is uncorrelated with the standard deviation σ of the
+samples. The contrasts are added to the means of the segments as further observations of the generalised least-squares fit
+(`outputs_fit`). Drift, errors of the table and scatter between segments therefore act on the means as in every other fit.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ _IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """Describes the shape of an effect, with the values that the catalogue gives for it, in ascending order. `discrete`: True if
-    the effect allows only these values."""
+    """Describes the shape of an effect. `values`: the values that the catalogue gives for the shape, in ascending order.
+    `discrete`: True if the effect allows only these values."""
 
     part: EffectPart
     values: Array
@@ -86,7 +86,7 @@ class Shape:
 class Contrasts:
     """Contains r contrasts (weighted sums of samples within segments) that contribute to a fit, in the output's unit.
 
-    `matrix`: array of shape (r, p), linear model of the contrasts. `values`: array of shape (r,), the contrasts. `sigma`: array of
+    `matrix`: array of shape (r, p), design matrix of the contrasts. `values`: array of shape (r,), the contrasts. `sigma`: array of
     shape (r,), standard deviations of the contrasts. `flicker`: array of shape (r, r), a matrix F with F·Fᵀ equal to the covariance
     of the contrasts due to flicker with the bias instability B = 1. `phase`: array of shape (r, k), change of the contrasts by each
     of the k errors that an unknown angle of the table causes.
@@ -104,16 +104,16 @@ class WithinFit:
     """Contains the result of a fit of an output to its samples.
 
     `amplitudes`: the p amplitudes of the fit: first the amplitudes of the model, then the shapes that are not discrete. `matrix`:
-    array of shape (n, p), linear model of the means, in SI per SI amplitude. `mean`: array of shape (n,), the observed means.
+    array of shape (n, p), design matrix of the means, SI value per SI amplitude. `mean`: array of shape (n,), the observed means.
     `offset`: array of shape (n,), the part of the means that is not fitted. The unit of `mean` and `offset` is that of the output.
     `own`: array of shape (n,) in SI units, the mean output of an ideal sensor. `available`: maps each effect to the names of all
     amplitudes that it has for this output. `shapes`: maps each effect to the fitted value of its shape. `at_bound`: names of
     effects whose shape is at a bound of the catalogue's values. `coloured`: ratio of the variance of batch means to the variance
-    that white noise explains; 1 if the noise is white. `uneven`: for the contributions of segments to a contrast, the ratio of
-    their variance to the expected variance; the largest ratio over all contrasts; 1 if the contributions agree. `moved_error`:
-    array of shape (n,), standard error of the mean of each segment whose motion comes from the recording, computed from the
-    residuals of the fit; NaN for other segments. `phase`: array of shape (n, k), change of the means, in the output's unit, by each
-    of the k errors that an unknown angle of the table causes.
+    that white noise explains; 1 if the noise is white. `uneven`: the largest of the ratios that `uneven_ratios` computes for the
+    contrasts; 1 if the contributions of the segments to each contrast agree. `moved_error`: array of shape (n,), standard error of
+    the mean of each segment whose motion comes from the recording, computed from the residuals of the fit; NaN for other segments.
+    `phase`: array of shape (n, k), change of the means, in the output's unit, by each of the k errors that an unknown angle of the
+    table causes.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -171,8 +171,8 @@ def fit_within(output: SampledOutput) -> WithinFit:
 
 
 class _Problem:
-    """Least squares over the samples of one output. The means of segments have other weights than the differences of samples from
-    these means."""
+    """Least squares over the samples of one output. The means of segments and the differences of the samples from these means have
+    different weights."""
 
     def __init__(self, output: SampledOutput, model: ErrorsAtSamples, shapes: tuple[Shape, ...]):
         self.output, self.model, self.shapes = output, model, shapes
@@ -264,15 +264,15 @@ class _Problem:
         return np.asarray(rows - self.means(rows)[..., self.owner])
 
     def weighted(self, rows: Array) -> Array:
-        """Divides values by their noise, so that they have the variance 1. From (…, N), it returns (…, N + n): first the
-        differences from the means of segments, then the means."""
+        """Divides values (…, N) by their noise, so that they have the variance 1. Returns an array of shape (…, N + n): first the
+        differences from the means of the n segments, then these means."""
         means = self.means(rows)
         return np.concatenate([(rows - means[..., self.owner]) / self.sigma[self.owner], means / self.error], axis=-1)
 
     # -- amplitudes and shapes -----------------------------------------------------------------------------------------
 
     def nominal(self) -> Array:
-        """Returns the amplitudes of an ideal sensor, with the values of effects that the plan expects."""
+        """Returns the amplitudes of an ideal sensor. The amplitudes of effects have the values that the plan expects."""
         found = np.zeros(len(self.amplitudes))
         for place, one in enumerate(self.amplitudes):
             stated = self.output.expected.get(one.effect.id, {})
@@ -282,7 +282,8 @@ class _Problem:
         return found
 
     def planned(self) -> list[float]:
-        """Returns the shapes that the plan expects; for a shape without an expected value, the middle of the catalogue's values."""
+        """Returns the expected shapes: the value that the plan states or, if it states none, the middle of the catalogue's
+        values."""
         return [
             self.output.expected.get(shape.id, {}).get(_shape_name(shape.part), shape.at((len(shape.values) - 1) / 2))
             for shape in self.shapes
@@ -383,8 +384,8 @@ class _Problem:
         return self._linearised(values, amplitudes, observed, coloured)
 
     def _reweighted(self, values: Sequence[float], observed: Array) -> float:
-        """Computes the noise of samples and the noise of means anew from the residuals of a fit. Returns the factor by which the
-        ratio of these two noises changes."""
+        """Computes the noise of the samples and the noise of the means again, from the residuals of a fit. Returns the factor by
+        which the ratio of these two noises changes."""
         before = self.sigma / self.error
         amplitudes, _ = self.projected(values, observed)
         left = observed - self.values(values, amplitudes)
@@ -406,10 +407,10 @@ class _Problem:
         return float(max(ratio.max(), 1 / ratio.min()))
 
     def _of_moved(self, left: Array) -> None:
-        """For segments whose motion comes from the recording, computes the errors of their means from the residuals (N,). The
+        """For segments whose motion comes from the recording, computes the errors of the means from the residuals (N,). The
         residuals contain the noise of the channels that recorded the motion, but not the motion itself. If there are more segments
-        than amplitudes, each error is computed for white noise, because the scatter between segments covers any other error.
-        Otherwise the error also covers the scatter of batches."""
+        than amplitudes, each error is computed as for white noise, because the scatter between segments includes any other error.
+        Otherwise, the error also includes the scatter of batch means."""
         alone = len(self.counts) <= len(self.amplitudes)
         for s in np.flatnonzero(self.output.observed.moved):
             own = left[self.output.observed.segments()[s]]
@@ -473,9 +474,9 @@ class _Problem:
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
     def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
-        """Returns the contrasts that the docstring of the module describes, and the largest of the ratios that `uneven_ratios`
-        gives. `left`: array of shape (N,), residuals. `coloured`: ratio of the variance of batch means to the variance that white
-        noise explains."""
+        """Returns the contrasts (see the description of this module), and the largest of the ratios that `uneven_ratios` computes.
+        `left`: array of shape (N,), residuals. `coloured`: ratio of the variance of batch means to the variance that white noise
+        explains."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -509,22 +510,22 @@ class _Problem:
         return contrasts, float(uneven.max(initial=1.0))
 
     def _once_per_turn(self) -> Array:
-        """Returns the k components of the error of the input once per turn, in the output's unit, if its phase is unknown, shape
-        (k, N)."""
+        """Returns the error of an input that varies once per turn with an unknown phase: its k components in the output's unit,
+        shape (k, N)."""
         return errors_of_phase([self._turning[part] for part in self.output.observed.segments()])
 
     @cached_property
     def _turning(self) -> NDArray[np.complex128]:
-        """Returns the part of the input that varies once per turn with an unknown phase, in the output's unit, as `errors_of_phase`
-        takes it, shape (N,)."""
+        """Returns the part of the input that varies once per turn with an unknown phase, in the output's unit, shape (N,). It has
+        the complex form that `errors_of_phase` expects."""
         observed = self.output.observed
         k = [channel.name for channel in observed.channels].index(self.output.errors.output)
         return np.asarray(observed.unknown_phase[self.owner, k] * self.output.nominal * np.exp(1j * observed.angle))
 
     def _colour(self, left: Array) -> float:
         """Returns the ratio of the variance of batch means to the variance that white noise explains; 1 if it is not significantly
-        larger. An input once per turn with an unknown phase is no noise, so this part is fitted to the batch means first. `left`:
-        array of shape (N,), residuals minus the mean of the residuals in each segment."""
+        larger. An input that varies once per turn with an unknown phase is not noise, so it is first fitted to the batch means and
+        removed. `left`: array of shape (N,), residuals minus the mean of the residuals in each segment."""
         from scipy.special import chdtrc
 
         total, freedom = 0.0, 0
@@ -543,8 +544,9 @@ class _Problem:
 
 def known_in_batches(turning: NDArray[np.complex128], length: int) -> Array:
     """Returns the columns (_BATCHES, k) that are fitted to the batch means of a segment: a constant, and the batch means of the two
-    parts of an input once per turn. A part is left out if its batch means are rounding errors, as with whole turns in each batch.
-    `turning`: array of shape (n,), as `errors_of_phase` takes it. `length`: number of samples in a batch."""
+    parts (real and imaginary) of an input that varies once per turn. A part is left out if its batch means are only rounding
+    errors, which happens if each batch contains whole turns. `turning`: array of shape (n,), the input in the complex form that
+    `errors_of_phase` expects. `length`: number of samples in a batch."""
     within = turning[: length * _BATCHES]
     parts = np.array([within.real, within.imag]).reshape(2, _BATCHES, length).mean(axis=2)
     least = _ROUNDING * np.max(np.abs(within))
@@ -552,14 +554,15 @@ def known_in_batches(turning: NDArray[np.complex128], length: int) -> Array:
 
 
 def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
-    """Describes the error of an input once per turn whose phase is unknown. Returns k components of this error, shape (k, N). The
-    sum over k of the squares of the components has the second moments of the error. `turning`: for each segment, the input at its
-    samples as the fit assumes it (real part), and a quarter of a turn earlier or later (imaginary part); complex, zero if the phase
-    is known. N is the number of samples of all segments.
+    """Describes the error of an input that varies once per turn with an unknown phase. Returns an array E of shape (k, N) for which
+    EᵀE contains the second moments of the error at the N samples of all segments. `turning`: one complex array for each segment;
+    zero if the phase is known. The real part is the input at the samples as the fit assumes it; the imaginary part is the input a
+    quarter of a turn earlier or later.
 
-    If c is the assumed input, and s the input a quarter of a turn later, the true input is c·cos φ + s·sin φ. The phase φ is uniform, and
-    independent of other segments. The error c·(cos φ − 1) + s·sin φ therefore has the mean −c, and both of its parts have the variance
-    1/2. The second moments over all segments are m·mᵀ + Σ (c·cᵀ + s·sᵀ)/2 with m = Σ c.
+    If c is the assumed input, and s the input a quarter of a turn later, the true input is c·cos φ + s·sin φ. The phase φ is
+    uniformly distributed, and independent of the phases of other segments. The error c·(cos φ − 1) + s·sin φ therefore has the mean
+    −c, and its two parts have the factors cos φ − 1 and sin φ, each with the variance 1/2. The second moments over all segments are
+    m·mᵀ + Σ (c·cᵀ + s·sᵀ)/2 with m = Σ c.
     """
     assumed, found = np.concatenate(turning), []
     first = 0
@@ -573,16 +576,16 @@ def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
 
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
-    """Computes by how much the variance of each contrast exceeds that of white noise. Returns, for S contrasts, the ratios of the
-    two variances, shape (S,). The ratios are estimated from the scatter of the segments' contributions. They are all 1 if this
-    scatter is not significantly larger than white noise explains, for all contrasts together.
+    """Computes the ratio of each contrast's variance to the variance that white noise explains, shape (S,). The ratios are
+    estimated from the scatter of the segments' contributions to the contrasts. All ratios are 1 unless this scatter, for all
+    contrasts together, is significantly larger than white noise explains.
 
     `functionals`: array of shape (S, N), orthonormal weights of the samples in each contrast. `left`: array of shape (N,),
     residuals divided by their noise. `first`: array of shape (n,), index of the first sample of each segment. `coloured`: ratio of
     the variance of batch means to the variance that white noise explains.
 
-    The reason for such scatter is that errors of the recorded motion differ from segment to segment, and that a longer segment does
-    not reduce them. The ratio is R = Σ c²/(1 − Σ e²), where c is the contribution of a segment to a contrast, and e is the part of
+    Errors of the recorded motion cause such scatter, because they differ from segment to segment and do not become smaller in a
+    longer segment. The ratio is R = Σ c²/(1 − Σ e²), where c is the contribution of a segment to a contrast, and e is the part of
     the squared length of the contrast that belongs to the segment. R is unbiased if the contributions have the variance R·e and the
     fit makes Σ c = 0. This is the sandwich estimator for clustered data (K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986).
     """
