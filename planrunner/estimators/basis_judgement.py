@@ -377,7 +377,7 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
 
 def _consequence(fit: OutputsFit, found: SuspectedDrift) -> Said:
     """Returns a clause that states whether the uncertainties include a drift that was not fitted."""
-    if any(one.course.name == found.course.name for one in fit.drift.doubted):
+    if fit.drift.doubts(found.course):
         return said("but the uncertainties include the change that it would cause")
     return said("so no uncertainty includes it")
 

@@ -23,6 +23,8 @@ With few degrees of freedom, the test may miss even a drift that changes coeffic
 reason, weak evidence, either for a drift function or in the residuals of all outputs, is sufficient to call the drift function
 doubted. The change that it would cause is then added to the uncertainties, as an error that is not corrected (JCGM 100:2008,
 F.2.4.5). The same applies to a suspected temperature that the segments do not separate well from a coefficient.
+Drift functions that are proportional to each other, such as the time and a temperature that rises evenly, describe the same drift:
+they count as one, both in the tests and in the uncertainties.
 """
 
 from __future__ import annotations
@@ -120,6 +122,10 @@ class FittedDrift:
         """Returns, for each of the q fitted amplitudes, the denominator of its unit, such as h for a drift per hour."""
         return tuple(course.per for course in self.courses for _ in course.parts)
 
+    def doubts(self, course: DriftCourse) -> bool:
+        """Returns True if the uncertainties include the drift function, or one that is proportional to it, as a drift in doubt."""
+        return any(_same(one.course, course) for one in self.doubted)
+
 
 NOTHING_FITTED = FittedDrift()
 
@@ -171,7 +177,7 @@ def fitted_drift(
         found = {course.name: fits(joined(matrix, (*chosen, course))) for course in tried}
         chances = [_chance(before, found[course.name], course, noises, correlation) for course in tried]
         best = tried[int(np.argmin(chances))]
-        probability = min(chances) * len(tried) * drift.fits
+        probability = min(chances) * _different(tried) * drift.fits
         if _is_rounding(matrix, best, found[best.name]):
             break
         if probability >= SIGNIFICANCE:
@@ -238,9 +244,8 @@ def _hidden(
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
     """Makes a `DoubtedDrift` for each recorded temperature that changed and that the segments can hardly separate from a
-    coefficient. A temperature is left out if it is already among the doubted drift functions, or if it cannot be separated at all.
+    coefficient. A temperature is left out if it cannot be separated at all, or if it is proportional to a doubted drift function.
     `plain`: the fits of the outputs without a drift."""
-    known = {one.course.name for one in doubted}
     return tuple(
         DoubtedDrift(
             one.course,
@@ -248,7 +253,9 @@ def _hidden(
             one.probability,
         )
         for one in suspected
-        if one.course.changed and np.isfinite(one.growth) and one.course.name not in known
+        if one.course.changed
+        and np.isfinite(one.growth)
+        and not any(_same(one.course, other.course) for other in doubted)
     )
 
 
@@ -325,6 +332,17 @@ def _separable(scaled: Array, course: DriftCourse) -> bool:
     basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
     own = course.columns - basis @ (basis.T @ course.columns)
     return bool(np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0)))
+
+
+def _same(course: DriftCourse, other: DriftCourse) -> bool:
+    """Returns True if two drift functions are proportional to each other."""
+    norms = np.linalg.norm(other.columns, axis=0)
+    return not _separable(other.columns / np.where(norms > 0, norms, 1.0), course)
+
+
+def _different(courses: Sequence[DriftCourse]) -> int:
+    """Returns the number of different drift functions; those that are proportional to each other count once."""
+    return sum(not any(_same(course, other) for other in courses[:k]) for k, course in enumerate(courses))
 
 
 def _suspected(

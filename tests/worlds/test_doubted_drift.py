@@ -9,16 +9,16 @@ import pytest
 
 from planrunner.estimators.interface import Estimate
 from planrunner.uncertainty.decision import expanded_uncertainty
-from tests.worlds.campaigns import CAMPAIGNS
+from tests.worlds.campaigns import CAMPAIGNS, Campaign
 from tests.worlds.coverage import estimated, known, recorded, tally
 from tests.worlds.faults import WORLDS, Recorded
 
 EIGHT = CAMPAIGNS["flexure_gyro_static"]
 
 
-def with_drift(key: str, made: Recorded, basis: str = "within_segment") -> Estimate:
+def with_drift(key: str, made: Recorded, basis: str = "within_segment", base: Campaign = EIGHT) -> Estimate:
     keys = f"segments: P*, uncertainty: {basis}{key}"
-    asked = replace(EIGHT, plan=EIGHT.plan.replace("segments: P*", keys))
+    asked = replace(base, plan=base.plan.replace("segments: P*", keys))
     one = estimated(asked, known(asked, WORLDS["warming up"]), made)
     assert isinstance(one, Estimate), one
     return one
@@ -110,6 +110,41 @@ def test_a_temperature_that_leaves_no_residuals_is_in_the_uncertainty() -> None:
             assert item.standard_uncertainty == pytest.approx(together, rel=1e-6)
     [text] = [text for text in found.warnings if "hard to distinguish from" in text]
     assert "but the uncertainties include the change that it would cause" in text
+
+
+def in_another_order() -> Campaign:
+    """The eight positions by the direction of z: a linear drift looks so much like coefficients that fitting it makes an uncertainty 3.4
+    times as large."""
+    steps = sorted(EIGHT.steps, key=lambda step: step.axes.split()[2])
+    lines = EIGHT.plan.splitlines(keepends=True)
+    rows = {step.label: line for step in steps for line in lines if f"label: {step.label}," in line}
+    head, _, tail = EIGHT.plan.partition("".join(rows[step.label] for step in EIGHT.steps))
+    return replace(EIGHT, plan=head + "".join(rows[step.label] for step in steps) + tail, steps=tuple(steps))
+
+
+def test_a_temperature_that_rises_evenly_is_the_same_drift_as_the_time() -> None:
+    """The linear drift is in doubt, and the temperature is proportional to the time. Each uncertainty is that with a linear drift, combined
+    once with the difference between the two fits."""
+    doubts, by_z = 0, in_another_order()
+    for run in range(8):
+        _, made = recorded(by_z, WORLDS["linear drift"], np.random.default_rng([19, run]))
+        course = (made.time - made.time.mean()) / np.ptp(made.time)
+        weaker = made.values - 7 * made.mean * np.sign(made.values[-1] - made.values[0]) * course[:, None]
+        made = replace(made, values=weaker, celsius=20 + 8 * course)
+        found, without, linear = (with_drift(key, made, base=by_z) for key in ("", ", drift: none", ", drift: linear"))
+        in_doubt = [text for text in found.warnings if "neither show nor exclude a drift (linear" in text]
+        if not in_doubt:
+            continue
+        doubts += 1
+        assert in_doubt[0] in with_drift("", replace(made, celsius=None), base=by_z).warnings  # the same probability
+        [text] = [text for text in found.warnings if "hard to distinguish from" in text]
+        assert "but the uncertainties include the change that it would cause" in text
+        for item in found.coefficients:
+            if item.name[0] in "UV":
+                change = linear[item.name].value - without[item.name].value
+                together = np.hypot(linear[item.name].standard_uncertainty, change)
+                assert item.standard_uncertainty == pytest.approx(together, rel=1e-6)
+    assert doubts
 
 
 @pytest.mark.slow
