@@ -217,6 +217,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
             hint = "state the sample rate, such as --sample-rate '100 Hz'"
             if unread := not_numbers(path, path.name, columns, given):
                 message = f"{message}; {next(iter(unread.values()))}"
+                hint = f"correct the file, or {hint}"
             raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
         if rate is None and time is not None and time.written:
             file = opened(path, path.name, columns, given, time.column)

@@ -14,9 +14,19 @@ import pytest
 
 from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
-from planrunner.instruments.formats.choice import open_file
-from planrunner.instruments.formats.clock import DateOrder, of_arrow, of_objects, seconds_in, seconds_of
+from planrunner.cli import main
+from planrunner.instruments.formats.choice import Format, open_file
+from planrunner.instruments.formats.clock import (
+    DateOrder,
+    NoTimesError,
+    of_arrow,
+    of_objects,
+    seconds_in,
+    seconds_of,
+    text_of,
+)
 from planrunner.instruments.formats.file import TimeStamps
+from planrunner.instruments.formats.text import TextKeys
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters
@@ -24,6 +34,11 @@ from planrunner.instruments.recording_segments import read_segment_table
 from planrunner.plan import source
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment
+
+
+def place(index: int) -> str:
+    return f"here, text {index}"
+
 
 NOON = datetime(2026, 3, 4, 12, 0, 0, 5000, UTC)
 
@@ -84,17 +99,86 @@ def test_what_is_no_time(text: str) -> None:
 
 
 def test_missing_times_and_times_of_both_kinds() -> None:
-    found = seconds_in(pa.array(["12:00:00", None, " ", "12:00:01"]), "here", DateOrder())
+    found = seconds_in(pa.array(["12:00:00", None, " ", "12:00:01"]), place, DateOrder())
     np.testing.assert_array_equal(found, [43200, np.nan, np.nan, 43201])
-    with pytest.raises(InstrumentError, match="only some"):
-        seconds_in(pa.array(["12:00:00", "2026-03-04 12:00:01"]), "here", DateOrder())
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        (["12:00:00", "2026-03-04 12:00:01", "12:00:02"], "text 1: '2026-03-04 12:00:01' has a date"),
+        (["2026-03-04 12:00:00", "2026-03-04 12:00:01", None, "12:00:02"], "text 3: '12:00:02' has no date"),
+        (["12:00:00", None, "12:0o:01"], "text 2: '12:0o:01' is not a date with a time.*such as '12:00:00'"),
+    ],
+)
+def test_a_time_unlike_the_others_is_named(texts: list[str | None], said: str) -> None:
+    with pytest.raises(InstrumentError, match=said) as caught:
+        seconds_in(pa.array(texts), place, DateOrder())
+    assert not isinstance(caught.value, NoTimesError)
+
+
+def test_texts_without_any_time() -> None:
+    with pytest.raises(NoTimesError, match="text 1: 'on' is not a date"):
+        seconds_in(pa.array([None, "on", "off"]), place, DateOrder())
+
+
+GARBLED = {
+    "2026-03-0 4T12:00:05.600": "row 57 (line 60), column 'time': '2026-03-0 4T12:00:05.600' is not a date with a time, or a time of day; "
+    "write it like the other times, such as '2026-03-04T12:00:00.000000', or remove the row",
+    "2026-13-04T12:00:05.600": "row 57 (line 60), column 'time': '2026-13-04T12:00:05.600' is not a date",
+    "12:00:05.600": "row 57 (line 60), column 'time': '12:00:05.600' has no date, but other times have one",
+    "": "row 57 (line 60): the time is missing",
+    "2026-03-05T12:00:05.600": "row 58 (line 61): time does not increase: 2026-03-04 12:00:05.7 after 2026-03-05 12:00:05.6; sort the "
+    "recording, or correct or remove this row or the row before it",
+}
+
+
+@pytest.mark.parametrize("garbled", GARBLED)
+def test_one_garbled_date_is_named_with_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], garbled: str
+) -> None:
+    """A hundred rows. A comment and an empty line before row 57 are lines, but no rows. `new --from-recording` and `check` name the same
+    place."""
+    begin = datetime(2026, 3, 4, 12, tzinfo=UTC)
+    times = [f"{begin + timedelta(milliseconds=100 * k):%Y-%m-%dT%H:%M:%S.%f}" for k in range(100)]
+    noise = np.random.default_rng(1).normal([0, 0, 0, 0, 0, 9.8], 0.01, (100, 6))
+    cells = [",".join(f"{value:.5f}" for value in row) for row in noise]
+
+    def written(times: list[str]) -> None:
+        rows = [f"{time},{values}" for time, values in zip(times, cells, strict=True)]
+        lines = ["time,gx,gy,gz,ax,ay,az", *rows[:20], "# paused", "", *rows[20:]]
+        (tmp_path / "r.csv").write_text("\n".join(lines) + "\n")
+
+    written(times)
+    assert main(["new", "--from-recording", str(tmp_path / "r.csv"), str(tmp_path / "plan.yaml")]) == 0
+    written([*times[:56], garbled, *times[57:]])
+    capsys.readouterr()
+    for arguments in (
+        ["new", "--from-recording", str(tmp_path / "r.csv"), str(tmp_path / "other.yaml")],
+        ["check", str(tmp_path / "plan.yaml"), "--data", str(tmp_path)],
+    ):
+        assert main(arguments) == 2
+        assert f"r.csv, {GARBLED[garbled]}" in capsys.readouterr().err
+
+
+def test_how_messages_show_a_time() -> None:
+    assert text_of(43200.005) == "12:00:00.005" and text_of(86_401.0) == "00:00:01"
+    assert text_of(NOON.timestamp()) == "2026-03-04 12:00:00.005"
+
+
+def test_the_line_of_a_row_below_other_lines(tmp_path: Path) -> None:
+    """Three lines before the header, a value over two lines, and a line without its last cell are no rows of their own."""
+    (tmp_path / "r.txt").write_text('# a\n# b\n\ntime;x;note\n12:00:00;1;"of\ntwo"\n12:00:01;2\n12:00:02;3;\nnoon;4;\n')
+    keys = Format(type="text", parameters=TextKeys(separator="semicolon", skip=3))
+    file = open_file(tmp_path / "r.txt", "r.txt", TimeStamps("time", written=True), {"x": "x"}, keys)
+    assert file.place(1) == "row 1 (line 6)" and file.place(2) == "row 2 (line 8)"
 
 
 def test_times_that_are_no_texts() -> None:
     stamps = np.array(["2026-03-04T12:00:00.005", "NaT"], "M8[us]")
-    for found in (of_objects(stamps, "here", DateOrder()), of_arrow(pa.array(stamps), "here", DateOrder())):
+    for found in (of_objects(stamps, place, DateOrder()), of_arrow(pa.array(stamps), place, DateOrder())):
         assert found[0] == pytest.approx(NOON.timestamp(), abs=1e-6) and np.isnan(found[1])
-    assert of_arrow(pa.array([NOON.time()]), "here", DateOrder())[0] == pytest.approx(43200.005)
+    assert of_arrow(pa.array([NOON.time()]), place, DateOrder())[0] == pytest.approx(43200.005)
 
 
 def written_as_text(folder: Path, times: list[datetime]) -> str:
@@ -169,7 +253,7 @@ def test_day_and_month_have_one_order_in_a_column(texts: list[str], first: datet
     """In each column, the time continues over midnight. Row by row, some of these dates would count in the other order."""
     dates = DateOrder()
     dates.decide_for(texts)
-    found = seconds_in(pa.array(texts), "here", dates)
+    found = seconds_in(pa.array(texts), place, dates)
     assert found[0] == pytest.approx(first.timestamp(), abs=1e-6)
     assert found[1] - found[0] == pytest.approx(0.2, abs=1e-6)
 

@@ -183,9 +183,9 @@ def test_gaps_are_passed_on(tmp_path):
 @pytest.mark.parametrize(
     ("row", "value", "words"),
     [
-        (41, 3.9, "row 42: time does not increase: 3.9 s after 4 s"),
-        (30, 2.9, "row 31: time does not increase: 2.9 s after 2.9 s"),
-        (7, np.nan, "row 8: the time is missing"),
+        (41, 3.9, r"row 42( \(line 43\))?: time does not increase: 3.9 s after 4 s"),
+        (30, 2.9, r"row 31( \(line 32\))?: time does not increase: 2.9 s after 2.9 s"),
+        (7, np.nan, r"row 8( \(line 9\))?: the time is missing"),
     ],
 )
 def test_time_that_does_not_increase_is_an_error_with_its_row(tmp_path, name, row, value, words):

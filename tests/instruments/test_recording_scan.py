@@ -57,7 +57,7 @@ def test_every_fault_in_time_is_found_wherever_it_lies(tmp_path, monkeypatch, ba
     time[80], time[90], time[95] = time[79], np.nan, 9.0
     write(tmp_path, time)
     if batch > len(time):  # what the first rows show is said when the file is opened
-        with pytest.raises(InstrumentError, match="row 91: the time is missing"):
+        with pytest.raises(InstrumentError, match=r"row 91 \(line 92\): the time is missing"):
             looked_over(tmp_path)
         return
     ((severity, code, _, message),) = looked_over(tmp_path)

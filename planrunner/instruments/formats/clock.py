@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 DAY = 86_400.0
 """Seconds."""
+Place = Callable[[int], str]
+"""Returns, for the index of a text, a text that names the file, the row and the column; it is used in messages."""
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _END = r"\s*(?P<p>[AaPp])?(?:\.?[Mm]\.?)?\s*(?:Z|z|UTC|GMT)?(?P<z>[+-]\d{2}:?(?:\d{2})?)?(?:\[[^\]]*\])?\s*$"  # half of the day, zone
 _COLONS = r"(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{1,2})(?:[.,:](?P<f>\d{1,9})\d*)?)?"
@@ -40,6 +42,10 @@ _FORMS = (
 )
 """A date with the year first or last, before a time of day; both without separators; minutes and seconds; and a time of day without
 separators, as in NMEA sentences."""
+
+
+class NoTimesError(InstrumentError):
+    """Reports a column of texts none of which is a time."""
 
 
 class DateOrder:
@@ -90,12 +96,12 @@ class DateOrder:
             self.decide()
 
 
-def seconds_in(texts: pa.Array, where: str, dates: DateOrder) -> Array:
+def seconds_in(texts: pa.Array, where: Place, dates: DateOrder) -> Array:
     """Converts texts to times [s], shape (n,). An empty or missing text gives NaN.
 
-    `where`: a text that names the file and the column; it is used in messages. `dates`: the order of day and month. Raises
-    `InstrumentError` for a text that is not a time, and if some texts contain a date and others do not. While `dates` is undecided,
-    a date that does not exist in the usual order gives NaN instead."""
+    `where`: names the place of a text. `dates`: the order of day and month. Raises `InstrumentError` for a text that is not a time,
+    and if some texts contain a date and others do not; the error is a `NoTimesError` if none of the texts is a time. While `dates`
+    is undecided, a date that does not exist in the usual order gives NaN instead."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -116,26 +122,46 @@ def seconds_in(texts: pa.Array, where: str, dates: DateOrder) -> Array:
             )
             unread[rows[matched]] = False
     wrong = unread | (~np.asarray(absent, bool) & np.isnan(seconds) & (not dates.undecided))
-    if wrong.any():
-        text = str(texts[int(np.flatnonzero(wrong)[0])])[:40]
-        raise InstrumentError(f"{where}: '{text}' is not a date with a time, or a time of day")
     present = ~np.asarray(absent, bool)
+    if wrong.any():
+        index = int(np.flatnonzero(wrong)[0])
+        message = f"{where(index)}: {_quoted(texts, index)} is not a date with a time, or a time of day"
+        if not (present & ~wrong).any():
+            raise NoTimesError(message)
+        other = _quoted(texts, int(np.flatnonzero(present & ~wrong)[0]))
+        raise InstrumentError(f"{message}; write it like the other times, such as {other}, or remove the row")
     if dated[present].any() and not dated[present].all():
-        raise InstrumentError(f"{where}: only some of the times contain a date")
+        seldom = bool(dated[present].mean() < 0.5)
+        index = int(np.flatnonzero(present & (dated == seldom))[0])
+        has = "has a date, but most other times have none" if seldom else "has no date, but other times have one"
+        raise InstrumentError(f"{where(index)}: {_quoted(texts, index)} {has}; write all times in one form")
     return seconds
+
+
+def _quoted(texts: pa.Array, index: int) -> str:
+    return f"'{str(texts[index])[:40]}'"
+
+
+def text_of(seconds: float) -> str:
+    """Returns a time in the form in which a message shows it: a date with a time or, for a time of day in the first two days, hours,
+    minutes and seconds."""
+    whole = round(seconds * 1e6)
+    moment = datetime.datetime(1970, 1, 1) + datetime.timedelta(microseconds=whole)
+    shown = f"{moment:%H:%M:%S.%f}".rstrip("0").rstrip(".")
+    return shown if 0 <= seconds < 2 * DAY else f"{moment:%Y-%m-%d} {shown}"
 
 
 def seconds_of(text: str, where: str, dates: DateOrder) -> float:
     """Returns the time [s] that a text states. `dates`: the order of day and month. Raises `InstrumentError` if it is not a time."""
     import pyarrow as pa
 
-    found = float(seconds_in(pa.array([text], pa.string()), where, dates)[0])
+    found = float(seconds_in(pa.array([text], pa.string()), lambda _: where, dates)[0])
     if np.isnan(found):
         raise InstrumentError(f"{where}: the time is missing")
     return found
 
 
-def of_objects(values: Sequence[object] | NDArray[np.generic], where: str, dates: DateOrder) -> Array:
+def of_objects(values: Sequence[object] | NDArray[np.generic], where: Place, dates: DateOrder) -> Array:
     """Converts values to times [s], shape (n,). The values have NumPy's type `datetime64`, or are texts or times of Python. A
     missing value gives NaN."""
     import pyarrow as pa
@@ -147,7 +173,7 @@ def of_objects(values: Sequence[object] | NDArray[np.generic], where: str, dates
     return seconds_in(pa.array([None if one is None else str(one) for one in values], pa.string()), where, dates)
 
 
-def of_arrow(values: pa.Array, where: str, dates: DateOrder) -> Array:
+def of_arrow(values: pa.Array, where: Place, dates: DateOrder) -> Array:
     """Converts an Arrow array of time stamps, of times of day or of texts to times [s], shape (n,). A missing value gives NaN."""
     import pyarrow as pa
     from pyarrow import types
@@ -162,7 +188,7 @@ def of_arrow(values: pa.Array, where: str, dates: DateOrder) -> Array:
     elif types.is_string(kind) or types.is_large_string(kind) or types.is_null(kind):
         return seconds_in(values, where, dates)
     else:
-        raise InstrumentError(f"{where} holds values of the type {kind}, not dates or times of day")
+        raise InstrumentError(f"{where(0)}: the values have the type {kind}; they are not dates or times of day")
     whole = np.asarray(counts.fill_null(0), np.int64)
     return np.where(np.asarray(counts.is_null(), bool), np.nan, whole / 1e9)
 

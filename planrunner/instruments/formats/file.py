@@ -82,10 +82,10 @@ class SampleRows(Protocol):
         """Returns the values of a column, shape (count,). A missing number is NaN. Raises `InstrumentError` for a value that is not
         a number."""
 
-    def times(self, column: str, where: str, dates: clock.DateOrder) -> Array:
-        """Returns the times [s] in a column of dates or times of day, shape (count,). A missing time is NaN. `where`: a text that
-        names the file and the column; it is used in messages. `dates`: the order of day and month. Raises `InstrumentError` for a
-        value that is not a time."""
+    def times(self, column: str, where: clock.Place, dates: clock.DateOrder) -> Array:
+        """Returns the times [s] in a column of dates or times of day, shape (count,). A missing time is NaN. `where`: names the place
+        of a row, whose index is counted from 0. `dates`: the order of day and month. Raises `InstrumentError` for a value that is
+        not a time."""
 
 
 @dataclass
@@ -148,6 +148,10 @@ class FormatFile(ABC, Generic[Keys]):
     def faults(self) -> tuple[type[Exception], ...]:
         """Exceptions that indicate that the file cannot be read."""
         return (OSError, UnicodeDecodeError)
+
+    def place(self, row: int) -> str:
+        """Returns a text that names a row, counted from 1, in messages."""
+        return f"row {row}"
 
     def hint(self, column: str, known: list[str]) -> str:
         """Returns a hint about a column that the file does not have. `known`: names of the columns of the file."""
@@ -226,19 +230,22 @@ class FormatFile(ABC, Generic[Keys]):
         column = self.stamps.column or ""
         if not self.stamps.written:
             return rows.numbers(column)
-        where = f"{self.name}, rows {first} to {first + rows.count - 1}, column '{column}'"
-        times = rows.times(column, where, self.stamps.dates)
+        times = rows.times(column, self._places(first, column), self.stamps.dates)
         if not self.stamps.dates.undecided:
             return times
         self._decide_dates(column)
-        return rows.times(column, where, self.stamps.dates)
+        return rows.times(column, self._places(first, column), self.stamps.dates)
+
+    def _places(self, first: int, column: str) -> clock.Place:
+        """Returns a function that names the places of the cells of a column in messages. `first`: number of the first row."""
+        return lambda index: f"{self.name}, {self.place(first + index)}, column '{column}'"
 
     def _decide_dates(self, column: str) -> None:
         """Decides the order of day and month from the dates of the whole file."""
         whole = type(self)(self.path, self.name, self.stamps, {}, self.parameters)
         for first, rows in whole.batches(EVERYTHING):
             if rows.count:
-                rows.times(column, f"{self.name}, rows from {first}, column '{column}'", self.stamps.dates)
+                rows.times(column, self._places(first, column), self.stamps.dates)
         self.stamps.dates.decide()
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
@@ -246,13 +253,21 @@ class FormatFile(ABC, Generic[Keys]):
         last row of the previous batch."""
         if not np.all(np.isfinite(time)):
             row = first + int(np.flatnonzero(~np.isfinite(time))[0])
-            raise InstrumentError(f"{self.name}, row {row}: the time is missing or not a number")
+            raise InstrumentError(
+                f"{self.name}, {self.place(row)}: the time is missing or not a number; fill it in, or remove the row"
+            )
         steps = np.diff(time, prepend=-np.inf if before is None else before)
         if np.any(steps <= 0):
             index = int(np.flatnonzero(steps <= 0)[0])
             earlier = time[index - 1] if index else before
-            message = f"time does not increase: {time[index]:.9g} s after {earlier:.9g} s"
-            raise InstrumentError(f"{self.name}, row {first + index}: {message}; sort the recording or remove the row")
+            message = f"time does not increase: {self._shown(time[index])} after {self._shown(earlier)}"
+            hint = "sort the recording, or correct or remove this row or the row before it"
+            raise InstrumentError(f"{self.name}, {self.place(first + index)}: {message}; {hint}")
+
+    def _shown(self, seconds: float | None) -> str:
+        """Returns a time in the form in which messages show it."""
+        moment = math.nan if seconds is None else float(seconds)
+        return clock.text_of(moment) if self.stamps.written else f"{moment:.15g} s"
 
     def unreadable(self, error: Exception) -> InstrumentError:
         """Makes the `InstrumentError` that describes why the file cannot be read."""
@@ -279,5 +294,5 @@ class HeldRows:
             raise InstrumentError(f"the column '{column}' contains dates, not numbers")
         return np.asarray(values, dtype=np.float64)
 
-    def times(self, column: str, where: str, dates: clock.DateOrder) -> Array:
+    def times(self, column: str, where: clock.Place, dates: clock.DateOrder) -> Array:
         return clock.of_objects(self.values[column], where, dates)

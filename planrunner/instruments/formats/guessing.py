@@ -6,6 +6,7 @@ recording should check and correct them.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
 import re
@@ -19,7 +20,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.formats.choice import ENDINGS, Format, open_file
-from planrunner.instruments.formats.clock import DAY
+from planrunner.instruments.formats.clock import DAY, NoTimesError
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextFile, TextKeys
 from planrunner.instruments.interfaces import InstrumentError
@@ -349,7 +350,8 @@ def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]
 
 def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, str]:
     """Finds columns that cannot be read although their names say that they are a time or a channel. Returns the reason for each of
-    them. `numbers`: the columns of numbers, which are left out. Raises `InstrumentError` if the file cannot be read."""
+    them. The reason of a column that contains dates or times of day is the first wrong time. `numbers`: the columns of numbers,
+    which are left out. Raises `InstrumentError` if the file cannot be read."""
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
     found: dict[str, str] = {}
     for column in dict.fromkeys(known):
@@ -358,7 +360,11 @@ def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | N
         if not (guessed_channel(column).sensed or _TIME.search(column)):
             continue
         file = open_file(path, name, TimeStamps(None, period=1.0), {column: column}, given)
+        of_times = open_file(path, name, TimeStamps(column, written=True), {}, given)
         try:
+            with contextlib.suppress(NoTimesError):
+                next(of_times.rows(), None)
+                continue
             next(file.all_rows(), None)
         except InstrumentError as error:
             found[column] = str(error)

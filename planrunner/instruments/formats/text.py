@@ -36,6 +36,8 @@ BLOCK = 1 << 22
 SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "blanks": "\t"}
 """By their words in bench files; any number of blanks become one tab before the text is parsed."""
 DECIMALS = {"point": ".", "comma": ","}
+MOST_COUNTED = 1_000_000
+"""Largest number of a row whose line is counted for a message."""
 MOST_WRONG = 0.1
 """Share of lines with a wrong number of columns from which the separator must be wrong."""
 _MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
@@ -118,6 +120,10 @@ class TextFile(FormatFile[TextKeys]):
             return ()
         found = pc.unique(first).drop_null()
         return tuple(map(str, found.to_pylist())) if len(found) <= 20 else ()
+
+    def place(self, row: int) -> str:
+        line = self._line_of(row) if row <= MOST_COUNTED else None
+        return super().place(row) if line is None else f"{super().place(row)} (line {line})"
 
     def rows_about(self) -> int:
         with open_samples(self.path, self.name) as file:
@@ -214,29 +220,52 @@ class TextFile(FormatFile[TextKeys]):
         """Makes an error about the first line that is too long or the first cell that is not a number; None if there is no such
         line and no such cell."""
         layout = self.parameters
+        with contextlib.suppress(OSError, UnicodeDecodeError), self._lines() as lines:
+            reader = csv.DictReader(lines, list(layout.names) or None, delimiter=layout.delimiter)
+            try:
+                for row in reader:
+                    for column in wanted:
+                        cell = row.get(column) or ""
+                        if not _is_number(cell, layout.point):
+                            place = (
+                                f"{self.name}, line {reader.line_num + layout.skip}: '{cell[:40]}' in column '{column}'"
+                            )
+                            hint = "correct it, or leave it empty"
+                            if _THOUSANDS.fullmatch(cell.strip()):
+                                hint = "write numbers without thousands separators"
+                            return InstrumentError(f"{place} is not a number; {hint}")
+            except csv.Error:
+                message = f"a cell is wider than {csv.field_size_limit()} characters"
+                line = reader.line_num + layout.skip + 1
+                return InstrumentError(f"{self.name}, line {line}: {message}; a sample is one short line")
+        return None
+
+    def _line_of(self, row: int) -> int | None:
+        """Returns the number of the line that contains a row; None if it cannot be counted. Lines with a wrong number of columns are
+        no rows."""
+        layout = self.parameters
+        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), self._lines() as lines:
+            reader = csv.reader(lines, delimiter=layout.delimiter)
+            width = len(layout.names or next((cells for cells in reader if cells), []))
+            found = 0
+            for cells in reader:
+                found += len(cells) == width
+                if found == row:
+                    return reader.line_num + layout.skip
+        return None
+
+    @contextlib.contextmanager
+    def _lines(self) -> Iterator[Iterator[str]]:
+        """Opens the file and yields its lines, without those before the header. Raises `OSError` or `UnicodeDecodeError` if it cannot
+        be read."""
+        layout = self.parameters
         encoding = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
-        with contextlib.suppress(OSError, UnicodeDecodeError), open_samples(self.path, self.name) as opened:
+        with open_samples(self.path, self.name) as opened:
             stream = io.BufferedReader(Blanks(opened, layout.skip)) if layout.separator == "blanks" else opened
             with io.TextIOWrapper(stream, encoding, newline="") as file:
                 for _ in range(layout.skip):
                     file.readline(BLOCK)
-                lines = iter(lambda: file.readline(BLOCK), "")
-                reader = csv.DictReader(lines, list(layout.names) or None, delimiter=layout.delimiter)
-                try:
-                    for row in reader:
-                        for column in wanted:
-                            cell = row.get(column) or ""
-                            if not _is_number(cell, layout.point):
-                                place = f"{self.name}, line {reader.line_num + layout.skip}: '{cell[:40]}' in column '{column}'"
-                                hint = "correct it, or leave it empty"
-                                if _THOUSANDS.fullmatch(cell.strip()):
-                                    hint = "write numbers without thousands separators"
-                                return InstrumentError(f"{place} is not a number; {hint}")
-                except csv.Error:
-                    message = f"a cell is wider than {csv.field_size_limit()} characters"
-                    line = reader.line_num + layout.skip + 1
-                    return InstrumentError(f"{self.name}, line {line}: {message}; a sample is one short line")
-        return None
+                yield iter(lambda: file.readline(BLOCK), "")
 
 
 class Blanks(io.RawIOBase):
