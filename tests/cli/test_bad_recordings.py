@@ -129,7 +129,10 @@ REFUSED: dict[str, tuple[bytes, str]] = {
     "binary": (bytes(range(256)) * 100, "r.csv cannot be read"),
     "text cell": (text().replace(b"\n25.5,", b"\n25.5,abc", 1), "r.csv, line 2552: 'abc30"),
     "row of units": (text(header="t,gx\ns,deg/s"), "line 2: 's' in column 't' is not a number"),
-    "repeated row": (text(changed(TIME, slice(50, 51), TIME[49])), "row 51 (line 52): time does not increase: 0.49 s after 0.49"),
+    "repeated row": (
+        text(changed(TIME, slice(50, 51), TIME[49])),
+        "row 51 (line 52): time does not increase: 0.49 s after 0.49",
+    ),
     "backwards": (text(TIME[::-1]), "row 2 (line 3): time does not increase"),
     "missing time": (text(changed(TIME, slice(50, 51), np.nan)), "row 51 (line 52): the time is missing"),
     "milliseconds for seconds": (text(TIME * 1000), "declared at 100 Hz, but its rows are 10 s apart (0.1 Hz)"),

@@ -39,5 +39,5 @@ class ArrowRows:
             raise InstrumentError(f"{self.name}: {message}") from None
         return arrow_columns.numbers(values)
 
-    def times(self, column: str, where: clock.Place, dates: clock.DateOrder) -> Array:
+    def times(self, column: str, where: clock.PlaceOfText, dates: clock.DateOrder) -> Array:
         return clock.of_arrow(self.batch.column(column), where, dates)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 DAY = 86_400.0
 """Seconds."""
-Place = Callable[[int], str]
+PlaceOfText = Callable[[int], str]
 """Returns, for the index of a text, a text that names the file, the row and the column; it is used in messages."""
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _END = r"\s*(?P<p>[AaPp])?(?:\.?[Mm]\.?)?\s*(?:Z|z|UTC|GMT)?(?P<z>[+-]\d{2}:?(?:\d{2})?)?(?:\[[^\]]*\])?\s*$"  # half of the day, zone
@@ -96,7 +96,7 @@ class DateOrder:
             self.decide()
 
 
-def seconds_in(texts: pa.Array, where: Place, dates: DateOrder) -> Array:
+def seconds_in(texts: pa.Array, where: PlaceOfText, dates: DateOrder) -> Array:
     """Converts texts to times [s], shape (n,). An empty or missing text gives NaN.
 
     `where`: names the place of a text. `dates`: the order of day and month. Raises `InstrumentError` for a text that is not a time,
@@ -161,7 +161,7 @@ def seconds_of(text: str, where: str, dates: DateOrder) -> float:
     return found
 
 
-def of_objects(values: Sequence[object] | NDArray[np.generic], where: Place, dates: DateOrder) -> Array:
+def of_objects(values: Sequence[object] | NDArray[np.generic], where: PlaceOfText, dates: DateOrder) -> Array:
     """Converts values to times [s], shape (n,). The values have NumPy's type `datetime64`, or are texts or times of Python. A
     missing value gives NaN."""
     import pyarrow as pa
@@ -173,7 +173,7 @@ def of_objects(values: Sequence[object] | NDArray[np.generic], where: Place, dat
     return seconds_in(pa.array([None if one is None else str(one) for one in values], pa.string()), where, dates)
 
 
-def of_arrow(values: pa.Array, where: Place, dates: DateOrder) -> Array:
+def of_arrow(values: pa.Array, where: PlaceOfText, dates: DateOrder) -> Array:
     """Converts an Arrow array of time stamps, of times of day or of texts to times [s], shape (n,). A missing value gives NaN."""
     import pyarrow as pa
     from pyarrow import types

@@ -82,7 +82,7 @@ class SampleRows(Protocol):
         """Returns the values of a column, shape (count,). A missing number is NaN. Raises `InstrumentError` for a value that is not
         a number."""
 
-    def times(self, column: str, where: clock.Place, dates: clock.DateOrder) -> Array:
+    def times(self, column: str, where: clock.PlaceOfText, dates: clock.DateOrder) -> Array:
         """Returns the times [s] in a column of dates or times of day, shape (count,). A missing time is NaN. `where`: names the place
         of a row, whose index is counted from 0. `dates`: the order of day and month. Raises `InstrumentError` for a value that is
         not a time."""
@@ -236,7 +236,7 @@ class FormatFile(ABC, Generic[Keys]):
         self._decide_dates(column)
         return rows.times(column, self._places(first, column), self.stamps.dates)
 
-    def _places(self, first: int, column: str) -> clock.Place:
+    def _places(self, first: int, column: str) -> clock.PlaceOfText:
         """Returns a function that names the places of the cells of a column in messages. `first`: number of the first row."""
         return lambda index: f"{self.name}, {self.place(first + index)}, column '{column}'"
 
@@ -294,5 +294,5 @@ class HeldRows:
             raise InstrumentError(f"the column '{column}' contains dates, not numbers")
         return np.asarray(values, dtype=np.float64)
 
-    def times(self, column: str, where: clock.Place, dates: clock.DateOrder) -> Array:
+    def times(self, column: str, where: clock.PlaceOfText, dates: clock.DateOrder) -> Array:
         return clock.of_objects(self.values[column], where, dates)
