@@ -15,7 +15,7 @@ from planrunner.uncertainty.decision import expanded_uncertainty
 
 
 def mean_and_residual(observations: Observations, fit: OutputsFit, output: int) -> list[FilledColumn]:
-    """Returns two table columns for an output: the means of its segments, and the residuals of these means."""
+    """Returns two columns of a table for one output: the means of the segments, and the residuals of these means."""
     name, unit = observations.channels[output], observations.units[output]
     return [
         (TableColumn(f"{name} mean", Role.VALUE, unit), observations.mean[:, output]),

@@ -1,4 +1,4 @@
-"""Predicts the results of a plan's estimates from the schedule alone; nothing in this module reads samples."""
+"""Predicts the results of a plan's estimates from the schedule alone. Nothing in this module reads samples."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def design_of(
     designs: Mapping[str, Design],
     setup: Setup | None = None,
 ) -> Design:
-    """Checks how the planned segments determine the results of one estimate. Also predicts the coefficients of a run.
+    """Checks how well the planned segments determine the results of one estimate. Also predicts the coefficients of a run.
 
     `designs`: designs of the estimates that come before this one. Raises `EstimationError` if the segments are not suitable for the
     estimator.

@@ -1,4 +1,4 @@
-"""Checks that planned rates act on the fitted outputs and do not exceed their full scale.
+"""Checks that the planned rates act on the fitted outputs and do not exceed the full scale of these outputs.
 
 If an output saturates, its readings no longer lie on the straight line that gives the scale factor. If the input axis of an output
 is perpendicular to the rotation axis, the output senses the rotation only through its misalignment.
@@ -28,8 +28,8 @@ def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], sh
     """Returns an error for each output whose reading at the fastest planned rate exceeds its declared full scale.
 
     `shares`: array of shape (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's
-    axis. An output of specific force is not checked. Any other output whose unit is not a rate is checked only if a scale factor
-    K_… is declared.
+    axis. An output of specific force is not checked. An output in another unit than a rate is checked only if a scale factor K_… is
+    declared for it.
     """
     found = []
     rates = np.array([_rate(segment.motion) for segment in request.segments], dtype=float)
@@ -82,7 +82,7 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
 
 
 def _turns(request: DesignRequest[object], name: str) -> bool:
-    """Returns True if an output measures rotation about a known axis, judged by its unit and its name."""
+    """Returns True if the unit and the name of an output show that it measures rotation about a known axis."""
     model = request.sensor.output(name)
     rotation = (unit("rad/s").dimension, unit("pulse/s").dimension)
     return (
@@ -132,9 +132,9 @@ def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
     """Returns the input axis of an output as a vector (3,) in the sensor's frame; None if the name of the output contains no axis.
-    It is the direction that `mounting` gives for the axis in the output's name, or this sensor axis itself if `mounting` does not
-    contain it. If the azimuth of the axis is not given, the other two components are set to zero, so that no valid rate is
-    rejected."""
+    If `mounting` contains the axis in the output's name, the direction comes from `mounting`; otherwise it is this sensor axis
+    itself. If the azimuth of the axis is not given, only its z component is known, and the other two components are set to zero, so
+    that no valid rate is rejected."""
     axis = axis_of(output)
     if axis is None:
         return None

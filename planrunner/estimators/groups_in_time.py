@@ -1,5 +1,5 @@
-"""Proposes groups of repeats if the plan does not name groups: by the labels of the repeats, by long pauses, or by thirds of the
-sequence.
+"""Proposes groups of repeats if the plan does not name groups. Groups are formed by the labels of the repeats, by long pauses, or
+by thirds of the sequence.
 
 If the day, the switch-on or the mounting changed between two groups, repeats of one group agree better than repeats of different
 groups.
@@ -30,10 +30,10 @@ class Grouping:
 
 def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
     """Returns the divisions into groups that a test can use. The repeats must be in the order of time. Every returned division has
-    at least two groups, and more repeats than twice the number of groups.
+    at least two groups, and on average more than two repeats per group.
 
-    `labels`: labels such as day1/r2 or startup-b-07, where the last number counts the repeats of a group. `pauses`: array of shape
-    (n − 1,), time between successive repeats, s; None if this is not known.
+    `labels`: labels of the repeats, such as day1/r2 or startup-b-07. The last number in a label counts the repeats of a group.
+    `pauses`: array of shape (n − 1,), time between successive repeats, s; None if this is not known.
     """
     stems = [re.sub(r"\d+$", "", label) for label in labels]
     found = [

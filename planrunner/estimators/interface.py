@@ -9,7 +9,7 @@ An estimator is a class found through the entry-point group `planrunner.estimato
         def estimate(self, request: EstimateRequest[MyParameters]) -> Estimate       # from the recording
 
 `planrunner.estimators.method` predicts the coefficients that `estimate` will give, and their uncertainties, with the formula of the
-estimator. Values in an `Estimate` are in the units that are usual in the field, and the unit is stored with each value.
+estimator. Values in an `Estimate` are in the units that are usual in the field. The unit is stored with each value.
 """
 
 from __future__ import annotations
@@ -64,15 +64,15 @@ class Coefficient:
     role: CoefficientRole = CoefficientRole.LOCATION
 
     def near(self, place: float) -> float:
-        """Returns the value in `unit`. For a circular quantity, this is the equivalent value that is nearest to `place`, which is
-        in `unit` too."""
+        """Returns the value in `unit`. For a circular quantity, returns the equivalent value that is nearest to `place`
+        [`unit`]."""
         return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 
 @dataclass(frozen=True, slots=True)
 class Unpredicted:
-    """Describes a coefficient whose uncertainty cannot be predicted. A run will give the coefficient, or may give it. `why`: the
-    reason why it cannot be predicted."""
+    """Describes a coefficient that a run will give, or may give, but whose uncertainty cannot be predicted. `why`: the reason why
+    it cannot be predicted."""
 
     name: str
     unit: str
@@ -86,20 +86,20 @@ class Estimate:
     """Contains the coefficients that an estimator found, their covariance, and the information that a reader needs to judge them.
     The covariance has the shape (m, m); its elements are in the products of the coefficients' units.
 
-    An estimator gives the covariance that comes from the data (type A), and the `influences`, which the data do not show. The
-    analysis adds the influences to the covariance of the coefficients, and computes the `budgets`.
+    An estimator computes the covariance due to the data (type A), and the `influences` of inputs whose errors the data do not show.
+    The analysis adds the influences to the covariance of the coefficients, and computes the `budgets`.
 
     `headline`: names of the coefficients that the terminal shows first. `settings`: choices that were made, such as the kind of
     uncertainty. `extra`: plain data for other estimates that use this one. Coefficients that are known at several temperatures, or
-    at one temperature that all segments have in common, are in extra["by_temperature"], where `temperature_model` reads them, as
-    {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}. These standard uncertainties
-    are of type A. The mean times of the data may be added as "time_s": [...].
+    at one temperature that all segments have in common, are in extra["by_temperature"], where `temperature_model` reads them. Their
+    form is {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}. These standard
+    uncertainties are of type A. The mean times of the data may be added as "time_s": [...].
 
     `data_covariance`: the part of the covariance that is of type A. The analysis keeps this part unchanged when it adds the
-    influences. An estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`). If
-    an input acts on two estimates of which one uses the other, it is therefore counted only once, with its sign. `expected`: True
-    if the estimate comes from a schedule instead of a recording. `unstated`: the effect on the coefficients of flicker for which
-    the bench file gives no size; the analysis warns about this flicker.
+    influences. An estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`).
+    Therefore, if an input acts on both of these estimates, it is counted only once, with its sign. `expected`: True if the estimate
+    comes from a schedule instead of a recording. `unstated`: how flicker for which the bench file gives no size affects the
+    coefficients; the analysis warns about this flicker.
     """
 
     name: str
@@ -134,7 +134,7 @@ class Estimate:
 @dataclass(frozen=True, slots=True)
 class Setup:
     """Describes the test set-up apart from site and sensor. It contains the table, the mounting of the sensor, the stated
-    uncertainties, information on this run (name → text), and whether the bench plays back a recording."""
+    uncertainties, the information on this run (name → text), and a flag that is True if the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)
@@ -164,9 +164,9 @@ class EstimateRequest(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest(Generic[P]):
-    """Contains what an estimator needs to check an estimate before anything is recorded. If `detection` is given, spans will be
-    detected in the data, so they are not known yet. `uses`: designs of the estimates that this estimate uses, by their names in the
-    plan."""
+    """Contains what an estimator needs to check an estimate before anything is recorded. If `detection` is given, the spans are not
+    known yet, because they will be detected in the data. `uses`: designs of the estimates that this estimate uses, by their names
+    in the plan."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -183,8 +183,8 @@ class DesignBlock:
     """Describes the linear model of one output at the planned stimulus.
 
     `matrix`: array of shape (n, p), design matrix, SI. `terms`: the p names of the columns. `magnitudes`: array of shape (p,),
-    declared size of each column (Earth rate, g …), by which the column is divided before rank and condition are judged. `sigma`:
-    array of shape (n,), predicted standard uncertainty of each observation, in the output's unit.
+    declared size of each column (Earth rate, g …), by which the column is divided before rank and condition of the matrix are
+    judged. `sigma`: array of shape (n,), predicted standard uncertainty of each observation, in the output's unit.
     """
 
     output: str
@@ -219,9 +219,9 @@ class Foresight:
     """The prediction of a run.
 
     `predicted`: coefficients with nominal values and expected uncertainties. `unpredicted`: coefficients whose uncertainties cannot
-    be predicted. Both tuples are empty if the coefficients of a run are not known. `expected`: estimates computed from the expected
-    observations, one for each set of assumed values; other estimates that use this one are predicted from them. `notes`: remarks
-    about the prediction.
+    be predicted. Both tuples are empty if the coefficients of a run are not known. `expected`: estimates from the expected
+    observations, one for each set of assumed values. The predictions of other estimates that use this one are based on them.
+    `notes`: remarks about the prediction.
     """
 
     predicted: tuple[Coefficient, ...] = ()

@@ -2,7 +2,7 @@
 
 The columns are divided by their declared magnitudes, and the augmented matrix [A | y] is reduced by QR. Rank, solution and
 covariance follow from the small triangular matrix (Golub and Van Loan, Matrix Computations, 5.3). If the data cannot separate some
-terms, an error names these terms. A minimum-norm solution is never returned.
+terms, an error names these terms, and no minimum-norm solution is returned.
 """
 
 from __future__ import annotations
@@ -107,8 +107,8 @@ def fit_each(
 
 
 def whitener(covariance: Array) -> Array:
-    """Returns the matrix W with W·V·Wᵀ = 1, shape (…, n, n). It makes observations of covariance V (…, n, n) uncorrelated with
-    variance one."""
+    """Returns the matrix W with W·V·Wᵀ = 1, shape (…, n, n). Multiplication by W makes observations with the covariance V (…, n, n)
+    uncorrelated, each with the variance one."""
     return _triangular_inverse(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
 
 
@@ -130,8 +130,8 @@ _SMALL = 64  # rows of a matrix that is inverted as a whole
 
 
 def _triangles(matrix: Array, observed: Array, weight: Array | None, whitening: Array | None, scale: Array) -> Array:
-    """Returns, for each of m outputs, the matrix R of the QR factorisation of the weighted matrix [matrix·scale | observed]. The
-    shape is (m, p + 1, p + 1), with fewer rows if there are fewer observations."""
+    """Returns, for each of m outputs, the matrix R of the QR factorisation of the weighted matrix [matrix·scale | observed], shape
+    (m, p + 1, p + 1). With fewer than p + 1 observations, it has as many rows as observations."""
     if whitening is None and len(matrix) >= 2 * _CHUNK:
         weights = [None] * len(observed) if weight is None else list(weight)
         return np.array([_triangle(matrix, one, own, scale) for one, own in zip(observed, weights, strict=True)])
@@ -149,11 +149,11 @@ _BATCH = 4  # chunks scaled and reduced at a time, so that all of it stays in th
 
 
 def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array) -> Array:
-    """Returns the matrix R of the QR factorisation of the matrix weight·[matrix·scale | observed], if it has many rows, shape (p +
-    1, p + 1).
+    """Returns the matrix R of the QR factorisation of weight·[matrix·scale | observed], shape (p + 1, p + 1). It is used for a
+    matrix with many rows.
 
-    Chunks of rows are reduced first, and then the resulting triangular matrices together (Demmel et al., SIAM J. Sci. Comput. 34,
-    2012).
+    First, chunks of rows are reduced separately. Then the resulting triangular matrices are reduced together (Demmel et al., SIAM
+    J. Sci. Comput. 34, 2012).
     """
     n, p = matrix.shape
     widened = np.append(scale, 1.0)

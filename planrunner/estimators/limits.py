@@ -21,10 +21,10 @@ class LimitVerdict:
     """A limit and its verdict. The fields value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
 
     `quantity`: name of the form `estimate.coefficient`. `requirement`: the limit in words, such as `within ±5 deg/h`.
-    `probability`: probability that the true value conforms. `guard_band`: required distance of the value from the limits.
+    `probability`: probability that the true value conforms. `guard_band`: distance that the value must have from the limits.
     `guard_factor`: guard band divided by the expanded uncertainty U. `coverage`: coverage probability of U. `false_decision`:
-    specific risk that this verdict is wrong. `consumer_risk`, `producer_risk`: the global risks of the decision rule if the limit
-    states a prior.
+    specific risk, which is the probability that this verdict is wrong. `consumer_risk`, `producer_risk`: the global risks of the
+    decision rule, if the limit states a prior.
     """
 
     quantity: str

@@ -1,12 +1,12 @@
-"""Defines the structure of most estimators: a result is a function of observations, and the same function predicts the results of a
+"""Defines the structure of most estimators. A result is a function of observations, and the same function predicts the results of a
 run.
 
     found = method.quantities(request)      the formula: coefficients, their covariance and their influences
     words = method.words(request, found)    tables, plots and notes for readers
 
 `estimate` calls both functions. The prediction of a run calls only the first function, with the observations expected from the
-schedule. The check of a plan therefore gives every coefficient that the run will give, with its uncertainty, computed by the same
-formula. If this takes too long, or if the formula needs samples, the estimator has a separate prediction (`ForeseesResults`). Tests
+schedule. The check of a plan therefore gives every coefficient of the run with its uncertainty, and uses the same formula as the
+run. If this takes too long, or if the formula needs samples, the estimator has a separate prediction (`ForeseesResults`). Tests
 compare such a prediction with a run.
 """
 
@@ -52,9 +52,9 @@ _ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what
 class Quantities:
     """The result of an estimator's formula.
 
-    `covariance`: array of shape (m, m), contribution of the data, in the products of the coefficients' units. `influences`:
-    contributions of inputs that the data do not show. `unstated`: flicker whose size the bench file does not state. `extra`: plain
-    data for other estimates that use this one; see `interface.Estimate`.
+    `covariance`: array of shape (m, m), covariance of the coefficients due to the data, in the products of the coefficients' units.
+    `influences`: contributions of inputs whose errors the data do not show. `unstated`: flicker whose size the bench file does not
+    state. `extra`: plain data for other estimates that use this one; see `interface.Estimate`.
     """
 
     coefficients: tuple[Coefficient, ...]
@@ -158,8 +158,8 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
 
 @cache
 def _foresees(estimator: type) -> bool:
-    """Returns True if an estimator class has its own method for predictions. The answer is cached, because a protocol check
-    inspects every attribute."""
+    """Returns True if an estimator class has its own method for predictions. The answer is cached, because a check of a protocol is
+    slow: it inspects every attribute."""
     return issubclass(estimator, ForeseesResults)
 
 

@@ -1,7 +1,7 @@
 """Compares an estimate's intervals with Monte Carlo draws, if the plan requests this (`validate: monte_carlo`).
 
-By the following method, an estimator may define how draws of its data and of the declared inputs become coefficients, including all
-nonlinearity:
+An estimator may have the following method, which computes coefficients from draws of its data and of the declared inputs, including
+all nonlinearity:
 
     def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
@@ -60,7 +60,8 @@ class Chains(Protocol[R]):
 
 
 def linear_chain(estimate: Estimate) -> Draws:
-    """Draws of all coefficients of an estimate that includes its influences. Every dependence is approximated to first order."""
+    """Returns draws of all coefficients of an estimate that includes its influences. All dependences are approximated to first
+    order."""
     data = estimate.covariance if estimate.data_covariance is None else estimate.data_covariance
     scatter = t_draws(data, [budget.lines[0].degrees_of_freedom for budget in estimate.budgets])
     stated = influence_draws(estimate.influences, len(estimate.coefficients))

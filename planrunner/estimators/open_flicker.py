@@ -1,5 +1,5 @@
-"""Warns about flicker noise whose size is limited neither by the bench file nor by the data, so that the intervals of an estimate
-may be too narrow."""
+"""Warns if the intervals of an estimate may be too narrow because neither the bench file nor the data limit the size of the flicker
+noise."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class OpenFlicker:
     """Describes the flicker of a channel if it may be larger than an estimate assumes.
 
     `bound`: the largest bias instability B that the data do not exclude, in `unit`. `coefficient`: name of the coefficient whose
-    interval would have to be widened most. `widening`: factor by which this interval would have to be wider if B were `bound`.
+    interval would be most in error if B were `bound`. `widening`: factor by which this interval would then have to be wider.
     """
 
     channel: str
@@ -37,7 +37,7 @@ class OpenFlicker:
 def open_flicker(estimate: Estimate) -> tuple[OpenFlicker, ...]:
     """Finds flicker that may make an interval of an estimate too narrow. Returns at most one entry for each unstated flicker.
     `estimate`: an estimate whose standard uncertainties and degrees of freedom include the whole budget. Coefficients that measure
-    scatter or that are a largest value are not examined, because they already contain the flicker."""
+    scatter, or that are the largest of several values, are not examined, because they already contain the flicker."""
     found = []
     spreads = np.array([item.standard_uncertainty for item in estimate.coefficients])
     located = np.array([item.role is CoefficientRole.LOCATION for item in estimate.coefficients], dtype=bool)

@@ -1,4 +1,5 @@
-"""Finds segments that do not agree with the other segments, and segments whose errors the other segments would not reveal.
+"""Finds segments that do not agree with the other segments. Also finds segments that the other segments do not check, so that an
+error would remain unnoticed.
 
 The test uses the mean-shift model: segment i of an output has an error δ. An additional column, which is 1 in row i and 0
 elsewhere, describes this error. The t value of δ is the externally studentised residual (Cook and Weisberg, Residuals and Influence
@@ -7,7 +8,8 @@ t value of all segments is tested with Bonferroni's bound. If the largest t valu
 other segments, so that two wrong labels do not hide each other.
 
 The redundancy of a segment is the fraction of its error that appears in its residual. If the redundancy is small, this segment
-alone determines a coefficient: an error of the segment enters the coefficient but does not show in the residuals (Baarda, ibid.).
+alone determines a coefficient: an error of the segment changes the coefficient, but does not appear in the residuals (Baarda,
+ibid.).
 """
 
 from __future__ import annotations
@@ -32,10 +34,9 @@ _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are tho
 class Outlier:
     """Describes a segment that does not agree with the other segments.
 
-    `error`: difference between the segment's mean and the value that the other segments lead one to expect, in the output's unit.
-    `deviations`: this difference in standard deviations. `probability`: probability that chance alone gives a difference at least
-    this large in any of the segments and outputs. `changes`: array of shape (p,), change of the output's coefficients if the
-    segment is left out.
+    `error`: the segment's mean minus the value that the fit to the other segments predicts, in the output's unit. `deviations`:
+    this difference in standard deviations. `probability`: probability that chance alone gives a difference at least this large in
+    any of the segments and outputs. `changes`: array of shape (p,), change of the output's coefficients if the segment is left out.
     """
 
     output: str
@@ -73,8 +74,8 @@ def agreement(fit: OutputsFit, basis: str) -> Agreement:
 
 
 def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
-    """Finds the outliers of one output. `whole`: the effects of an additional column for each segment, while no segment has one
-    yet."""
+    """Finds the outliers of one output. `whole`: for each segment, the effects of an additional column when no segment has such a
+    column yet."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []
@@ -101,11 +102,11 @@ def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> li
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """The effects of one additional column, computed for each segment separately.
+    """Contains, for each segment, the effects of one additional column for this segment.
 
     `errors`: array of shape (n,), the error δ of each segment. `drops`: array of shape (n,), the decrease of χ² due to the
-    additional column. For a segment that the model fits regardless of its reading, `errors` and `drops` are 0. `redundancy`: array
-    of shape (n,), redundancy of each segment. `chi_squared`: χ² without the additional columns.
+    additional column. `errors` and `drops` are 0 for a segment that the model fits exactly, whatever its reading is. `redundancy`:
+    array of shape (n,), redundancy of each segment. `chi_squared`: χ² without the additional columns.
     """
 
     errors: Array
@@ -137,8 +138,8 @@ class _Weighed:
         return cls(covariance, whitening.T @ whitening, columns, fit.fits[k].residuals)
 
     def shifts(self, taken: tuple[int, ...]) -> _Shifts:
-        """Returns the effects of one additional column, for each segment. `taken`: indices of the segments that already have an
-        additional column."""
+        """Returns, for each segment, the effects of one additional column for this segment. `taken`: indices of the segments that
+        already have an additional column."""
         n = len(self.residuals)
         columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])
         weighted = self.weights @ columns

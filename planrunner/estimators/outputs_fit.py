@@ -1,14 +1,14 @@
-"""Fits several outputs with the same design matrix, and gives the coefficients with their joint covariance and degrees of freedom,
-on each of two bases of uncertainty.
+"""Fits several outputs with the same design matrix. Gives the coefficients with their joint covariance and degrees of freedom, for
+each of two bases of uncertainty.
 
 The prior knowledge about the observations of an output is a covariance V. It contains the noise observed within the segments and
 the declared correlated errors (`correlated_errors`). The fit is generalised least squares with V. The two bases of uncertainty
 answer different questions:
 
-    within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences.
-                     Unstated changes from segment to segment (switch-on, an incomplete model) are not included.
-    residual         V gives the proportions, and the scatter of the segments about the model gives one common factor.
-                     Unstated effects are included, but there are few degrees of freedom.
+    within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Unstated
+                     changes from segment to segment (switch-on, an incomplete model) are not included. residual V gives the
+                     proportions, and the scatter of the segments about the model gives one common factor. Unstated effects are
+                     included, but there are few degrees of freedom.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class OutputsFit:
     `names`: names of the p terms.
     `fits`: for each output, the fit with all P = p + q columns.
     `noises`: for each output, the noise within the segments.
-    `spreads`: array of shape (m, n), standard uncertainties for the weights, without the effects. They contain the noise within the
-        segments and, where it is needed, an added standard deviation between segments (`between_segments`).
-    `between`: array of shape (m,), the added standard deviation between segments; 0 if it is not needed.
+    `spreads`: array of shape (m, n), standard uncertainties for the weights, without the effects. They include the noise within the
+    segments and, if it is needed, an additional standard deviation between segments (`between_segments`).
+    `between`: array of shape (m,), the additional standard deviation between segments; 0 if it is not needed.
     `ratios`: array of shape (m,), residual variance divided by the variance expected from noise and effects.
     `effects`: the effects that the weights include.
     `unweighted`: effects that the weights do not include, because the noise of an output is not known.
@@ -59,8 +59,8 @@ class OutputsFit:
     `all_gains`: array of shape (m, P, n), derivatives of the coefficients of all P columns with respect to the observations.
     `all_cofactors`: for each basis, an array of shape (m, P, m, P), the covariance of the coefficients of all P columns without the
         variance factors.
-    `within`: number of observations at the end that are not means of segments (`Observations`).
-    `unstated`: effects of unknown size, each given for the size of one unit; these effects are not in the fit.
+    `within`: number of observations, the last ones, that are not means of segments (`Observations`).
+    `unstated`: effects of unknown size, each described for a size of one unit. The fit does not include them.
     """
 
     outputs: tuple[str, ...]
@@ -127,7 +127,7 @@ class OutputsFit:
     @property
     def variance_factors(self) -> Array:
         """Returns the variance factor of each output, shape (m,): the residual variance divided by the variance that the weights
-        lead one to expect. If the outputs are pooled, all have the mean of these factors."""
+        predict. If the outputs are pooled, all of them get the mean of these factors."""
         factors = np.array([fit.variance_factor for fit in self.fits])
         return np.full_like(factors, factors.mean()) if self.pooled else factors
 
@@ -147,17 +147,17 @@ class OutputsFit:
         return covariance
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
-        """Returns the influences that the effects have on the coefficients, output after output. If functionals (q, m, n) are
-        given, the function returns the influences on these linear functions of the observations instead. On the basis `residual`,
-        the covariance already includes the effects that the weights include."""
+        """Returns the influences of the effects on the coefficients, which are listed output after output. If functionals (q, m, n)
+        are given, returns the influences on these linear functions of the observations instead. On the basis `residual`, the
+        covariance already includes the effects that the weights include."""
         acting = functionals_of(self.gains) if functionals is None else functionals
         doubted = tuple(one.through(acting) for one in self._doubted_drift())
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
         return (*weighted, *(one.through(acting) for one in self.unweighted), *doubted)
 
     def _doubted_drift(self) -> Iterator[CorrelatedError]:
-        """Drift functions that are not fitted although there is some evidence for them, as errors of the observations. The size of
-        such an error comes from the amplitude that a fit of the drift function gives."""
+        """Yields the doubted drift functions, which are not fitted although there is some evidence for them, as errors of the
+        observations. The size of such an error is computed from the amplitude that a fit of the drift function gives."""
         for one in self.drift.doubted:
             for output, (name, own) in enumerate(zip(self.outputs, one.amplitudes, strict=True)):
                 for part, amplitude, column in zip(one.course.parts, own.tolist(), one.course.columns.T, strict=True):
@@ -168,8 +168,8 @@ class OutputsFit:
                     yield CorrelatedError(quantity, {output: column[:, None]})
 
     def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
-        """Returns the change of the coefficients by flicker whose size is not stated, output after output. If functionals (q, m, n)
-        are given, the function returns the effect on these linear functions of the observations instead."""
+        """Returns how flicker of unstated size changes the coefficients, which are listed output after output. If functionals (q,
+        m, n) are given, returns how it changes these linear functions of the observations instead."""
         if not self.unstated:
             return ()
         acting = functionals_of(self.gains) if functionals is None else functionals
@@ -180,7 +180,7 @@ class OutputsFit:
         )
 
     def _evidence(self, output: int, error: CorrelatedError) -> FlickerEvidence | None:
-        """Returns the information in an output's observations about the size of the flicker; None if the noise of an output is not
+        """Returns what an output's observations show about the size of the flicker; None if the noise of the output is not
         known."""
         noise = self.noises[output]
         if not all(one.known for one in self.noises):
@@ -199,8 +199,8 @@ class OutputsFit:
         """Returns the effective degrees of freedom of q quantities, shape (q,). Their gradients with respect to all coefficients
         have the shape (q, m·p).
 
-        The Welch–Satterthwaite formula (JCGM 100:2008, G.4.1) combines the contributions of the outputs. If the variance is pooled,
-        it has the degrees of freedom of all outputs together, or fewer if their residuals are correlated.
+        The Welch–Satterthwaite formula (JCGM 100:2008, G.4.1) combines the contributions of the outputs. A pooled variance has the
+        degrees of freedom of all outputs together, or fewer if the residuals of the outputs are correlated.
         """
         m, p = self.coefficients.shape
         if basis == "residual" and self.pooled:
@@ -247,9 +247,9 @@ def fit_outputs(
     segments is added to the noise of an output under two conditions: noise and effects together do not explain its residuals, and
     either the noise differs between segments or there are effects. Without this addition, the segment with the least noise would
     dominate the fit, although its actual error is as large as the errors of the other segments. Outputs are pooled only if `pooled`
-    is True, their noise is known and nothing is added to the noise.
+    is True, their noise is known, and no standard deviation is added to it.
 
-    `equal`: True gives all segments the same weight. `drift`: the drift functions (powers of the time or recorded temperatures)
+    `equal`: True if all segments have the same weight. `drift`: the drift functions (powers of the time or recorded temperatures)
     that are fitted too, either always or only if the data show them. `unstated`: effects of unknown size, which are not fitted.
     """
     m = len(observations.channels)
@@ -307,7 +307,7 @@ def fit_outputs(
 @dataclass(frozen=True, slots=True)
 class _Fitted:
     """The fits of m outputs; the fields are described in `OutputsFit`. `whitening`: array of shape (m, n, n), for each output, the
-    matrix that makes its observations uncorrelated with variance one; None without effects."""
+    matrix that makes its observations uncorrelated, each with the variance one; None without effects."""
 
     fits: tuple[LinearFit, ...]
     gains: Array
@@ -319,14 +319,15 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True)
 class _Weighting:
-    """The observations (m, n) of the outputs, with their noise and the effects on them, from which all fits take their weights.
+    """Contains the observations (m, n) of the outputs, with their noise and the effects on them. The weights of all fits are
+    computed from these.
 
     `roots`: array of shape (m, n, r), matrices R for which R·Rᵀ is the covariance due to the effects (`stacked_roots`). `sigma`:
     array of shape (m, n), standard deviations of the noise. `whitening`: array of shape (m, n, n), matrices that make observations
-    with noise and effects uncorrelated with variance one; None without effects. The computation of `whitening` takes n³ operations,
-    so all fits with the same weights share it. `expected`: True if the observations are expected values without noise; then χ² is
-    replaced by its expectation. `within`: number of observations at the end that are not means of segments; no scatter between
-    segments is added to them.
+    with noise and effects uncorrelated, each with the variance one; None without effects. The computation of `whitening` takes n³
+    operations, so all fits with the same weights share it. `expected`: True if the observations are expected values without noise;
+    then χ² is replaced by its expectation. `within`: number of observations, the last ones, that are not means of segments; no
+    scatter between segments is added to them.
     """
 
     matrix: Array
@@ -364,8 +365,9 @@ class _Weighting:
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
     def equal(self) -> _Fitted:
-        """Returns the fits in which all segments have equal weights. The residuals are compared with the noise in a second fit,
-        which is weighted by noise and effects. With equal weights, a few large residuals would decide this comparison."""
+        """Returns the fits in which all segments have equal weights. The comparison of the residuals with the noise uses a second
+        fit, which is weighted by noise and effects, because with equal weights a few large residuals would decide the
+        comparison."""
         spreads = np.broadcast_to(np.sqrt(np.mean(self.sigma**2, axis=1, keepdims=True)), self.sigma.shape)
         whitening = _whitening(spreads, self.roots)
         found = self._fits(spreads, None)
@@ -400,8 +402,8 @@ class _Weighting:
 
 
 def _whitening(spreads: Array, roots: Array) -> Array | None:
-    """Returns the matrices (m, n, n) that make observations uncorrelated with variance one, for noise with the standard deviations
-    `spreads` (m, n) and effects with the roots `roots` (m, n, r). None without effects."""
+    """Returns the matrices (m, n, n) that make observations uncorrelated, each with the variance one, for noise with the standard
+    deviations `spreads` (m, n) and effects with the roots `roots` (m, n, r). None without effects."""
     return least_squares.whitener(mixed(spreads, roots)) if roots.size else None
 
 
@@ -448,7 +450,7 @@ def between_segments(
     fitted: Callable[[Array], LinearFit], spread: Array, means: NDArray[np.bool_] | bool = True
 ) -> float:
     """Computes the standard deviation between segments that must be added to the noise `spread` (n,) to make χ²/dof equal to one
-    (Mandel and Paule, Anal. Chem. 54, 1982). Chem. 54, 1982).
+    (Mandel and Paule, Anal. Chem. 54, 1982).
 
     `fitted`: a function that computes the fit for a given spread. `means`: array of shape (n,), True for the observations to which
     the standard deviation is added. χ²/dof decreases as the added deviation grows, so a root search finds the deviation. The result

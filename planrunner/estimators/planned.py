@@ -22,8 +22,8 @@ def matrix_at_rest(
 ) -> Array:
     """Returns the design matrix, SI, shape (n, p). All segments must be at rest.
 
-    `needed`: the reason why segments must be at rest, which is part of the message about a segment that moves. `otherwise`: a text
-    that is part of the message about an unknown orientation. Raises `EstimationError` in either case.
+    Raises `EstimationError` for a segment that moves, and for an unknown orientation. `needed`: the reason why segments must be at
+    rest, as part of the first message. `otherwise`: a part of the second message.
     """
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:
@@ -37,8 +37,8 @@ def matrix_at_rest(
 def planned_blocks(
     request: DesignRequest[object], outputs: Sequence[str], terms: tuple[str, ...], matrix: Array, magnitudes: Array
 ) -> tuple[DesignBlock, ...]:
-    """Returns, for each output, the design matrix of segments at rest, SI, shape (n, p). Also returns the noise that the sensor
-    declares for the planned dwells.
+    """Returns one block for each output. A block contains the design matrix of segments at rest, SI, shape (n, p), and the noise
+    that the sensor declares for the planned dwells.
 
     A dwell of unknown length counts as one second. Raises `EstimationError` for an output that the sensor does not have.
     """

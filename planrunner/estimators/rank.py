@@ -1,4 +1,4 @@
-"""Analyses a design matrix: its rank, its condition, and the terms that it cannot separate.
+"""Analyses a design matrix: determines its rank, its condition, and the terms that it cannot separate.
 
 All results refer to columns divided by their declared magnitudes (Earth rate, g …). The raw SI columns of a good eight-position
 plan differ by five orders of magnitude and would look ill-conditioned.
@@ -52,10 +52,10 @@ def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
 
 
 def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
-    """Writes the null space as a few short linear combinations of columns, given by their names; each of these combinations is
-    zero. The combinations are found by Gauss–Jordan elimination.
+    """Describes the null space by a few short linear combinations of columns, each of which is zero. Columns are given by their
+    names. The combinations are found by Gauss–Jordan elimination.
 
-    A combination with only one name means that this column is zero.
+    If a combination has only one name, this column is zero.
     """
     rows = null.copy()
     done = 0
@@ -86,7 +86,7 @@ def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def explain(null: Array, names: Sequence[str]) -> str:
-    """Explains the null space to a quality engineer in a sentence; empty if every term can be identified."""
+    """Returns a sentence that explains the null space to a quality engineer; empty if every term can be identified."""
     if not len(null):
         return ""
     sentences = []

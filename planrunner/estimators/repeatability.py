@@ -1,4 +1,4 @@
-"""Determines repeatability: how coefficients or means scatter from run to run, and between days or switch-ons. Each standard
+"""Determines repeatability: how much coefficients or means scatter from run to run, and between days or switch-ons. Each standard
 deviation is given with its degrees of freedom.
 
     one level     s(K_q)/mean(K_q) over q repeats (IEEE Std 952 and 1431: repeatability)
@@ -9,10 +9,10 @@ The intervals of standard deviations are χ² intervals. The interval for the su
 Graybill and Wang (J. Am. Stat. Assoc. 75, 1980, 869), because the χ² interval with Satterthwaite's degrees of freedom contains the
 true value in only 91 % instead of 95 % of tests of five days.
 
-There are four warnings: about repeats that scatter more than their own standard uncertainties allow (χ²); about repeats that form
-different groups by their labels, by pauses or by thirds of their sequence (`groups_in_time`, F test) although the plan names no
-groups; about repeats whose sequence is not random, as after a drift (von Neumann, Ann. Math. Stat. 12, 1941, 367); and about groups
-whose scatter differs (Bartlett).
+There are four warnings. The first is about repeats that scatter more than their own standard uncertainties allow (χ² test). The
+second is about repeats that form different groups although the plan names no groups; the groups are formed by labels, by pauses or
+by thirds of the sequence (`groups_in_time`, F test). The third is about repeats whose sequence is not random, as with a drift (von
+Neumann, Ann. Math. Stat. 12, 1941, 367). The fourth is about groups whose scatter differs (Bartlett's test).
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ class Repeats:
     """The n repeated values of one quantity.
 
     `group`: array of shape (n,), index of the group of each value. `own`: array of shape (n,), standard uncertainty of each value,
-    NaN if it is not known. `expected`: the variance that noise alone causes, if the values are expected values; NaN for measured
-    values. `pauses`: array of shape (n − 1,), time between successive repeats, s; None if this is not known.
+    NaN if it is not known. `expected`: for expected values, the variance that noise alone would cause; NaN for measured values.
+    `pauses`: array of shape (n − 1,), time between successive repeats, s; None if this is not known.
     """
 
     name: str
@@ -109,8 +109,8 @@ class Variance:
     """Contains the result of a one-way analysis of variance. n values are divided into k groups.
 
     `mean`: mean of the group means. `within`: variance within groups. `between`: component of variance between groups, which can be
-    negative. `total`: sum of `within` and `between`. Fields such as `mean_uncertainty` or `within_freedom` are the standard
-    uncertainty and the degrees of freedom of these values. `terms`: array of shape (2,), the contributions to `total` of the mean
+    negative. `total`: sum of `within` and `between`. Other fields give the standard uncertainty or the degrees of freedom of these
+    values, such as `mean_uncertainty` or `within_freedom`. `terms`: array of shape (2,), the contributions to `total` of the mean
     square between groups and of the mean square within groups. `ratio`: the statistic F, which is the mean square between groups
     divided by the mean square within groups.
     """
@@ -319,7 +319,7 @@ def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float
 
     The overall mean is the mean of the group means. The variance component between groups is (M_b − M_w)/n₀, where M_b and M_w are
     the mean squares between and within the k groups, and n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i values. `expected`: a
-    variance that is used instead of the scatter of the values about their mean.
+    variance that replaces the scatter of the values about their mean, for expected values.
     """
     numbers = np.unique(group)
     n, k = len(value), len(numbers)
@@ -499,8 +499,8 @@ def _notes(one: Repeats, split: Variance) -> list[Said]:
 
 
 def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
-    """Tests whether the order of the values is random. Returns the probability that successive values in a random order are at
-    least as similar as these values are within their groups; NaN for fewer than eight values within groups.
+    """Tests whether the order of the values is random. Returns the probability that, in a random order, successive values within
+    groups are at least as similar as here; NaN for fewer than eight values within groups.
 
     The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1)
     (von Neumann); η/4 is close to a symmetric beta variable with these moments. In each group, x̄ is the mean of the group.
@@ -562,7 +562,7 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
 
 def _unnamed_groups(one: Repeats) -> Said | None:
     """Returns a warning about repeats that form different groups although the plan treats them as one group; None if they do not.
-    If m divisions into groups are tried, each division is tested at 1/m of the significance level."""
+    If m divisions into groups are tried, each of them is tested at 1/m of the significance level."""
     if len(np.unique(one.group)) > 1 or not math.isnan(one.expected):
         return None
     tried = groupings(one.labels, one.pauses)

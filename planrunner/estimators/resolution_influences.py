@@ -1,8 +1,8 @@
 """Computes the influence of the resolution of outputs on coefficients.
 
-Budgets list this influence but never add it, because other contributions already include it. If the noise does not dither the
-counts, the standard errors of the means include the rounding (see `observations`). If the noise dithers the counts, the scatter of
-the samples includes the rounding errors.
+Budgets list this influence, but do not add it to the uncertainty, because other contributions already include it. If the noise does
+not dither the counts, the standard errors of the means include the rounding (see `observations`). If the noise dithers the counts,
+the scatter of the samples includes the rounding errors.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def resolution_influences(
     request: EstimateRequest[object], outputs: Sequence[str], functionals: Array
 ) -> tuple[Influence, ...]:
     """Returns one influence for each of the m outputs whose resolution is stated. `functionals`: array of shape (q, m, n),
-    ∂coefficient/∂(mean of output k over segment n); functionals of observations that are not means are ignored.
+    ∂coefficient/∂(mean of output k over segment n); derivatives with respect to observations that are not means are ignored.
 
     If the noise is too small to dither the counts, a mean has the rounding error of a single sample. Otherwise the rounding errors
     of its samples average out: the error decreases with the square root of the number of samples.

@@ -1,7 +1,7 @@
 """Defines the results of an analysis, and writes and reads them as JSON (schemas/results.schema.json). Numbers are written with
 full precision, so that reading gives exactly the same floats.
 
-JSON has no infinity and no NaN. They are always written as the texts "inf", "-inf" and "nan".
+JSON has no infinity and no NaN. These numbers are always written as the texts "inf", "-inf" and "nan".
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Results:
     `estimates`: the estimates by name, in the plan's order. `limits`: the verdicts on the limits. `failures`: maps the name of an
     estimate or limit without a result to a message. `segments`: for each recorded segment, the statistics from
     `segment_statistics`. `origin`: source of the samples; None in results from versions that did not record the source. `unfit`:
-    names in `failures` that failed because of the recorded data, not because of the plan.
+    those names in `failures` for which the recorded data, not the plan, are the reason of the failure.
     """
 
     estimates: Mapping[str, Estimate]
@@ -125,8 +125,8 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
 
 
 def comparable(data: Json) -> Json:
-    """Converts results to JSON data in which results of the formats 2 and 3 can be compared. The format, the versions that computed
-    the results, and data that serve only for translations are omitted."""
+    """Converts results of the formats 2 and 3 to a form in which they can be compared. The format, the versions that computed the
+    results, and data that serve only for translations are omitted."""
     if isinstance(data, list):
         return [comparable(item) for item in data]
     if not isinstance(data, dict):

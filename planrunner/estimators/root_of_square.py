@@ -1,5 +1,5 @@
-"""Computes a quantity whose square is estimated from the data, such as a noise coefficient or a component of variance, with its
-uncertainty."""
+"""Computes a quantity and its uncertainty if the data give an estimate of its square, as for a noise coefficient or a component of
+variance."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ def root_of(square: float, spread: float) -> tuple[float, float]:
     The estimate of the square may be negative.
 
     An interval of ± two standard uncertainties about the square is converted to an interval of the quantity. The uncertainty is
-    half of the distance from the quantity to the farther end of this interval. If the square is well known, the result equals that
-    of linear propagation; if it is not, the uncertainty still remains finite.
+    half of the distance from the quantity to the farther end of this interval. If the square is well known, the uncertainty equals
+    that of linear propagation. Otherwise, it is still finite.
     """
     square = max(0.0, square)
     value = math.sqrt(square)

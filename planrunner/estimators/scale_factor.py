@@ -1,7 +1,7 @@
-"""Fits a straight line to outputs at several rates, F = K·ω + F0, which gives scale factor and bias, with nonlinearity and
-asymmetry (terms of IEEE 952 and 1431).
+"""Fits a straight line F = K·ω + F0 to outputs at several rates. It gives the scale factor and the bias, and the nonlinearity and
+the asymmetry (terms of IEEE 952 and 1431).
 
-Any output may be named: for a cross-axis output, the slope gives its misalignment to the rotation axis.
+Any output may be fitted. For a cross-axis output, the slope gives its misalignment with respect to the rotation axis.
 """
 
 from __future__ import annotations
@@ -277,7 +277,8 @@ def _found(
 
 
 def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """Errors of the outputs due to the stated error of each commanded rate. `slopes`: array of shape (m,), slopes of the outputs."""
+    """Returns the errors of the outputs due to the stated error of each commanded rate. `slopes`: array of shape (m,), slopes of
+    the outputs."""
     stated = request.setup.inputs.get("table rate")
     return rate_errors(stated, np.outer(slopes, rates), rates) if stated else ()
 
@@ -296,8 +297,8 @@ def _common(
         return ()
 
     def answered(moved: Array) -> Array:
-        """Returns, up to a constant, the coefficients that the fit would give at other rates, `moved`. The outputs stay the same,
-        so a change of their expected values changes the fit with the opposite sign."""
+        """Returns, except for a constant, the coefficients that the fit would give if the rates were `moved`. The outputs stay the
+        same; a change of their expected values therefore changes the fit with the opposite sign."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])
@@ -306,7 +307,7 @@ def _common(
 def _metrics(
     name: str, rates: Array, observations: Observations, k: int, fit: OutputsFit, basis: str
 ) -> list[tuple[Coefficient, Array]]:
-    """For one output, pairs of a coefficient and its sensitivities (n,) to the means of the output.
+    """Returns further coefficients of one output, each with its sensitivities (n,) to the means of the output.
 
     The nonlinearity [ppm] is the largest residual divided by the largest output. The asymmetry [ppm] is 2·(K₊ − K₋)/(K₊ + K₋),
     where K₊ and K₋ are the slopes of two half-lines that meet at zero rate. The asymmetry requires rates of both signs and three

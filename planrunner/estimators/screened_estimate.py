@@ -2,7 +2,7 @@
 
 The key `outliers` of the plan decides whether the estimate is made without the bad samples, with them, or not at all.
 
-If the bad samples are left out, the report states how the estimate changes if they are used.
+If they are left out, the report states how the estimate would change if they were used.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _SILENT = (FindKind.LOST,)  # the gaps in time have a warning of their own
 def estimated(
     segments: Sequence[RecordedSegment], outliers: str, estimate: Callable[[tuple[RecordedSegment, ...]], Estimate]
 ) -> tuple[Estimate, tuple[RecordedSegment, ...]]:
-    """Computes an estimate with or without the bad samples, as the option `outliers` requires. Returns the estimate, to which
-    warnings and tables about these samples are added, and the segments that were used.
+    """Computes an estimate with or without the bad samples, as the option `outliers` requires. Returns the estimate, with
+    additional warnings and tables about these samples, and the segments that were used.
 
     Raises the `EstimationError` of the estimator, and `UnfitDataError` if there are bad samples and the plan refuses them.
     """

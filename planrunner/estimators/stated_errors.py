@@ -1,10 +1,10 @@
 """Computes how errors of declared inputs (latitude, gravity, and errors of the table) change the observations of a linear model.
 Each input is changed by a small amount, and the model is evaluated again.
 
-Latitude and gravity change the columns of the model. Errors of latitude and gravity cause no scatter between segments, so their
-contribution is added to the contribution of the data. Errors of positions, azimuth, right angles between the table's axes, and
-rates differ between segments and cause scatter, so they are included in the weights of a fit (`correlated_errors`). The sign of a
-change is the sign for an input that is stated too large. For positions, the sign is that of the rotation error itself.
+Errors of latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is
+added to the contribution of the data. The errors of the table are those of positions, azimuth, right angles between the table's
+axes, and rates. They differ between segments and cause scatter, so they are included in the weights of a fit (`correlated_errors`).
+Changes are computed for an input that is stated too large; for positions, they are computed for the rotation error itself.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
 
 
 def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
-    """Returns latitude and gravity as conditions that can be changed, if they are stated with an uncertainty. The azimuth is not
+    """Yields latitude and gravity as conditions that can be changed, if they are stated with an uncertainty. The azimuth is not
     included, because it rotates the sensor on the table but does not change the site."""
     if latitude := inputs.get("latitude"):
         yield StatedCondition.single(latitude, lambda by: replace(site, latitude=site.latitude + by))
@@ -59,10 +59,10 @@ def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
 def site_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Computes the errors of the observations that latitude and gravity cause, if these are stated with an uncertainty. An error of
-    latitude or gravity changes the expected outputs, not the readings. An expected output that is too large has the same effect as
-    a reading that is too small. `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs'
-    units per SI unit of each column."""
+    """Computes the errors of the observations due to latitude and gravity, if these are stated with an uncertainty. Such an error
+    changes the expected outputs, not the readings; an expected output that is too large has the same effect as a reading that is
+    too small. `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of
+    each column."""
     stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()
@@ -91,7 +91,7 @@ _site_slopes_of_motion = kept(64)(_site_slopes)
 def table_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
-    """Computes the errors of the observations that the table causes. Only errors of the table for which the bench file states an
+    """Computes the errors of the observations due to the table. Only errors of the table for which the bench file states an
     uncertainty are included.
 
     `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of each
@@ -169,7 +169,7 @@ def _followed(slopes: Array, coefficients: Array) -> Array:
 
 
 def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
-    """Computes the errors of the observations that a relative error of each commanded rate causes. The error is the same for all
+    """Computes the errors of the observations due to a relative error of each commanded rate. The error is the same for all
     segments with the same rate. The result is empty if the table never rotates.
 
     `moved`: array of shape (m, n), change of the observations per relative change of the rate of each segment. `rates`: array of
@@ -241,10 +241,10 @@ def _orthogonality_tilts(
 
 
 def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Array) -> CorrelatedError:
-    """The errors of observations due to a position error about each direction in each orientation. The error is the same in all
-    segments that have the same orientation. A position error changes only the component of a vector perpendicular to the direction
-    of the error. An accelerometer that points up does not sense it; a level accelerometer senses it fully. `moved`: array of shape
-    (m, n, 3), change of the observations per unit of the position error about each direction."""
+    """Returns the errors of the observations due to position errors, one about each direction in each orientation. A position error
+    is the same in all segments that have the same orientation. A position error changes only the component of a vector
+    perpendicular to the direction of the error. An accelerometer that points up does not sense it; a level accelerometer senses it
+    fully. `moved`: array of shape (m, n, 3), change of the observations per unit of the position error about each direction."""
     names = list(dict.fromkeys(segment.orientation for segment in segments))
     place = [names.index(segment.orientation) for segment in segments]
     m, n, _ = moved.shape

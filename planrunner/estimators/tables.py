@@ -17,9 +17,9 @@ class Role(StrEnum):
     """States the kind of the cells in a column. Reports use the role, never the title of a column, to round, align and format its
     cells.
 
-    A `VALUE` is rounded according to the first uncertainty column to its right, and shown with five digits if there is no such
-    column. A `NUMBER` is set or stated, and has no uncertainty. A `SHARE` is a fraction of 1 that is shown in percent. A `LABEL` is
-    text.
+    A `VALUE` is rounded according to the first uncertainty column to its right; if there is no such column, it is shown with five
+    digits. A `NUMBER` is a setting or a stated number, and has no uncertainty. A `SHARE` is a fraction of 1 that is shown in
+    percent. A `LABEL` is text.
     """
 
     LABEL = "label"
@@ -74,7 +74,7 @@ FilledColumn = tuple[TableColumn, Iterable[Cell] | Array]
 
 
 def by_columns(title: str, *columns: FilledColumn) -> Table:
-    """Makes a table from columns, each of which is given with its cells."""
+    """Makes a table from columns; each column is given together with its cells."""
     cells = [values.tolist() if isinstance(values, np.ndarray) else values for _, values in columns]
     return Table(title, tuple(column for column, _ in columns), tuple(zip(*cells, strict=True)))
 
@@ -88,9 +88,9 @@ def known(values: Array) -> list[float | None]:
 class Plot:
     """Describes a plot of points for readers.
 
-    `series`: maps the name of each series to its values, one for each label or number of `x`. `uncertainties`: maps names of series
-    to the standard uncertainties of the values; a series may lack them. `log`: True if both axes are logarithmic; values that are
-    not positive are then left out. `lines`: True if the values are drawn as lines over `x`, without points.
+    `series`: maps the name of each series to its values, one for each label or number of `x`. `uncertainties`: maps the names of
+    series that have uncertainties to the standard uncertainties of their values. `log`: True if both axes are logarithmic; values
+    that are not positive are then left out. `lines`: True if the values are drawn as lines over `x`, without points.
     """
 
     title: str

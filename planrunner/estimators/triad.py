@@ -1,4 +1,4 @@
-"""Provides the algebra of a triad: scale factors and misalignments from the fitted matrix of three outputs, and the triad's own
+"""Computes properties of a triad from the fitted matrix of its three outputs: scale factors, misalignments, and the triad's own
 frame.
 
 The response of an output to inputs along the three axes of a frame is a row of coefficients. The scale factor is the length of the
@@ -8,7 +8,7 @@ and its nominal direction. The fitted matrix is therefore S·M, where S is diago
 output has a negative scale factor.
 
 In the triad's own frame (x along the first input axis, y in the plane of the first two input axes), M is lower triangular. The
-fixture and the housing determine the rotation between the triad's own frame and the frame of the fitted matrix.
+rotation between the triad's own frame and the frame of the fitted matrix depends on the fixture and the housing.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _FLAT = 1e-3  # volume of three unit vectors below which they count as lying in 
 
 
 def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, RowFormula]:
-    """Formulas for the scale factor and the misalignments of one output, computed from its row of responses. The result maps
-    directions to formulas: the output's own direction `own` to the formula of the scale factor, and the other directions to the
+    """Returns formulas that compute the scale factor and the misalignments of one output from its row of responses. The formulas
+    are given by direction: for the output's own direction `own`, the formula of the scale factor; for the other directions, the
     formulas of the misalignments.
 
     `places`: maps a direction (0, 1, 2 for x, y, z) to the index of its coefficient in the row. If the output was never excited

@@ -1,11 +1,12 @@
-"""Estimates the largest size that the data do not exclude for flicker whose coefficient B the bench file does not give.
+"""Estimates how large flicker may be if the bench file does not state its coefficient B: the largest size that the data do not
+exclude.
 
-Flicker increases the scatter of the segments about the model only a little, but it changes constants, which are averages over a
-long time, much more. The scatter of a few segments therefore does not reveal the flicker, and a significance test would not find
-it. The question is therefore how large B may be. The posterior distribution of B follows from the residuals of a fit and the noise
-within the segments by restricted likelihood (Harville, J. Am. Stat. Assoc. 72, 1977); the variance of this noise, which is known
-with some degrees of freedom, is integrated out. The prior distribution of B is half-Cauchy (Gelman, Bayesian Analysis 1, 2006). Its
-scale is the value of B for which flicker scatters the segments as much as their noise does. This is a weak prior: only the data can
+Flicker increases the scatter of the segments about the model only a little, but it has a much larger effect on constants, which are
+averages over a long time. A significance test of the scatter of a few segments would therefore not find the flicker. For this
+reason, the module computes how large B may be. The posterior distribution of B follows from the residuals of a fit and the noise
+within the segments by restricted likelihood (Harville, J. Am. Stat. Assoc. 72, 1977). The variance of this noise is known with some
+degrees of freedom, and is integrated out. The prior distribution of B is half-Cauchy (Gelman, Bayesian Analysis 1, 2006). Its scale
+is the value of B for which flicker scatters the segments as much as their noise does. This is a weak prior: only the data can
 exclude large values of B.
 
 An estimator states how its results depend on the flicker (`UnstatedFlicker`), and which observations contain evidence of it
@@ -37,9 +38,9 @@ class FlickerEvidence:
 
     `columns`: array of shape (n, p), columns of the model. `values`: array of shape (n,), the observations. `sigma`: array of shape
     (n,), standard deviations of the noise of the observations. `freedom`: degrees of freedom of this noise. `flicker`: array of
-    shape (n, r), changes of the observations for each of r independent inputs that together represent flicker with B = 1. `within`:
-    array of shape (n,), the part of `sigma`² that is due to flicker with B = 1. `roots`: array of shape (n, q), a matrix R for
-    which R·Rᵀ is the covariance due to the declared effects (`stacked_roots`).
+    shape (n, r), changes of the observations per unit of each of r independent inputs; together, these inputs represent flicker
+    with B = 1. `within`: array of shape (n,), the part of `sigma`² that is due to flicker with B = 1. `roots`: array of shape (n,
+    q), a matrix R for which R·Rᵀ is the covariance due to the declared effects (`stacked_roots`).
     """
 
     columns: Array
@@ -80,9 +81,9 @@ class FlickerEvidence:
         return _spread(self.flicker / np.sqrt(self.sigma**2 + np.sum(self.roots**2, axis=1))[:, None])
 
     def _averaged(self) -> FlickerEvidence:
-        """Returns the evidence in at most `_MOST` averages of successive observations. The averages are linear functions of the
-        observations and follow the same model, so the bound from the averages is valid with the same probability. For n
-        observations, the cost then grows with n² instead of n³."""
+        """Returns the evidence after successive observations have been averaged, so that at most `_MOST` averages remain. The
+        averages are linear functions of the observations and follow the same model. A bound that is computed from them is therefore
+        valid with the same probability. For n observations, the computing time then grows with n² instead of n³."""
         n = len(self.values)
         if n <= _MOST:
             return self
@@ -104,8 +105,8 @@ class FlickerEvidence:
 
 
 def _spread(flicker: Array) -> float:
-    """Returns the standard deviation that flicker with B = 1 causes in the observations, computed from their changes (n, r). It is
-    taken about the mean of the observations, or about zero for a single observation."""
+    """Returns the standard deviation that flicker with B = 1 causes in the observations, computed from their changes (n, r). The
+    standard deviation is taken about the mean of the observations or, for a single observation, about zero."""
     n = len(flicker)
     about = flicker - flicker.mean(axis=0) if n > 1 else flicker
     return float(np.sqrt(np.sum(about**2) / max(n - 1, 1)))
@@ -122,6 +123,6 @@ class UnstatedFlicker:
     evidence: FlickerEvidence | None
 
     def through(self, gradient: Array) -> UnstatedFlicker:
-        """Returns the flicker with its influence on q quantities that are computed from the coefficients. `gradient`: array of
+        """Returns the flicker with its influence on q quantities, which are computed from the coefficients. `gradient`: array of
         shape (q, m), ∂quantity/∂coefficient."""
         return UnstatedFlicker(self.channel, self.influence.through(gradient), self.evidence)

@@ -1,9 +1,9 @@
 """Computes the influences of declared inputs on residuals after compensation, and on the sums of squares of these residuals.
 
 Let c be one set of coefficients, X the design matrix of the verification positions, and i the outputs there. The residual is r =
-M⁻¹·(i − X·c), where the matrix M is computed from c. A wrong input affects r in two ways: through X, and through c, because the
-calibration that gave c used the same latitude, gravity, azimuth and table. Both contributions belong to the same input, so they are
-added with their signs.
+M⁻¹·(i − X·c), where the matrix M is computed from c. An error of an input affects r in two ways: directly, through X; and through
+c, because the calibration that gave c used the same latitude, gravity, azimuth and table. Both contributions come from the same
+error, so they are added with their signs.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def residual_influences(
     found: list[Influence] = []
 
     def recovered(flat: Array) -> Array:
-        """Computes the rates that k sets of coefficients (2·p, k) give. Returns an array of shape (2·v, k), in the unit of the
-        residuals."""
+        """Computes the rates from the outputs for k sets of coefficients (2·p, k). Returns an array of shape (2·v, k), in the unit
+        of the residuals."""
         rates = flexure_gyro.compensated_rates(flat.reshape(2, -1, flat.shape[1]), observed, matrix[:, 3:6])
         return np.asarray(np.swapaxes(rates, 0, 1).reshape(-1, flat.shape[1]) / rate)
 
@@ -50,8 +50,8 @@ def residual_influences(
 
 
 def recovery(coefficients: Array, positions: int, rate: float) -> Array:
-    """Returns the matrix that converts the differences between measured and predicted outputs to rates, shape (2·v, 2·v). The rates
-    are in units of `rate` [rad/s]. `coefficients`: array of shape (2, p), from which the outputs are predicted. Rows are ordered by
+    """Returns the matrix (2·v, 2·v) that converts differences between measured and predicted outputs to differences of the rates,
+    in units of `rate` [rad/s]. `coefficients`: array of shape (2, p), from which the outputs are predicted. Rows are ordered by
     rate, then by position; columns are ordered by output, then by position."""
     return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
 
@@ -74,8 +74,8 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
-    """Returns the influences on the coefficients [U; V] of one set, in SI units, that act through the calibration which gave the
-    set. Flicker is left out, because the simulation of the residuals includes it. The errors of the table remain, because this
+    """Returns the influences that acted on one set of coefficients [U; V], in SI units, during the calibration that gave this set.
+    Flicker is left out, because the simulation of the residuals includes it. Errors of the table are not left out, because the
     simulation does not include their contribution to the calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())

@@ -2,9 +2,9 @@
 
 To first order, the residual that a set of coefficients leaves at a verification position is M⁻¹·(e − x·δ), where e is the noise at
 this position, x is the row of the design matrix for this position, and δ is the error of the coefficients. All sets of coefficients
-are verified with the same noise, so the ratio of two sums of squares scatters less than a ratio of independent sums. Flicker
-correlates calibration and verification: a slow drift that is equal in both cancels. Errors of the table also cancel if a
-verification position is also a calibration position.
+are verified with the same noise, so the ratio of two sums of squares scatters less than a ratio of independent sums. Flicker makes
+the errors of calibration and verification correlated: a slow drift that is equal in both cancels. Errors of the table also cancel
+if a verification position is also a calibration position.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from planrunner.base.kept import kept
 class Prediction:
     """Contains the predicted residuals for several sets of coefficients; the keys are the names of the sets.
 
-    `expected`: the expected residual sum of squares. `ratios`: the quantiles (5 %, median, 95 %) of the ratio of the sum to the sum
-    of the first set. `expected` and `ratios` include noise and declared uncertainties. `relative_spread`: half of the central 68.27
-    % interval of the sum, divided by the expected sum. `ratio_spread`: half of the central 68.27 % interval of the ratio of the sum
-    to the sum of the first set. `relative_spread` and `ratio_spread` come from noise alone.
+    `expected`: the expected residual sum of squares of each set. `ratios`: the quantiles (5 %, median, 95 %) of the ratio of this
+    sum to the sum of the first set. `expected` and `ratios` include noise and declared uncertainties. `relative_spread`: half-width
+    of the central 68.27 % interval of the sum, divided by the expected sum. `ratio_spread`: half-width of the central 68.27 %
+    interval of the ratio. `relative_spread` and `ratio_spread` include noise alone.
     """
 
     expected: dict[str, float]
@@ -36,13 +36,13 @@ class Prediction:
 
 def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
     """Returns, for each set of coefficients, the matrix of a linear map, shape (2·v, z). The map converts z independent inputs with
-    the standard deviation 1 to the errors of the prediction at the v verification positions: the outputs minus the outputs that the
-    set's coefficients predict there. Rows are ordered output after output.
+    the standard deviation 1 to the prediction errors at the v verification positions. A prediction error is the measured output
+    minus the output that the set's coefficients predict. The rows of the first output come before those of the second.
 
     `verification`: array of shape (v, p), design matrix of the verification positions. `sets`: maps the name of a set to matrices
     (2, p, n), which compute the coefficients of each output from the n observations of the calibration. `roots`: for each output, a
-    matrix L (N, r) for which L·Lᵀ is the covariance of all N observations of this output: first the observations at the
-    verification positions, then those of each set, in the order of the sets.
+    matrix L (N, r) for which L·Lᵀ is the covariance of all N observations of this output. The observations at the verification
+    positions come first, followed by the calibration observations of each set.
     """
     found = {}
     for name, maps in _carried(verification, sets).items():
@@ -71,9 +71,10 @@ def expected_sums(verification: Array, sets: tuple[tuple[Array, Array], ...]) ->
 
 
 def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], trials: int, seed: int) -> Prediction:
-    """Predicts the residuals by simulating experiments with a given random seed. `noise`, `stated`: for each set, a matrix (r, z)
-    or (r, s) that maps independent inputs of standard deviation 1 to the residuals; `noise` is for the noise, `stated` for the
-    declared uncertainties. In one simulated experiment, all sets have the same inputs."""
+    """Predicts the residuals by simulating experiments with a given random seed. `noise`: for each set, a matrix (r, z) that maps z
+    independent inputs of standard deviation 1 to the r residuals; the inputs represent the noise. `stated`: for each set, a matrix
+    (r, s) of the same kind; its s inputs represent the declared uncertainties. In one simulated experiment, all sets have the same
+    inputs."""
     rng = np.random.default_rng(seed)
     first = next(iter(noise))
     drawn = rng.standard_normal((noise[first].shape[1], trials))
@@ -95,7 +96,7 @@ def _range(drawn: Array) -> tuple[float, float, float]:
 
 
 def _half(drawn: Array) -> float:
-    """Half of the width of the central 68.27 % interval of the drawn values."""
+    """Returns the half-width of the central 68.27 % interval of the drawn values."""
     low, high = np.quantile(drawn, (0.158655, 0.841345))
     return float(high - low) / 2
 
@@ -117,8 +118,8 @@ def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[A
 
 def weighted_inverse(matrix: Array, sigma: Array) -> Array:
     """Returns the matrices that compute the p coefficients of m outputs from n observations by weighted least squares, shape (m, p,
-    n). `sigma`: array of shape (m, n), standard deviations of the observations. The columns of the design matrix `matrix` (n, p)
-    are scaled internally, because it is ill-conditioned in SI units."""
+    n). `sigma`: array of shape (m, n), standard deviations of the observations. `matrix`: design matrix (n, p). Its columns are
+    scaled internally, because the matrix is ill-conditioned in SI units."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
     inverse: Array = np.linalg.pinv(matrix / sigma[..., None] / size) / size[:, None] / sigma[:, None, :]

@@ -1,9 +1,9 @@
-"""Compares the residuals at verification positions after compensation with each of two or more sets of coefficients (CN100554884C,
-model G0).
+"""Compares two or more sets of coefficients by the residuals that remain at verification positions after compensation
+(CN100554884C, model G0).
 
-Each set recovers ω_Y and ω_X from the outputs; the residuals of a set are the differences between these rates and the components of
-the Earth rate. The measured ratio of the residual sums of squares is compared with the ratio expected from the positions of the
-sets.
+With each set, the rates ω_Y and ω_X are computed from the outputs. The residuals of a set are the differences between these rates
+and the components of the Earth rate. The measured ratio of the residual sums of squares is compared with the ratio expected from
+the positions of the sets.
 """
 
 from __future__ import annotations
@@ -151,8 +151,8 @@ class CompensationResidual:
 
 
 def _independent(stated: Sequence[Influence]) -> list[Influence]:
-    """Returns the influences of inputs that were known before the experiment, without the inputs that were derived from the
-    residuals of a fit."""
+    """Returns only those influences whose inputs were known before the experiment. Inputs that were derived from the residuals of a
+    fit are left out."""
     return [one for one in stated if not one.quantity.from_residuals]
 
 
@@ -276,12 +276,12 @@ def _assemble(
 
 
 def _sum(name: str) -> tuple[str, str, Said]:
-    """Name, unit and description of the residual sum of squares of one set of coefficients."""
+    """Returns name, unit and description of the residual sum of squares of one set of coefficients."""
     return f"RSS_{name}", "(deg/h)^2", said("Residual sum of squares with the coefficients of '{name}'", name=name)
 
 
 def _ratio(name: str, first: str) -> tuple[str, str, Said]:
-    """Name, unit and description of the ratio of the residual sums of squares of two sets of coefficients."""
+    """Returns name, unit and description of the ratio of the residual sums of squares of two sets of coefficients."""
     words = said(
         "Residual sum of squares with the coefficients of '{first}', divided by that with the coefficients of '{second}'",
         first=name,

@@ -75,7 +75,7 @@ class FlexureGyroStaticParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticQuantities(Quantities):
-    """The fitted static coefficients. `stated`: influences of declared inputs on [U; V] in SI units, output after output."""
+    """Contains the fitted static coefficients. `stated`: influences of declared inputs on the coefficients [U; V] in SI units."""
 
     observations: Observations
     design: PositionsDesign
@@ -178,8 +178,8 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         )
 
     def chain(self, request: EstimateRequest[FlexureGyroStaticParameters], estimate: Estimate) -> Draws:
-        """Draws [U; V] by the Monte Carlo method: the draws come from the fit and the stated inputs, and pass through the
-        closed-form inverse."""
+        """Draws the coefficients by the Monte Carlo method. [U; V] are drawn from the fit and the stated inputs; the closed-form
+        inverse then gives the physical coefficients of each draw."""
         made = self.quantities(request)
         return made.found.draws(request.parameters.uncertainty, [made.stated])
 
@@ -198,8 +198,8 @@ def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) ->
 
 
 def local_magnitudes(model: ErrorModel, site: Site) -> Array:
-    """Computes the magnitudes of the columns, shape (p,), from the Earth rate and gravity at the site. If columns are divided by
-    these magnitudes, determinants can be compared between sites."""
+    """Computes the magnitudes of the columns, shape (p,), from the Earth rate and gravity at the site. Determinants of columns that
+    are divided by these magnitudes can be compared between sites."""
     sizes = {0: 1.0, 1: site.gravity, 2: site.gravity**2}
     return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
 
@@ -208,10 +208,10 @@ def local_magnitudes(model: ErrorModel, site: Site) -> Array:
 def reported(
     units_of_outputs: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
 ) -> tuple[tuple[Reported, ...], Array]:
-    """Lists the reported quantities: first the physical coefficients, then U0 …, V0 …. Returns them with the SI value of the unit
-    of each, shape (q,).
+    """Returns the q reported quantities, and the SI values of their units, shape (q,). The physical coefficients come first,
+    followed by U0 … and V0 ….
 
-    A coefficient that is related to an output is in the unit in which this output is recorded.
+    The unit of a coefficient is derived from the units in which the outputs are recorded.
 
     Raises `EstimationError` if the two outputs have different units.
     """
@@ -251,7 +251,7 @@ def static_coefficients(
 
 
 def _in_units(factors: Array, outputs: Array) -> Array:
-    """The reported quantities (q, n) in their units, for [U; V] in SI (r, n)."""
+    """Computes n sets of the reported quantities (q, n), in their units, from [U; V] in SI (r, n)."""
     physical = flexure_gyro.physical_coefficients(outputs.reshape(2, -1, outputs.shape[1]))
     return np.asarray(np.concatenate([physical, outputs]) / factors[:, None])
 
@@ -268,8 +268,8 @@ def _extra(
     fit: OutputsFit,
     parameters: FlexureGyroStaticParameters,
 ) -> dict[str, object]:
-    """Data in SI for another estimate that compensates with these coefficients: the coefficients, their covariance for each kind of
-    uncertainty, the design matrix, and the times and noise of the observations. The bias instability is given as 0.0 if the weights
+    """Returns data in SI for another estimate that compensates with these coefficients: the coefficients, their covariance for each
+    kind of uncertainty, the design matrix, and the times and noise of the observations. The bias instability is 0.0 if the weights
     do not include it."""
     flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
@@ -296,7 +296,8 @@ _GEOMETRY = (
 
 
 def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
-    """Descriptions of the coefficients, in the order of `flexure_gyro.physical_names` and then of `flexure_gyro.output_names`."""
+    """Returns the descriptions of the coefficients, in the order of `flexure_gyro.physical_names` and then of
+    `flexure_gyro.output_names`."""
     of_drifts = (_drift(axis, rate, kind) for axis, rate in (("X", "Y"), ("Y", "X")) for kind in drifts(products))
     of_outputs = (
         said("Coefficient {term} in the model of the torquer current i_{axis}", term=number, axis=axis)
@@ -333,8 +334,8 @@ def _drift(axis: str, rate: str, kind: str) -> Said:
 
 
 def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
-    """Returns the values `determinant` and `condition`, with which sets of positions can be compared, and a sentence that states
-    these values. Rates are in units of the Earth rate, and accelerations in units of g."""
+    """Returns the values `determinant` and `condition` of a set of positions, and a sentence that states them. The values serve to
+    compare sets of positions. For them, rates are in units of the Earth rate, and accelerations in units of g."""
     sight = rank.look(design.matrix / design.magnitudes)
     determinant, condition = sight.determinant, sight.condition
     note = said(

@@ -1,4 +1,5 @@
-"""Computes the results of an IMU calibration from the fitted responses of its triads: names, units and one common formula.
+"""Computes the results of an IMU calibration from the fitted responses of its triads. Gives the names and units of the results, and
+one formula for all of them.
 
     measured = S·M·true + b + G·f
 
@@ -80,7 +81,7 @@ class Framed:
 
 @dataclass(frozen=True, slots=True)
 class ImuResults:
-    """Contains all reported quantities, triad after triad. Also contains the formula that computes them from the fitted responses.
+    """Contains all reported quantities, one triad after the other, and the formula that computes them from the fitted responses.
     `frame`: the fitted responses in the reported frame."""
 
     frame: Framed
@@ -89,9 +90,9 @@ class ImuResults:
 
 
 def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResults:
-    """Computes the results in the frame of the fixture. If `lower_triangular` is True, computes them in the frame of the
-    accelerometers, or of the gyros if there are no accelerometers. Raises `EstimationError` if no frame can be defined or a term
-    cannot be transformed, and `UnfitDataError` for an output that does not respond."""
+    """Computes the results in the frame of the fixture or, if `lower_triangular` is True, in the own frame of the accelerometers
+    (of the gyros if there are no accelerometers). Raises `EstimationError` if no frame can be defined or a term cannot be
+    transformed. Raises `UnfitDataError` for an output that does not respond."""
     reference = fitted[-1] if lower_triangular else None  # the accelerometers, if there are any
     if lower_triangular:
         _must_turn(fitted)
@@ -146,8 +147,8 @@ def _rotation(reference: Response, values: Array) -> Array:
 
 
 def _turned(one: Response, values: Array, rotation: Array) -> Array:
-    """Transforms the responses (3, p, n) to rates and specific forces to another frame, which follows from the old frame by the
-    rotation (3, 3, n)."""
+    """Transforms responses (3, p, n) to another frame. These are responses to rates and to specific forces. `rotation`: array of
+    shape (3, 3, n), the rotation from the old frame to the new one."""
     turned = np.array(values)
     for places in (one.places("rate"), one.places("accel")):
         if places:
@@ -174,8 +175,8 @@ def _must_turn(responses: Sequence[Response]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """One reported quantity of one output: `factor` times the value that `of` computes from the output's responses, which are in
-    the output's unit per SI unit of the term."""
+    """One reported quantity of one output. Its value is `factor` times the result of `of`, a function of the output's responses;
+    these are in the output's unit per SI unit of the term."""
 
     reported: Reported
     of: RowFormula

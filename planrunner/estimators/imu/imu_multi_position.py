@@ -6,7 +6,7 @@ Each output is fitted by a linear model of named terms at the mean stimulus of e
 Accelerometers use only segments at rest, because they sense centripetal acceleration during a spin unless they are on the rotation
 axis.
 
-The resulting tables give the matrices and their inverses, and notes explain how to apply them.
+The report contains tables of the matrices and their inverses, and notes that explain how to apply them.
 """
 
 from __future__ import annotations
@@ -311,8 +311,8 @@ def _stated(request: EstimateRequest[ImuMultiPositionParameters], one: Triad) ->
 def _earth_rate_alone(
     request: DesignRequest[ImuMultiPositionParameters], blocks: Sequence[DesignBlock]
 ) -> list[Remark]:
-    """Warnings about scale factors that are determined by the Earth's rotation alone. The rank of the design matrix does not show
-    this."""
+    """Returns warnings about scale factors that are determined by the Earth's rotation alone. The rank of the design matrix does
+    not show this."""
     terms = blocks[0].terms
     alone = [
         name
@@ -336,8 +336,8 @@ def _earth_rate_alone(
 def _extra(
     request: EstimateRequest[ImuMultiPositionParameters], frame: Framed, found: Sequence[Coefficient]
 ) -> dict[str, object]:
-    """Data for estimates that use this one: the matrices, and the coefficients with their temperature if all segments had the same
-    temperature."""
+    """Returns data for estimates that use this one: the matrices and, if all segments had the same temperature, the coefficients
+    with this temperature."""
     extra: dict[str, object] = {
         one.kind: {
             "terms": list(one.model.names),
@@ -363,8 +363,8 @@ def _inverse(one: Response) -> Array | None:
 
 
 def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) -> Mapping[str, object]:
-    """Returns the coefficients at one temperature. Their form is described in `interface.Estimate`, field `extra`. `time`: mean
-    time of the test, s."""
+    """Returns the coefficients at one temperature, in the form that `interface.Estimate` describes for its field `extra`. `time`:
+    mean time of the test, s."""
     return {
         one.name: {
             "temperature_degC": [celsius],

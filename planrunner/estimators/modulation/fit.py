@@ -1,4 +1,4 @@
-"""Separates the part of a navigation's velocity error that repeats with the rotation cycle from the Schuler and 24-hour
+"""Separates two parts of a navigation's velocity error: the part that repeats with the rotation cycle, and the Schuler and 24-hour
 oscillations.
 
 The horizontal velocity is written as a complex number, east + i·north. Over a whole number of cycles, the velocity is fitted by
@@ -35,7 +35,8 @@ class PeriodicPart:
 
     `orders`: array of shape (m,), orders of the harmonics, positive and negative. `velocities`: array of shape (m,), coefficients
     of the harmonics [m/s]. `noise`: array of shape (m,), standard uncertainty of each coefficient [m/s], from the residuals.
-    `hidden`: orders of harmonics that are too close to a free oscillation. `period`: period of the cycle, s.
+    `hidden`: orders of the harmonics that cannot be fitted, because their frequency is too close to a free oscillation. `period`:
+    period of the cycle, s.
     """
 
     orders: NDArray[np.int_]
@@ -52,8 +53,8 @@ class PeriodicPart:
         return largest(self.orders, self.velocities * self.period / (2j * math.pi * self.orders))
 
     def position_noise(self) -> float:
-        """Returns an upper bound [m] of the standard uncertainty of `largest_position`. It assumes that the peaks of all harmonics
-        coincide."""
+        """Returns an upper bound [m] of the standard uncertainty of `largest_position`, for the case that the peaks of all
+        harmonics coincide."""
         return float(np.hypot.reduce(self.noise * self.period / (2 * math.pi * np.abs(self.orders))))
 
 

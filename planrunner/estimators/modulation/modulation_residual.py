@@ -3,8 +3,8 @@ navigations with rotation.
 
 Each navigation is a `strapdown_navigation` estimate. The errors of the navigations over their common time give the ratio of CEP
 rates and the suppression of the position error. Over whole cycles, the part of the error that repeats with the cycle is separated
-and compared with a prediction. The prediction follows from the declared constant errors and from the residual and the harmonics of
-the cycle. docs/rotation-cycles.md gives the theory and results.
+and compared with a prediction. The prediction is computed from the declared constant errors, and from the residual and the
+harmonics of the cycle. docs/rotation-cycles.md gives the theory and results.
 """
 
 from __future__ import annotations
@@ -137,8 +137,8 @@ class ModulationResidual:
 
 
 def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | None:
-    """Returns an error if `segments` lacks the segment of a navigation; None if none is missing, or if the designs of the used
-    estimates do not show this."""
+    """Returns an error if the key `segments` lacks a segment of one of the navigations. Returns None if none is missing, or if this
+    cannot be seen from the designs of the used estimates."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
         return None
@@ -166,7 +166,8 @@ def _amplitude(name: str) -> Said:
 
 
 def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, str, Said]]:
-    """Name, unit and description of two results of a navigation with rotation: the ratio of CEP rates and the suppression."""
+    """Returns name, unit and description of two results of a navigation with rotation: the ratio of CEP rates and the
+    suppression."""
     return (
         (
             f"cep_rate_ratio_{name}",
@@ -182,8 +183,8 @@ def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, 
 
 
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
-    """Returns the ratios of CEP rates and the suppressions, with their covariance. These results are correlated, because all of
-    them contain the navigation without rotation."""
+    """Returns the ratios of CEP rates and the suppressions, with their covariance. The results are correlated, because each of them
+    is a comparison with the same navigation without rotation."""
     if still.rms == 0.0:
         raise UnfitDataError(f"'{still.name}' has no position error at all, so nothing can be compared with it")
     coefficients, rows = [], []
@@ -263,7 +264,7 @@ def _cycles(
     periodic: Mapping[str, PeriodicPart],
     request: EstimateRequest[ModulationResidualParameters],
 ) -> list[Table]:
-    """Tables of the residual of each cycle, and of the predicted and the measured error that repeats with the cycle."""
+    """Returns tables of the residual of each cycle, and of the predicted and the measured error that repeats with the cycle."""
     declared = request.parameters.declared
     columns = (
         TableColumn("Navigation"),
@@ -297,8 +298,9 @@ def _cycles(
 def _predicted(
     navigations: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
 ) -> list[Table]:
-    """Tables of the errors that the linear error equations predict for the declared constant errors. A cycle does not modulate the
-    error about the vertical, so a prediction for the horizontal errors alone shows the benefit of the cycle."""
+    """Returns tables of the errors that the linear error equations predict for the declared constant errors. A cycle about the
+    vertical does not modulate the vertical error. A prediction for the horizontal errors alone therefore shows the benefit of the
+    cycle."""
     declared = request.parameters.declared
     if declared is None:
         return []
@@ -344,8 +346,8 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
 
 
 def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]) -> str:
-    """Returns a sentence about the residual of a planned cycle, and about the position error that the declared horizontal errors
-    cause because of this residual."""
+    """Returns a sentence that states the residual of a planned cycle, and the position error that the declared horizontal errors
+    cause due to this residual."""
     table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)
     assert cycle is not None

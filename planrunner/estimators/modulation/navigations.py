@@ -31,7 +31,7 @@ class Navigation:
 
     `course`: array of shape (5, n), with the rows time [s], east and north position error [m], east and north velocity error [m/s].
     `cycle`: the cycle during navigation, None at rest. `aligned`: the cycle during the alignment, None at rest. `highest`: the
-    order of the highest harmonic of interest. `spread`: relative standard uncertainty of the radial error rate.
+    order of the highest harmonic of interest. `spread`: relative standard uncertainty of the slope of the radial error over time.
     """
 
     name: str

@@ -1,10 +1,10 @@
 """Predicts the navigation errors that declared constant sensor errors cause on a turning table. One prediction uses the linear
 error equations, the other uses harmonics.
 
-An alignment at rest adjusts tilt and azimuth so that they compensate those sensor errors which the alignment cannot observe
-(`ErrorEquations.levelled`). As long as the sensor then stays at rest, these sensor errors mostly cancel. An alignment through a
-cycle compensates only the residual of the cycle. After the alignment, the errors of gyros and accelerometers rotate with the table.
-These errors are the input of the equations.
+An alignment at rest cannot observe some sensor errors. It adjusts tilt and azimuth so that they compensate these errors
+(`ErrorEquations.levelled`), which therefore mostly cancel while the sensor stays at rest. An alignment during a cycle compensates
+only the residual of the cycle. After the alignment, the errors of gyros and accelerometers rotate with the table. These errors are
+the input of the equations.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def errors_over_time(
 
 
 def horizontal(errors: Array, attitude: Array) -> Array:
-    """Returns the constant errors without their vertical part, shape (6,). A rotation about the vertical does not modulate the
-    vertical part."""
+    """Returns the constant errors without their vertical part, shape (6,). (A rotation about the vertical does not modulate the
+    vertical part.)"""
     up = attitude[:, 2]
     across: Array = errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
     return across

@@ -1,5 +1,5 @@
-"""Computes curves of the drift angle over each whole run, for readers. The two time windows from which the method computes the
-drift are parts of these curves.
+"""Computes curves of the drift angle over each whole run, for readers. The method computes the drift from two time windows, which
+are parts of these curves.
 
 Accelerometer samples are averaged over bins of whole rocking periods, so that the rocking cancels. One pass over the samples gives
 a few hundred numbers per run.
@@ -33,7 +33,7 @@ ARCSEC = math.radians(1 / 3600)
 class StateCurves:
     """Contains the curves of one level state, averaged over the quadruples of runs in this state. `time`: array of shape (n,), s
     since the start of a record. `angles`: array of shape (4, n, 2) in rad, angles about the two `level` axes in the runs static 1,
-    dynamic 1, dynamic 2 and static 2; the mean angle in the first window is zero; NaN if samples are missing."""
+    dynamic 1, dynamic 2 and static 2; NaN if samples are missing. The mean angle in the first window is zero."""
 
     name: str
     level: tuple[int, int]

@@ -1,5 +1,5 @@
-"""Computes attitudes and tilts of a stabilised element: the tilt that gravity shows, and the motion of an inertially fixed element
-relative to the rotating Earth.
+"""Computes attitudes and tilts of a stabilised element. It computes the tilt that gravity shows, and the motion of an inertially
+fixed element relative to the rotating Earth.
 
 All matrices transform vector components to another frame (v_element = C @ v_site, where the site axes are East-North-Up). R_k(a) is
 the rotation of a frame by `a` about its axis k: R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
@@ -82,7 +82,7 @@ def encoder_attitude(
 
     `rings`, `gimbals`: sequences of angles, (n,) each, the outermost ring or gimbal first. `directions`: the direction that the
     axis of each ring has while all rings are at zero, before the table's `azimuth` is applied. `axes`: for each gimbal, the axis
-    about which it turns, as an axis of the part that carries the gimbal.
+    about which it turns, given as an axis of the part that carries this gimbal.
     """
     found = np.broadcast_to(turned(2, -azimuth), (len(rings[0]), 3, 3))
     for angle, direction in zip(rings, directions, strict=True):
@@ -97,8 +97,8 @@ class LevelState:
     """Describes a state of the element in which two of its axes are level.
 
     `nominal`: array of shape (3, 3), the planned attitude C of the element. `vertical`: the vertical axis of the element. `sign`:
-    +1 if this axis points up, −1 if it points down. `sine`: the level axis whose tilt is computed by an arc sine, and about which
-    the second-to-last rotation takes place. `other`: the other level axis, about which the last rotation takes place: C =
+    +1 if this axis points up, −1 if it points down. `sine`: the level axis whose tilt is computed by an arc sine; the
+    second-to-last rotation is about this axis. `other`: the other level axis; the last rotation is about this axis: C =
     R_other·R_sine·R_vertical·nominal.
     """
 
@@ -141,7 +141,7 @@ class LevelState:
         return np.asarray(turns @ self.nominal)
 
     def heading(self, attitude: Array) -> Array:
-        """Returns the rotation (…) about the vertical axis that the attitude `attitude` (…, 3, 3) contains."""
+        """Returns the rotation (…) about the vertical axis that is part of the attitude (…, 3, 3)."""
         turns = attitude @ self.nominal.T
         return np.arctan2(-self.hand * turns[..., self.other, self.sine], turns[..., self.other, self.other])
 

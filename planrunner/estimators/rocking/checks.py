@@ -1,8 +1,8 @@
 """Checks a rocking test before it runs: windows, timing, pattern of runs, caging and resolution. Also checks whether the drift
 about each axis can be measured.
 
-A finding is an error if the drift under rocking could not be computed or would be wrong. A finding is a warning if the result would
-only be less accurate than the method promises.
+A finding is an error if the drift under rocking could not be computed, or would be wrong. It is a warning if the result would only
+be less accurate than the method can be.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
 
 
 def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run]) -> list[Remark]:
-    """Checks that the time from the release of the element is known. With a nominal azimuth, this time is needed, because the Earth
-    turns relative to the element after the release."""
+    """Checks that the time since the release of the element is known. If the azimuth is a nominal one, this time is needed, because
+    the Earth turns relative to the element after the release."""
     parameters = request.parameters
     if parameters.azimuth != "nominal":
         return []
@@ -82,8 +82,8 @@ def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence
 
 
 def _encoders(request: DesignRequest[RockingDriftParameters]) -> list[Remark]:
-    """Reports names of gimbal axes that are certainly wrong, and missing encoders. Encoders are not checked for a bench without a
-    table, because it may play back a recording with more channels than the bench file names."""
+    """Reports missing encoders, and names of gimbal axes that are certainly wrong. For a bench without a table, encoders are not
+    checked, because such a bench may play back a recording with more channels than the bench file names."""
     parameters = request.parameters
     found = []
     if any(outer == inner for outer, inner in pairwise(parameters.gimbal_axes)):
@@ -221,8 +221,8 @@ def _first_end(parameters: RockingDriftParameters) -> float:
 def count_seconds(
     request: DesignRequest[RockingDriftParameters], parameters: RockingDriftParameters
 ) -> tuple[str, float, float] | None:
-    """Finds the accelerometer with the largest count. Returns its name, this count [m/s^2], and the time [s] in which the smallest
-    drift changes its reading by one count. Returns None if no accelerometer has a stated count."""
+    """Finds the accelerometer with the largest count. Returns its name, the size of the count [m/s^2], and the time [s] in which
+    the smallest drift of interest changes its reading by one count. Returns None if no accelerometer has a stated count."""
     coarsest: tuple[str, float, float] | None = None
     for name in parameters.accelerometers:
         output = request.sensor.output(name)

@@ -1,9 +1,9 @@
 """Computes the Type B influences on the drifts of a rocking test.
 
-Effects that differ from run to run (accelerometer stability and noise, drift, azimuth after caging, counts) are part of the scatter
-between repeated runs, so the budget lists them for comparison but does not add them. The prediction of a run uses these effects.
-Effects that all runs have in common (site, installation angles) are added to the budget; they almost cancel between static and
-dynamic runs.
+Some effects differ from run to run: accelerometer stability and noise, drift, azimuth after caging, and counts. They are part of
+the scatter between repeated runs, so the budget lists them for comparison but does not add them. The prediction of a run uses them.
+Other effects are common to all runs: site and installation angles. They are added to the budget; they almost cancel between static
+and dynamic runs.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def influences_of(
 
 
 def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request: Request) -> Array:
-    """Computes from the declared effects how the drifts of one run scatter about their mean over all runs. Returns their covariance
-    [deg²/h²], shape (k, k)."""
+    """Computes, from the declared effects, how the drifts of one run scatter about the mean of all runs. Returns the covariance of
+    the k drifts [deg²/h²], shape (k, k)."""
     own = influences_on_several(partial(_drifts_of_variants, conditions), _of_one_run(reduced, request))
     count = len(drifts_of(reduced, conditions))
     return np.asarray(sum((one.covariance for one in own), np.zeros((count, count))))
@@ -87,7 +87,7 @@ def expected_scatter(reduced: ReducedRun, conditions: RockingConditions, request
 def _of_all_runs(
     conditions: RockingConditions, request: EstimateRequest[RockingDriftParameters]
 ) -> Iterator[StatedCondition[RockingConditions]]:
-    """The inputs whose errors all runs have in common: latitude, gravity, azimuth and installation angles."""
+    """Yields the inputs whose errors all runs have in common: latitude, gravity, azimuth and installation angles."""
     inputs = request.setup.inputs
     for stated in stated_site(inputs, request.site):
         yield stated.seen_by(lambda site: replace(conditions, earth=site.earth_rate_enu, gravity=site.gravity))
@@ -130,15 +130,15 @@ def _drifts_of_variants(conditions: RockingConditions, each: Sequence[ReducedRun
 
 
 def _portions(each: Sequence[T], reduced: ReducedRun) -> Iterator[Sequence[T]]:
-    """Splits a list of conditions, or of variants of a run, into parts, so that little memory is needed even if the windows have
-    many samples."""
+    """Splits a list of conditions, or of variants of a run, into parts that are small enough to need little memory, even if the
+    windows have many samples."""
     size = max(1, AT_ONCE // max(len(reduced.first.time), len(reduced.second.time)))
     for first in range(0, len(each), size):
         yield each[first : first + size]
 
 
 def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedCondition[ReducedRun]]:
-    """The inputs whose errors differ from run to run."""
+    """Yields the inputs whose errors differ from run to run."""
     parameters, label = request.parameters, reduced.run.label
     names = {axis: f"{label} {AXES[axis]}" for axis in reduced.run.state.level}
     accelerometers = {name: partial(_tilted, reduced, axis) for axis, name in names.items()}
@@ -187,13 +187,13 @@ def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedConditi
 
 
 def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """Returns a variant of the run, in which the reading of one accelerometer is larger by `by` [m/s^2] in the second window."""
+    """Returns a variant of the run in which the reading of one accelerometer is larger by `by` [m/s^2] in the second window."""
     second = reduced.second
     return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
 
 
 def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """Returns a variant of the run, in which the element also drifts at the rate `by` [rad/s] about one of its axes."""
+    """Returns a variant of the run in which the element also drifts at the rate `by` [rad/s] about one of its axes."""
     second, vector = reduced.second, by * reduced.seconds * np.eye(3)[axis]
     readings = second.readings @ turned_by(vector[None])[0].T
     turn = None if second.turn is None else second.turn + vector
@@ -201,15 +201,16 @@ def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
 
 
 def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """Returns a variant of the run, in which the attitude from the encoders is wrong by the angle `by` [rad] in the second window."""
+    """Returns a variant of the run in which the attitude from the encoders is wrong by the angle `by` [rad] in the second
+    window."""
     second = reduced.second
     assert second.turn is not None
     return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))
 
 
 def _noise(request: Request) -> float:
-    """Returns the standard deviation [m/s^2] of the difference between two windows after the filter, due to the white noise of the
-    noisiest accelerometer."""
+    """Returns the standard deviation [m/s^2] of the difference between the filtered means of two windows due to white noise, for
+    the noisiest accelerometer."""
     parameters = request.parameters
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     declared = [request.sensor.output(name) for name in parameters.accelerometers]

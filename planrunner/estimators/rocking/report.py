@@ -1,4 +1,4 @@
-"""Makes the tables, plots and sentences of the report on a rocking test: comparison of the two methods, and the limits of the
+"""Makes the tables, plots and sentences of the report on a rocking test. They compare the two methods, and state the limits of the
 gravity method."""
 
 from __future__ import annotations
@@ -175,7 +175,8 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
 
 
 def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Said:
-    """Writes a note about a drift about the vertical axis. The note states the fraction that appears as a drift about a level axis."""
+    """Writes a note about drift about the vertical axis. It states which fraction of such a drift appears as a drift about a level
+    axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return said(
         "By the second window the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "

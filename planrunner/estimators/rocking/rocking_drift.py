@@ -1,13 +1,13 @@
-"""Estimates the rocking drift of an inertial platform from the direction of gravity, as its accelerometers show it, and for
-comparison from gimbal angles.
+"""Estimates the rocking drift of an inertial platform. It uses the direction of gravity that the accelerometers show and, for
+comparison, the gimbal angles.
 
 The base rocks while the stabilised element should keep its attitude in inertial space. If the element drifts, the direction of
 gravity changes relative to the element. The element is caged before each run, and a run is 10 min of navigation. Four runs form a
 quadruple: static, dynamic, dynamic, static. Quadruples are recorded in states between which the base is turned by 90°. The steps
-for each run are: (1) low-pass filter, (2) installation angles, (3) tilts, (4) change of the tilts from a window at t0 to a window
-at t1, (5) subtraction of the change that an inertially fixed element would show. In step (6), static runs are subtracted from
-dynamic runs. The module `windows` reads samples, `solution` does steps 2 to 5, and `statistics` does step 6 and makes the random
-pairs of runs.
+for each run are: (1) apply a low-pass filter, (2) correct for the installation angles, (3) compute the tilts, (4) compute the
+change of the tilts from a window at t0 to a window at t1, (5) subtract the change that an inertially fixed element would show. In
+step (6), the static runs are subtracted from the dynamic runs. The module `windows` reads samples, `solution` does steps 2 to 5,
+and `statistics` does step 6 and makes the random pairs of runs.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
 
 
 def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, Said | None]:
-    """Whether ring and gimbal angles can be used, and a warning with the reason if they cannot."""
+    """Returns True if ring and gimbal angles can be used; otherwise False and a warning with the reason."""
     parameters = request.parameters
     names = (*parameters.rings, *parameters.gimbals)
     missing = [name for name in names if any(name not in item.units for item in request.segments)]

@@ -1,4 +1,4 @@
-"""Finds the runs of a rocking test: which segments are static and dynamic runs, and which four runs form a quadruple."""
+"""Finds the runs of a rocking test: determines which segments are static and dynamic runs, and which four runs form a quadruple."""
 
 from __future__ import annotations
 
@@ -106,8 +106,8 @@ def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Ru
 
 
 def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
-    """Groups four successive runs each: static, dynamic, dynamic, static, all in one orientation. Raises `EstimationError` if runs
-    are not in this order; the message names the first such run."""
+    """Divides the runs into groups of four successive runs: static, dynamic, dynamic, static, all in one orientation. Raises
+    `EstimationError` if runs are not in this order; the message names the first such run."""
     found = []
     for first in range(0, len(runs), 4):
         four = tuple(runs[first : first + 4])

@@ -33,8 +33,8 @@ class RockingConditions:
     """States the conditions under which drifts are computed.
 
     `earth`: array of shape (3,), Earth rate in East-North-Up, rad/s. `gravity`: magnitude of gravity, m/s^2. `installation`: array
-    of shape (6,) in rad, installation angles in the order of `Installation.stated`. `turned`: error of the table's azimuth, rad,
-    positive if the true azimuth is farther east.
+    of shape (6,) in rad, installation angles in the order of `Installation.stated`. `turned`: error of the table's azimuth, rad;
+    positive if the true azimuth is farther east than assumed.
 
     One object can hold m conditions (see `several_conditions`); its arrays then have a leading axis of length m."""
 
@@ -81,9 +81,9 @@ class ReducedRun:
     """The windows of one run.
 
     `before`: the window that ends when the base begins to rock; None if there is no such window. `lead`: time [s] from the release
-    to the start of the record. If `lead` is None, the encoders give the azimuth at t0. Otherwise the azimuth at t0 is computed from
-    the planned orientation and from the Earth's rotation since the release. `off`: assumed error of the azimuth of this run, rad,
-    from which sensitivities are computed.
+    to the start of the record. If it is given, the azimuth at t0 is computed from the planned orientation and from the Earth's
+    rotation since the release. If it is None, the encoders give the azimuth at t0. `off`: assumed error of the azimuth of this run,
+    rad, from which sensitivities are computed.
 
     One object can hold m variants of a run (see `several_runs`); `off` and the arrays of the second window then have a leading axis
     of length m."""
@@ -146,9 +146,9 @@ def expected_run(run: Run, times: tuple[float, float], conditions: RockingCondit
 
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
-    """Returns the time [s] from the release to the start of the record. It is taken from the plan (`released_before`) or from the
-    recording (`in_mode`), and is otherwise the planned time. Raises `EstimationError` if the bench plays back a recording that does
-    not contain this time."""
+    """Returns the time [s] from the release to the start of the record. The time comes from the plan (`released_before`) or from
+    the recording (`in_mode`); otherwise it is the planned time. Raises `EstimationError` if the bench plays back a recording that
+    does not contain this time."""
     if parameters.released_before is not None:
         return parameters.released_before.value
     if in_mode is not None:
@@ -187,7 +187,7 @@ def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> A
 
 
 def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> Array | None:
-    """Computes the drift [rad/s] about the two level axes before rocking begins, by steps 2 to 5. It is the drift from the first
+    """Computes the drift [rad/s] about the two level axes before rocking begins, by steps 2 to 5. This is the drift from the first
     window to the window that ends when the base begins to rock. Returns an array of shape (…, 2), or None if there is no such
     window."""
     return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)

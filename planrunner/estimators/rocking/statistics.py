@@ -3,8 +3,8 @@
 The rocking drift of a quadruple is the mean of its dynamic runs minus the mean of its static runs (step 6). The quadruples of one
 state are repeats of each other. For an axis that is level in several states, the result is the mean over these states.
 
-The module also warns about implausible drifts of single runs. Such drifts reveal, for example, a reversed channel, which hardly
-changes the differences between runs.
+The module also warns about implausible drifts of single runs. Such drifts reveal, for example, a reversed channel, which the
+differences between runs hardly show.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class StateDrifts:
     """Contains the drifts of all quadruples of one state.
 
     `level`: the two level axes. `quadruples`: the q quadruples of the state. `drifts`: array of shape (q, 4, k) in deg/h, the
-    drifts of the four runs of each quadruple. The first two of the k columns are the drifts about the two level axes by the
-    accelerometers. If there are encoders, the next two are the drifts about these axes by the gimbals. `expected`: only for a
-    prediction, the covariance (k, k) of the rocking drift of one quadruple.
+    drifts of the four runs of each quadruple. The first two of the k columns are the drifts about the two level axes according to
+    the accelerometers. If there are encoders, the next two columns are these drifts according to the gimbals. `expected`: only for
+    a prediction, the covariance (k, k) of the rocking drift of one quadruple.
     """
 
     name: str
@@ -56,8 +56,8 @@ class StateDrifts:
         """Returns the covariance of the mean rocking drift, shape (k, k), and the degrees of freedom of this covariance.
 
         With several quadruples, the covariance comes from their scatter. With a single quadruple, it comes from the difference
-        between the two dynamic runs and the difference between the two static runs. It is not known which of the two pairs scatters
-        more, so one degree of freedom is used (Welch's formula gives between one and two).
+        between the two dynamic runs and the difference between the two static runs. In this case, one degree of freedom is used:
+        Welch's formula gives between one and two, because it is not known which of the two pairs scatters more.
         """
         count = len(self.quadruples)
         if self.expected is not None:
@@ -108,15 +108,15 @@ def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
 
 
 def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
-    """Returns the effective degrees of freedom of a sum of variances. If all variances are zero, the result is the smallest number
-    of degrees of freedom of the summed variances."""
+    """Returns the effective degrees of freedom of a sum of variances. If all variances are zero, returns the smallest of their
+    degrees of freedom."""
     return effective_degrees_of_freedom(np.sqrt(variances).tolist(), degrees) if any(variances) else min(degrees)
 
 
 @dataclass(frozen=True, slots=True)
 class Pairings:
     """Contains random pairs of a static and a dynamic run, for one axis. `accelerometers`: array of shape (p,) in deg/h, the
-    rocking drift of each pair by the accelerometers. `gimbals`: array of shape (p,) in deg/h, the rocking drift of each pair by the
+    rocking drift of each pair according to the accelerometers. `gimbals`: array of shape (p,) in deg/h, the same according to the
     gimbals."""
 
     axis: int

@@ -1,9 +1,10 @@
-"""Reduces a recorded run to its two windows: accelerometers and encoders after a zero-phase low-pass filter.
+"""Reduces a recorded run to its two windows, which contain the samples of accelerometers and encoders after a zero-phase low-pass
+filter.
 
 Only samples within a few filter lengths of a window are kept in memory, so long runs need no more memory than short runs. The
-filter is a Butterworth low-pass filter of fourth order that runs forwards and backwards. A parabola is subtracted from the samples
-around each window before the filter, and added again afterwards. The slow rotation of the element relative to gravity then does not
-distort the ends of the filtered samples.
+filter is a Butterworth low-pass filter of fourth order that runs forwards and backwards. Before the filter, a parabola is
+subtracted from the samples around each window; after the filter, it is added again. The slow rotation of the element relative to
+gravity therefore does not distort the ends of the filtered samples.
 """
 
 from __future__ import annotations
@@ -100,8 +101,8 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
 
 
 def low_pass(piece: RecordPiece, cutoff: float) -> Array:
-    """Filters the values of a piece with a low-pass filter without delay, which removes changes faster than `cutoff` [Hz]. Returns
-    an array of shape (n, k)."""
+    """Filters the values of a piece with a low-pass filter that causes no delay and that removes changes faster than `cutoff` [Hz].
+    Returns an array of shape (n, k)."""
     from scipy.signal import sosfiltfilt
 
     rate = 1 / float(piece.time[1] - piece.time[0])

@@ -46,9 +46,9 @@ class Aligned:
     """The result of an alignment.
 
     `alignment`: the fine alignment, with the covariance that is used. `last`: array of shape (6,), the last increments of angle and
-    velocity. `density`: array of shape (6, 6), density of the white noise in navigation axes, from the scatter at rest. This is the
-    covariance that the noise adds per second to the integrated outputs. `white`: array of shape (6,), square roots of the noise
-    densities in body axes. `seconds`: duration of the alignment, s. `turned`: True if the sensor was turned from stop to stop
+    velocity. `density`: array of shape (6, 6), density of the white noise in navigation axes, from the scatter at rest. The density
+    is the covariance that the noise adds to the integrated outputs per second. `white`: array of shape (6,), square roots of the
+    noise densities in body axes. `seconds`: duration of the alignment, s. `turned`: True if the sensor was turned from stop to stop
     during the alignment, so that its constant errors were estimated too. `rest`: the readings at the first stop. `stops`: the
     readings at all stops.
     """
@@ -87,12 +87,12 @@ def align(
     follow: float | None = None,
     lasting: float = 0.0,
 ) -> Aligned:
-    """Aligns the sensor, and so determines its attitude at the end of a segment.
+    """Aligns the sensor: determines its attitude at the end of a segment.
 
     `site`: the point on the Earth at which the sensor is aligned, with its latitude, height and gravity. `constant`: array of shape
     (6,), standard uncertainty of the constant errors of gyros and accelerometers, rad/s and m/s²; used only if the sensor is turned
-    during the alignment. `follow`: passed on to `FineAlignment`. `lasting`: total time of alignment and navigation, s. Raises
-    `EstimationError` if the segment is unsuitable for an alignment.
+    during the alignment. `follow`: the argument of `FineAlignment` with this name. `lasting`: total time of alignment and
+    navigation, s. Raises `EstimationError` if the segment is unsuitable for an alignment.
     """
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
@@ -149,8 +149,8 @@ def align(
 
 
 def stillness(segment: Segment, seconds: float) -> float:
-    """Returns how long the sensor is at rest at the start of a segment, at most `seconds`. The coarse attitude is computed from
-    this time."""
+    """Returns the time [s] for which the sensor is at rest at the start of a segment, at most `seconds`. The coarse attitude is
+    computed from the samples in this time."""
     first = segment.motion.stop if isinstance(segment.motion, Cycle) else seconds
     return min(first, seconds, _COARSE)
 
@@ -207,8 +207,8 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
 
 def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRest]:
     """Returns the mean readings (6,), rad/s and m/s², over the first `seconds`, and the readings in this time as `AtRest`. The
-    white noise is computed as the Allan deviation of means over one second, which slow motion does not increase. Its degrees of
-    freedom are those of overlapping differences of white noise."""
+    white noise is the Allan deviation of means over one second, because slow motion does not increase it. Its degrees of freedom
+    are computed for overlapping differences of white noise."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
     within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))
@@ -236,8 +236,8 @@ def to_navigation(rotation: Array, variances: Array) -> Array:
 
 
 def levelled_out(density: Array) -> Array:
-    """Returns the noise density (6, 6) of a sensor that rotates about the vertical: the noise is averaged over the east and north
-    axes."""
+    """Returns the noise density (6, 6) of a sensor that rotates about the vertical, for which the noise in the east and north axes
+    is averaged."""
     found = np.zeros_like(density)
     for k in (0, 3):
         horizontal = (density[k, k] + density[k + 1, k + 1]) / 2
@@ -272,8 +272,9 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
 
 
 def _rate_error(mean: Array, site: Site) -> float:
-    """Returns the magnitude [rad/s] of the difference between the mean rate at rest and the Earth's rate, where each rate is a
-    vector of its horizontal and its upward component. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
+    """Returns the magnitude [rad/s] of the difference between the mean rate at rest and the Earth's rate. For this purpose, each
+    rate is a vector of two components, horizontal and upward. `mean`: array of shape (6,), mean readings at rest, rad/s and
+    m/s²."""
     found, earth = _rates(mean, site)
     return float(np.linalg.norm(found - earth))
 
@@ -325,8 +326,8 @@ def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site)
 
 
 def _would_agree(channels: Sequence[str], mean: Array, site: Site) -> list[str]:
-    """Returns the channels that explain the rates at rest: if the sign of one of them is reversed, the rates agree with the Earth's
-    rate."""
+    """Returns the channels that may have the wrong sign: if the sign of any one of them is reversed, the rates at rest agree with
+    the Earth's rate."""
     signs = 1.0 - 2.0 * np.eye(len(mean))
     errors = [_rate_error(sign * mean, site) for sign in signs]
     limit = _EARTH_TOLERANCE * site.earth_rate

@@ -1,7 +1,7 @@
 """Checks before the recording whether the segments of a strapdown navigation are suitable, and predicts its errors.
 
-The expected errors follow from the declared white noise and from the uncertainties of constant errors that the plan states. The
-filter of the alignment predicts the errors that remain after the alignment. Noise and these errors, rotated with the table, are
+The expected errors follow from the declared white noise, and from the uncertainties that the plan states for constant errors. The
+filter of the alignment predicts the errors that remain after the alignment. These errors and the noise, rotated with the table, are
 then the input of the linear error equations.
 """
 
@@ -257,8 +257,8 @@ def _about_up(stop: Segment, count: int, step: float) -> Array:
 
 
 def _turning(segments: Sequence[Segment], rotation: Array, step: float) -> Array:
-    """Matrices (n, 6, 6) that convert gyro errors ε and accelerometer errors ∇ from body to navigation axes, averaged over each
-    `step` [s]. `rotation`: array of shape (3, 3), attitude at the start of each segment."""
+    """Returns the matrices (n, 6, 6) that convert gyro errors ε and accelerometer errors ∇ from body to navigation axes, averaged
+    over each `step` [s]. `rotation`: array of shape (3, 3), attitude at the start of each segment."""
     found = []
     for segment in segments:
         count = max(1, round((segment.dwell or 0.0) / step))

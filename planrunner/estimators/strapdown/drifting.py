@@ -1,11 +1,11 @@
-"""Finds biases that drift during a navigation from the readings at the stops, and computes the navigation errors that the drift
+"""Finds, from the readings at the stops, biases that drift during a navigation. Computes the navigation errors that the drift
 causes.
 
 The fit has a separate constant for each position in which the sensor stops; the drift is the same function for all positions. The
-drift functions are those of the static methods (`observation.drift`), and the test of a drift is the same (`drift_fit`). The
-navigation is not corrected for the drift, because its errors are the errors of this sensor on this day. With constant biases, the
-navigation would have other errors. The change that the drift causes is therefore stated as an error that is not corrected (JCGM
-100:2008, F.2.4.5). The change is computed with the linear error equations (`wandering`).
+drift functions and the test of a drift are those of the static methods (`observation.drift`, `drift_fit`). The navigation is not
+corrected for the drift, because its errors are the errors of this sensor on this day. With constant biases, the errors would be
+different; this difference is stated as an error that is not corrected (JCGM 100:2008, F.2.4.5). It is computed with the linear
+error equations (`wandering`).
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
     names = [f"position {k + 1}" for k in range(len(places))]
 
     def judged(scale: Array) -> tuple[FittedDrift, Sequence[LinearFit], Sequence[LinearFit], bool]:
-        """Returns the fitted drift; the fits with this drift; the fits with all drift functions; and True if noise explains the
-        residuals of the fits with all drift functions. `scale`: array of shape (6,), assumed standard deviations of the readings,
-        divided by the expected standard deviations."""
+        """Returns four values: the fitted drift; the fits with this drift; the fits with all drift functions; and True if noise
+        explains the residuals of the latter. `scale`: array of shape (6,), assumed standard deviations of the readings, divided by
+        the expected standard deviations."""
         spread, whitening = scale[:, None] * sigma, None
         if flicker:
             noise = np.array([np.diag(one**2) for one in spread])

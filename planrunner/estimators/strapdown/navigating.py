@@ -1,5 +1,5 @@
-"""Navigates recorded segments purely inertially: alignment during a stop, then attitude, velocity and position by strapdown
-mechanisation.
+"""Navigates recorded segments purely inertially. After an alignment during a stop, the strapdown mechanisation gives attitude,
+velocity and position.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ _ACCELEROMETER = STANDARD_GRAVITY * 1e-3  # m/s^2, 1 mg
 class _Coordinate:
     """Describes one coordinate of the start position.
 
-    `information`: name of the run information that may give the coordinate. `channel`: name of the reference channel that may give
-    it. `farthest`: largest value of the coordinate on Earth, rad or m.
+    `information`: name of the run information that may contain the coordinate. `channel`: name of the reference channel that may
+    contain it. `farthest`: largest value of the coordinate on Earth, rad or m.
     """
 
     information: str
@@ -366,7 +366,7 @@ def _begin(
     aligned: Aligned,
     every: int,
 ) -> tuple[Navigator, Site]:
-    """Returns the navigator at the start of the first interval, and the point on the Earth at which it starts."""
+    """Returns a navigator for the start of the first interval, and the point on the Earth at which it starts."""
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     stated = request.setup.information

@@ -2,7 +2,7 @@
 determines the time of each sample.
 
 A sample is the mean over the interval that ends at its time stamp, so an increment is the sample times the interval. Outputs that
-are increments of angle or velocity already are used unchanged. A gap of at most `bridge` seconds is filled by linear interpolation.
+already are increments of angle or velocity are used unchanged. A gap of at most `bridge` seconds is filled by linear interpolation.
 A longer gap is an error, because the attitude after it is unknown.
 """
 
@@ -143,8 +143,8 @@ class IncrementReader:
 
 def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, NDArray[np.bool_]]:
     """Returns the factors that convert the channels to SI units, shape (6,). Also returns an array that is True for each channel
-    that gives increments. Raises `EstimationError` for a missing channel, and for a unit that is neither a unit of a rate nor of an
-    increment."""
+    that gives increments. Raises `EstimationError` for a missing channel, and for a unit that is neither that of a rate nor that of
+    an increment."""
     factors, integrated = np.empty(len(channels)), np.zeros(len(channels), dtype=np.bool_)
     for k, name in enumerate(channels):
         if name not in recorded.units:

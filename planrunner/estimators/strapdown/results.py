@@ -126,7 +126,7 @@ def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _table(points: Array, uncertainty: Array) -> Table:
-    """Returns a table of the errors at whole hours; for shorter runs, at every ten minutes, every minute or every second."""
+    """Returns a table of the errors at whole hours or, for shorter runs, every ten minutes, every minute or every second."""
     time = points[0]
     steps = [3600.0, 600.0, 60.0, 1.0]
     step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])
@@ -265,7 +265,7 @@ def _warnings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _at_stops(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> list[Said]:
-    """Warnings about sensors whose readings at the stops change unexpectedly."""
+    """Returns warnings about sensors whose readings at the stops change unexpectedly."""
     channels, warnings = request.parameters.channels, []
     if found.opposed:
         warnings.append(

@@ -1,5 +1,4 @@
-"""Examines the readings of a navigating sensor at its stops: what they show about biases that change, and about gyros with the
-wrong sign.
+"""Examines the readings of a navigating sensor at its stops. They show biases that change, and gyros with the wrong sign.
 
 While the sensor stands still, it measures the Earth's rate and gravity. The Earth's rate and gravity are constant in each position,
 so every change of the readings within a position is a change of the sensor (or a slow tilt of its base). The sensor counts as still
@@ -156,8 +155,8 @@ class StopReader:
 
 
 def opposed_gyros(stops: Stops, earth_rate: Array) -> tuple[int, ...]:
-    """Indices of the gyros whose readings change from position to position in the opposite sense to the Earth's rate. `earth_rate`:
-    array of shape (3,), Earth rate in East-North-Up, rad/s. A constant error of a gyro does not affect the result."""
+    """Returns the indices of the gyros whose readings change, from position to position, in the opposite sense to the Earth's rate.
+    `earth_rate`: array of shape (3,), Earth rate in East-North-Up, rad/s. A constant error of a gyro does not affect the result."""
     found = []
     expected = np.einsum("nij,i->nj", stops.rotation, earth_rate)
     weights = np.sqrt(stops.seconds)

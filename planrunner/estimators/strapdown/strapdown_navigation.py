@@ -1,5 +1,5 @@
-"""Navigates a recording purely inertially (alignment during a stop, then attitude, velocity and position by strapdown
-mechanisation), and computes the errors relative to the true position.
+"""Navigates a recording purely inertially, and computes the errors relative to the true position. After an alignment during a stop,
+the strapdown mechanisation gives attitude, velocity and position.
 
 The module `alignment` checks the conditions for an alignment and aligns; `reading` handles units, gaps and the times of samples;
 `navigation_errors` and `results` compute the reported figures; `design` predicts the errors. docs/navigation.md gives conventions

@@ -1,10 +1,10 @@
 """Computes the uncertainties of the results of a strapdown navigation.
 
 An uncertainty states how well one run determines the navigation errors that the constant errors of the sensors cause. The
-uncertainties have three sources: the white noise of the sensors; the uncertainty of the alignment that this noise causes,
-propagated by the linear error equations; and the stated bias instabilities (see `wandering`). Constant sensor errors are part of
-the measured navigation errors, so they do not make the navigation errors more uncertain. They make only the alignment angles more
-uncertain, because the angles do not show the sensor errors.
+uncertainties have three sources. The first is the white noise of the sensors. The second is the uncertainty of the alignment due to
+this noise, propagated by the linear error equations. The third is the stated bias instabilities (see `wandering`). Constant sensor
+errors do not make the navigation errors more uncertain, because their effect is part of the measured navigation errors. They make
+only the alignment angles more uncertain, because the angles do not show them.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Spread:
 
 
 class Wander:
-    """Contains the uncertainty that comes from biases which change over time (flicker).
+    """Contains the uncertainty due to flicker, that is, due to biases that change over time.
 
     `influences`: one influence for each sensor whose bias instability is stated. `radial`: array of shape (n,), standard
     uncertainty [m] of the radial error at the points of `ErrorRecord.points`, due to these sensors. `unstated`: the flicker of each
@@ -123,8 +123,8 @@ class Wander:
 
 
 def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> FlickerEvidence | None:
-    """Returns the information in the readings at the first stop of the alignment about the flicker of a sensor; None if these
-    readings are too few. `rate`: SI value of the unit of the sensor's channel, rad/s or m/s²."""
+    """Returns what the readings at the first stop of the alignment show about the flicker of a sensor; None if there are too few
+    readings. `rate`: SI value of the unit of the sensor's channel, rad/s or m/s²."""
     rest = found.aligned.rest
     n = rest.means.shape[1]
     if not (n > 1 and rest.white[sensor] > 0):
@@ -142,8 +142,8 @@ def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> Flicke
 
 
 def interpolated(time: Array, moments: Array, covariances: Array) -> Array:
-    """Covariances (n, 4, 4) at the times `time` (n,), interpolated linearly between the covariances (k, 4, 4) at k moments. At time
-    zero, the covariance is zero."""
+    """Returns the covariances (n, 4, 4) at the times `time` (n,), interpolated linearly between the covariances (k, 4, 4) at k
+    moments. At time zero, the covariance is zero."""
     known = np.concatenate([np.zeros((1, *covariances.shape[1:])), covariances])
     each = known.reshape(len(known), -1).T
     at = np.append(0.0, moments)
@@ -180,11 +180,11 @@ def joined(found: Navigated, both: Array, over_time: Array) -> Array:
 
 def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Array, density: Array) -> Array:
     """Returns the standard uncertainties (5,) of the figures that summarise the errors over time (largest and root-mean-square
-    errors, error rate). They are computed as follows: errors that noise may cause are drawn at random and subtracted from the
-    errors of the navigation, and the figures are computed again for each draw. On average, noise increases the largest and the
-    root-mean-square errors. The figures are not corrected for this; instead, the mean change is added to the expanded uncertainty
-    (JCGM 100:2008, F.2.4.5). `start`: array of shape (7, 7), covariance of the state at the start of the navigation. `density`:
-    array of shape (6, 6), density of the white noise in navigation axes."""
+    errors, error rate). To compute them, errors that noise may cause are drawn at random and subtracted from the errors of the
+    navigation; the figures are then computed again for each draw. On average, noise increases the largest and the root-mean-square
+    errors. The figures are not corrected for this; instead, the mean change is added to the expanded uncertainty (JCGM 100:2008,
+    F.2.4.5). `start`: array of shape (7, 7), covariance of the state at the start of the navigation. `density`: array of shape (6,
+    6), density of the white noise in navigation axes."""
     last = points.shape[1] - 1
     every = max(1, -(-last // _MOMENTS))
     course = np.column_stack([points[:, every::every], [found.seconds, *found.final]])
@@ -207,9 +207,9 @@ def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Ar
 
 
 def _bounds(found: Navigated, points: Array, radial: Array, speed: Array) -> Array:
-    """Upper bounds (5,) of the standard uncertainties of the figures that summarise the errors over time. They assume that the
-    errors at all times are fully correlated. `radial`, `speed`: arrays of shape (n,), standard uncertainties of the radial position
-    and velocity errors at the points."""
+    """Returns upper bounds (5,) of the standard uncertainties of the figures that summarise the errors over time. The bounds hold
+    because they assume that the errors at all times are fully correlated. `radial`, `speed`: arrays of shape (n,), standard
+    uncertainties of the radial position and velocity errors at the points."""
     time, away, fast = points[0], np.hypot(*points[1:3]), np.hypot(*points[3:5])
     return np.array(
         [
@@ -279,7 +279,7 @@ def drift_influence(found: Navigated, points: Array) -> Influence | None:
     of shape (5, n), navigation errors as `ErrorRecord.points` returns them.
 
     The change of each coefficient is its value with the drift minus its value without the drift. Changes of the drift that are as
-    large as its uncertainty count as small and independent of each other."""
+    large as its uncertainty are treated as small and as independent of each other."""
     drift = found.drift
     if drift is None or not drift.fitted.courses:
         return None
@@ -309,8 +309,8 @@ def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count
 
 
 def _figures(course: Array) -> Array:
-    """Returns the results (m, k) that follow the angles in `NAMES`, for k sets of navigation errors (5, n, k). The errors are in
-    the form of `ErrorRecord.points`, without the first point."""
+    """Computes those results that come after the angles in `NAMES`, for k sets of navigation errors (5, n, k). Returns an array of
+    shape (m, k). The errors are in the form of `ErrorRecord.points`, without the first point."""
     time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
     largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
     each = np.arange(course.shape[2])

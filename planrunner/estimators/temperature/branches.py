@@ -1,9 +1,9 @@
-"""Distinguishes rising and falling temperature: finds the branches of a recorded temperature, and describes how values differ
+"""Distinguishes rising and falling temperature. Finds the branches of a recorded temperature, and describes how values differ
 between the two directions.
 
 Let C be the mean of the values in both directions, and D the width of the hysteresis loop: a value is C(T) + D(T)/2 on a rising
-ramp and C(T) − D(T)/2 on a falling ramp. The turning points of the temperature separate the branches, not the boundaries of
-segments. A temperature cycle therefore gives the same branches whether it is recorded as one segment or as several.
+ramp and C(T) − D(T)/2 on a falling ramp. The branches are separated by the turning points of the temperature, not by the boundaries
+of segments. A temperature cycle therefore gives the same branches whether it is recorded as one segment or as several.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def branches(temperature: Array, least: float) -> Integers:
     """Divides successive temperatures [degC] into rising and falling branches. Returns, for each of the n temperatures, the index
     of its branch, counted from 0.
 
-    A branch ends at an extreme value if the temperature then moves back by more than `least` [K] and by more than a tenth of the
-    range of all temperatures.
+    A branch ends at an extreme value if, after it, the temperature moves back by more than `least` [K] and by more than a tenth of
+    the range of all temperatures.
     """
     number = np.zeros(len(temperature), dtype=np.int64)
     if not len(temperature):
@@ -84,11 +84,11 @@ class Difference:
 
 def difference_of(temperature: Array, direction: Integers, highest: int, width: float, left: int) -> Difference | None:
     """Returns the form of D: a polynomial of the order `highest`, or of a lower order if there are few temperatures. It is None if
-    fewer than two temperatures were reached in both directions. The form does not depend on the measured values, so the uncertainty
-    of D need not include the choice of the form.
+    fewer than two temperatures were reached in both directions. The form does not depend on the measured values. Therefore, the
+    choice of the form does not add to the uncertainty of D.
 
-    `width`: temperatures that differ by no more than this count as one temperature, K. `left`: the largest possible number of
-    coefficients for the number of values.
+    `width`: temperatures that differ by no more than this count as one temperature, K. `left`: the largest number of coefficients
+    that the number of values allows.
     """
     group = groups_of(temperature, width)
     both = np.intersect1d(group[direction > 0], group[direction < 0])

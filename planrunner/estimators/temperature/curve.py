@@ -4,24 +4,25 @@
     spline       natural cubic regression spline: straight beyond its ends, coefficients are its values at the knots (Hastie, Tibshirani
                  and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
 
-The order is chosen by holding out all values at a temperature together, never single values, because values at one temperature have
-common errors. The one-standard-error rule takes the simplest curve whose held-out error is larger than the smallest held-out error
-by at most the standard error of this smallest error (Hastie et al., 7.10.1). The number of coefficients is at most half of the
-number of temperatures, rounded up. With few temperatures, one of many possible curves would fit by chance.
+The order is chosen by the errors of held-out values. All values at a temperature are held out together, never single values,
+because values at one temperature have common errors. The one-standard-error rule (Hastie et al., 7.10.1) starts from the smallest
+held-out error; it selects the simplest curve whose error exceeds this one by at most its standard error. The number of coefficients
+is at most half of the number of temperatures, rounded up, because otherwise one of many possible curves would fit few temperatures
+by chance.
 
-If the data select the order, the usual interval is too narrow, because it ignores the terms that were not selected although they
-may be as large as a standard deviation. The uncertainty of a selected curve is therefore computed from the curve of the highest
-order tried, which does not depend on the selection. The difference between the selected curve and the curve of the highest order is
-added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
+If the data select the order, the usual interval is too narrow: terms that were not selected may still be as large as a standard
+deviation, and the usual interval ignores them. The uncertainty of a selected curve is therefore computed from the curve of the
+highest order tried, which does not depend on the selection. The difference between the selected curve and the curve of the highest
+order is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
 
 The noise of values may be correlated over time by the flicker that the bench declares. Values and columns are then whitened with
 the covariance of the noise, and held-out errors are computed from the whitened values.
 
 Further columns may be fitted together with the curve, such as those of the difference between rising and falling temperature
 (`branches`). Ramps differ from one another by more than noise, because each ramp has an offset and a slope of random size. The
-variances of the offsets and slopes are part of all uncertainties. These variances are estimated from the decrease of the sum of
-squares when every ramp has its own offset and slope in the fit (Henderson's method 3: Searle, Casella and McCulloch, Variance
-Components, 5.5).
+variances of these offsets and slopes are part of all uncertainties. They are estimated from the decrease of the sum of squares in a
+fit in which every ramp has its own offset and slope (Henderson's method 3: Searle, Casella and McCulloch, Variance Components,
+5.5).
 """
 
 from __future__ import annotations
@@ -125,7 +126,7 @@ def held_out(
 
     `sigma`: array of shape (n,), standard uncertainties for the weights. `fold`: array of shape (n,), index of the fold in which
     each value is held out. `beside`: array of shape (n, q), columns that are fitted together with each curve. `whitening`: array of
-    shape (n, n), matrix that whitens correlated values; without it, values are divided by sigma.
+    shape (n, n), matrix that whitens correlated values; if it is not given, values are divided by `sigma`.
     """
     whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
@@ -155,8 +156,8 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 def fold_of(group: Integers, folds: int) -> Integers:
     """Returns the index of the fold in which each group of temperatures is held out. If `folds` is 0, each group is a separate
-    fold. Otherwise the folds are `folds` adjoining ranges of temperature, so that neighbouring temperatures, which share a slow
-    drift, do not predict each other."""
+    fold. Otherwise there are as many folds as `folds` states, each a range of temperature. Neighbouring temperatures, which share a
+    slow drift, are then usually held out together and do not predict each other."""
     return group if folds == 0 else group * folds // (int(group.max()) + 1)
 
 
@@ -238,11 +239,12 @@ class SummedCovariance:
 class CurveFit:
     """A fitted curve with its uncertainty.
 
-    `spread`: covariance of the coefficients (p,) as a sum of mean squares. `correlation`: factor by which the variance of noise was
-    increased because successive residuals are correlated. `beside`: coefficients (q,) of the columns that are fitted together with
-    the curve. `beside_spread`: covariance of these coefficients. `ramps`: how the offsets and slopes of ramps scatter; empty if
-    there are too few ramps to determine this. `fullest`: the curve of the highest order tried, if the curve was selected and has a
-    lower order; otherwise None. `gains`: array of shape (p, n), derivatives of the coefficients with respect to the n values.
+    `spread`: covariance of the coefficients (p,) as a sum of mean squares. `correlation`: factor by which the variance of the noise
+    was multiplied, because successive residuals are correlated. `beside`: coefficients (q,) of the columns that are fitted together
+    with the curve. `beside_spread`: covariance of these coefficients. `ramps`: how the offsets and slopes of ramps scatter; empty
+    if there are too few ramps to determine this. `fullest`: the curve of the highest order that was tried, if the order was
+    selected and is lower; otherwise None. `gains`: array of shape (p, n), derivatives of the coefficients with respect to the n
+    values.
     """
 
     curve: Curve
@@ -277,7 +279,7 @@ class CurveFit:
 
     def warmer(self, by: float) -> Array:
         """Returns the coefficients of a curve that is shifted by `by` [K], shape (p,): at T, it has the value that this curve has
-        at T + `by`. They describe a run in which the true temperatures are higher by this amount."""
+        at T + `by`. These coefficients describe a run in which the true temperatures are higher by this amount."""
         if self.curve.form == "spline":
             return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
         moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef
@@ -290,11 +292,11 @@ class OverTemperature:
 
     `temperature`: array of shape (n,) in degC. `sigma`: array of shape (n,), standard uncertainties for the weights. `group`: array
     of shape (n,), number of the temperature at which each value was measured; values at the same temperature have equal numbers.
-    `series`: array of shape (n,), index of the ramp along which a value follows other values; −1 for a single value. `ramp`: array
+    `series`: array of shape (n,), index of the ramp along which the value is one of a series; −1 for a single value. `ramp`: array
     of shape (n,), index of the ramp or sweep whose values have a common offset; −1 if there is none. `direction`: array of shape
     (n,), +1 on a rising ramp, −1 on a falling ramp. `beside`: array of shape (n, q), columns that are fitted together with the
-    curve. `covariance`: array of shape (n, n), covariance of the values, if they are correlated; `sigma` is then the uncorrelated
-    part.
+    curve. `covariance`: array of shape (n, n), covariance of the values if they are correlated. In this case, `sigma` describes
+    only the uncorrelated part.
     """
 
     temperature: Array
@@ -370,7 +372,7 @@ def fit_curve(
 
 
 def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
-    """Fits a curve of a given form to all values. Raises `EstimationError` if its uncertainty should come from residuals and there
+    """Fits a curve of a given form to all values. Raises `EstimationError` if the uncertainty must come from residuals, but there
     are none."""
     columns = np.column_stack([made.columns(values.temperature), values.beside])
     fit = least_squares.fit(columns, values.value, values.sigma, covariance=values.covariance)
@@ -445,7 +447,8 @@ def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
 
 
 def _free(fitted: Array, further: Array) -> Array:
-    """Orthonormal columns (n, k) that span the part of `further` (n, r) that is orthogonal to all columns of `fitted` (n, m)."""
+    """Removes from the columns `further` (n, r) their parts in the space of the columns `fitted` (n, m). Returns orthonormal
+    columns (n, k) that span the rest."""
     if not further.size:
         return np.zeros((len(fitted), 0))
     base = _space(fitted)
@@ -454,7 +457,7 @@ def _free(fitted: Array, further: Array) -> Array:
 
 
 def _space(columns: Array) -> Array:
-    """Returns an orthonormal basis of the space that the columns (n, m), which may be linearly dependent, span."""
+    """Returns an orthonormal basis of the space of the columns (n, m), which may be linearly dependent."""
     size = np.linalg.norm(columns, axis=0)
     base, found, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
     return np.asarray(base[:, found > _FREE * found[0]])
@@ -463,10 +466,10 @@ def _space(columns: Array) -> Array:
 def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequence[_Way]) -> CurveFit:
     """Fits a curve together with random differences between ramps. `ways`: the differences, from `_ways`.
 
-    Let y be the weighted values, A the columns of the curve, Z the columns of one difference, and M the projector that removes A,
-    the mean of Z in each direction, and the columns of the other differences. The reduction of the sum of squares by Z has the
-    expectation k·φ + τ²·tr(ZᵀMZ), where k is the number of its degrees of freedom, φ the variance of noise and τ the standard
-    deviation of the difference. The weighted values then have the covariance V = φ·I + Σ τ²·Z·Zᵀ.
+    Let y be the weighted values, A the columns of the curve, and Z the columns of one difference. The projector M removes A, the
+    mean of Z in each direction, and the columns of the other differences. The reduction of the sum of squares by Z has k degrees of
+    freedom and the expectation k·φ + τ²·tr(ZᵀMZ), where φ is the variance of the noise and τ is the standard deviation of the
+    difference. The weighted values then have the covariance V = φ·I + Σ τ²·Z·Zᵀ.
     """
     from scipy.special import fdtrc
 

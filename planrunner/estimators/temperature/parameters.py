@@ -1,5 +1,5 @@
 """Declares the plan keys for coefficients as functions of temperature, and makes the checks that are possible before a recording.
-The checks find out whether the plan has enough temperatures for a curve, and whether the requested coefficients exist.
+The checks ask whether the plan has enough temperatures for a curve, and whether the requested coefficients exist.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ class TemperatureModelParameters(Record):
 
 
 def remarks(request: DesignRequest[TemperatureModelParameters]) -> tuple[Remark, ...]:
-    """Returns an error for each request in a plan that no recording can fulfil. Ramps, and estimates without a prediction, cannot
-    be judged before the recording, so they are not reported."""
+    """Returns an error for each request in a plan that no recording can fulfil. Ramps and estimates without a prediction cannot be
+    judged before the recording, so there are no errors about them."""
     if request.uses:
         return tuple(_of_estimates(request))
     if any(segment.ramp_to is not None or segment.temperature is None for segment in request.segments):

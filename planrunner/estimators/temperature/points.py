@@ -39,10 +39,10 @@ class Points:
     uncertainty is not known. `direction`: array of shape (n,), +1 if the temperature was rising or was reached from below, −1 if it
     was falling or was reached from above, 0 if the direction is not known. `ramp`: array of shape (n,), index of the ramp, or of
     the sweep of held temperatures; −1 for a value without a direction. `labels`: source of each value. `along`: True if the values
-    follow each other along ramps. `expected`: True if the values are expected from a schedule, without scatter. `covariance`: array
-    of shape (n, n), covariance of the values, which includes the flicker that the bench declares; None if no flicker is declared,
-    or if the uncertainties are not known. `time`: array of shape (n,) in s, the mean time of each value; empty if the times are not
-    known.
+    follow each other along ramps. `expected`: True if the values are expected values of a schedule, which have no scatter.
+    `covariance`: array of shape (n, n), covariance of the values, which includes the flicker that the bench declares; None if no
+    flicker is declared, or if the uncertainties are not known. `time`: array of shape (n,) in s, the mean time of each value; empty
+    if the times are not known.
     """
 
     name: str
@@ -77,8 +77,8 @@ class Points:
 
 
 def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> list[Points]:
-    """Collects the coefficients that the used estimates give for each temperature. Values of one coefficient from several estimates
-    are combined to one quantity.
+    """Collects the coefficients that the used estimates give for each temperature. Values of the same coefficient from several
+    estimates become one quantity.
 
     Raises `EstimationError` for an estimate that gives no coefficients for a temperature, for a pattern that matches no name, and
     for a coefficient in different units.
@@ -134,8 +134,8 @@ def from_channels(
     inputs: Inputs,
     span: float,
 ) -> list[Points]:
-    """Computes the means of channels at different temperatures. If there is a thermometer, a value is the mean over all samples of
-    a ramp whose temperature is in the same bin of `width` [K]. Without a thermometer, a value is the mean of a segment at its
+    """Computes the means of channels at different temperatures. If there is a thermometer, a value is the mean of those samples of
+    a ramp whose temperatures are in the same bin of `width` [K]. Without a thermometer, a value is the mean of a segment at its
     planned temperature. `inputs`: contain the declared flicker. `span`: the time over which a constant error is defined as an
     average, s. Raises `EstimationError` for channels that are missing or unsuitable."""
     for recorded in segments:
@@ -170,8 +170,8 @@ Intervals = tuple[Array, Array]
 def _channel(
     segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float
 ) -> tuple[Points, Intervals, Array]:
-    """Returns the n values of a channel, q intervals of time, and the fraction (n, q) of the samples of each value in each
-    interval."""
+    """Returns the n values of a channel, q intervals of time, and an array of shape (n, q): for each value, the fraction of its
+    samples in each interval."""
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
         raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)})")
@@ -264,8 +264,8 @@ class _Ramp:
 
 
 def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float, intervals: int) -> list[_Ramp]:
-    """Returns the branches of a segment, found in one pass over its samples. Sums are kept for each bin and each short piece of the
-    segment. The mean temperatures of the pieces determine the branches."""
+    """Returns the branches of a segment, found in one pass over its samples. Sums are stored for each bin and each short piece of
+    the segment. The mean temperatures of these pieces determine the branches."""
     try:
         scale = unit(recorded.units[thermometer])
     except UnknownUnitError as error:

@@ -76,8 +76,8 @@ class Loop:
 @dataclass(frozen=True, slots=True)
 class HiddenDrift:
     """Describes a linear drift in time that would remain unnoticed because of the order of the temperatures. `power`: index of the
-    coefficient that the drift affects most, which for a polynomial is the power of the temperature. `growth`: factor by which the
-    standard uncertainty of this coefficient grows if the drift is fitted, infinite if the drift cannot be separated from the
+    coefficient that the drift affects most; for a polynomial, the index is the power of the temperature. `growth`: factor by which
+    the standard uncertainty of this coefficient grows if the drift is fitted, infinite if the drift cannot be separated from the
     coefficient."""
 
     power: int
@@ -218,7 +218,7 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
 
 
 def _planned_units(request: DesignRequest[TemperatureModelParameters]) -> dict[str, str]:
-    """Returns the quantities to be modelled and their units, by name; empty if the quantities are not known."""
+    """Returns the units of the quantities to be modelled, by the name of the quantity; empty if the quantities are not known."""
     parameters = request.parameters
     if parameters.channels:
         outputs = [request.sensor.output(name) for name in parameters.channels]
@@ -340,8 +340,8 @@ def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
 
 
 def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDrift | None:
-    """Returns a linear drift, if fitting it would multiply the standard uncertainty of a coefficient of the curve by `COUPLED` or
-    more; otherwise None."""
+    """Examines a linear drift. Returns it if fitting it would multiply the standard uncertainty of a coefficient of the curve by
+    `COUPLED` or more; otherwise returns None."""
     if not len(points.time) or not np.ptp(points.time):
         return None
     [course, *_] = in_time(points.time, points.time, 1 / points.sigma**2)
@@ -358,8 +358,8 @@ def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDri
 
 
 def _difference(points: Points, parameters: TemperatureModelParameters, highest: int) -> Difference | None:
-    """Returns the form of the difference between the directions (the hysteresis loop). The number of its coefficients is limited,
-    so that two residuals remain if a curve of order `highest` and the ramps are fitted too."""
+    """Returns the form of the difference between the directions (the hysteresis loop). The number of its coefficients is limited so
+    that at least two residuals remain after a curve of order `highest` and the ramps have been fitted as well."""
     ramps = len(np.unique(points.ramp[points.ramp >= 0]))
     left = len(points.value) - (highest + 1) - max(0, ramps - 2) - _RESIDUALS
     width = parameters.bin.value
@@ -420,8 +420,8 @@ def _influences(
 
 
 def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
-    """Returns the effect on the coefficients of flicker, for channels for which the bench file states no flicker. This flicker
-    shifts the curves. It is not applied to the hysteresis, which is a largest value."""
+    """Returns how flicker affects the coefficients, for channels for which the bench file states no flicker. The flicker shifts the
+    curves. Its effect on the hysteresis is not computed, because the hysteresis is the largest of several values."""
     counts = [len(one.fit.coefficients) + (one.widest is not None) for one in models]
     found, first = [], 0
     for one, count in zip(models, counts, strict=True):

@@ -1,5 +1,6 @@
-"""Computes scale factors of tilted axes from means of segments. For each repeat, the output at each rate minus the output at rest,
-F_j − F_r, is divided by the input of each axis. The results are then averaged over repeats and compared between temperatures.
+"""Computes scale factors of tilted axes from means of segments. In each repeat, the output at rest is subtracted from the output at
+each rate, and the difference F_j − F_r is divided by the input of each axis. The results are then averaged over repeats and
+compared between temperatures.
 
 The core of the module is one function of the recorded means and of the conditions of the recording. Uncertainties are derived from
 this function.
@@ -53,11 +54,11 @@ class Group:
     """Contains the data of n rates at one temperature; each rate is repeated q times.
 
     `kelvin`: measured or planned temperature, K; NaN if neither is known. `spins`: array of shape (q, n), index of the segment of
-    each repeat and rate. `rest`: array of shape (q, N). Weighted with a row of this array, the segment means add up to the output
-    at rest of this repeat: half of it is the average zero before the rates, the other half the average zero after the rates.
-    `between`: array of shape (q, N). Weighted with a row of this array, the segment means add up to the zero after the rates minus
-    the zero before the rates. `outputs`: array of shape (q, n, m), the output at each rate minus the output at rest, F_j − F_r.
-    `drift`: array of shape (q, m), the zero after the rates minus the zero before the rates.
+    each repeat and rate. `rest`: array of shape (q, N), one row of weights for each repeat. The sum of the segment means with these
+    weights is the output at rest in this repeat: the mean of the average zero before the rates and the average zero after the
+    rates. `between`: array of shape (q, N), further weights. The sum of the segment means with these weights is the zero after the
+    rates minus the zero before the rates. `outputs`: array of shape (q, n, m), the output at each rate minus the output at rest,
+    F_j − F_r. `drift`: array of shape (q, m), the zero after the rates minus the zero before the rates.
     """
 
     label: str
@@ -228,8 +229,8 @@ def answers_to_averages(answers: Array) -> Array:
 
 
 def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64], sign: Array) -> Array:
-    """Returns the sensitivities of the quantities of one group to its outputs, shape (n, m, 5). Each axis depends only on its own
-    output, so the outputs of all axes can be changed simultaneously."""
+    """Returns the sensitivities of the quantities of one group to its outputs, shape (n, m, 5). The quantities of an axis depend
+    only on the output of this axis, so the outputs of all axes are changed simultaneously."""
     x, full_scale = conditions.inputs(group), group.full_scale
     q, n, m = x.shape
 
@@ -245,8 +246,8 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
-    """Returns the temperature coefficients and the sensitivities, together (2, m), of scale factors (g, m). `decides`: index of the
-    temperature that determines the sensitivity."""
+    """Returns an array of shape (2, m): the temperature coefficients and the sensitivities of scale factors (g, m). `decides`:
+    index of the temperature that determines the sensitivity."""
     base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
     change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))
     return np.stack([slope_weights(kelvin) @ values / base, np.where(change.real < 0, -1.0, 1.0) * change])

@@ -1,10 +1,11 @@
 """Determines the angles of a fixture's axes from spins about one rotation axis in several orientations of the fixture.
 
-Let an axis have the scale factor K and the direction of the unit vector d. It responds to a rate ω about the unit vector n with the
-output K·(d·n)·ω. Both vectors are given in the fixture's frame. Each orientation of the fixture on the table gives one component of
-the gain vector K·d. Three orientations whose vectors n are not in one plane give the complete gain vector. From it follow K, the
-angle from the fixture's z axis, and the azimuth. Two orientations give K and the angle if the azimuth is stated. Orientations with
-the same n, or with the opposite n, give no information on the angle. Errors that all rates have in common cancel in the angles.
+Let an axis have the scale factor K and the direction d, a unit vector. If the table turns at the rate ω about the direction n, the
+output is K·(d·n)·ω. Both unit vectors are given in the fixture's frame. Each orientation of the fixture on the table gives one
+component of the gain vector K·d. Three orientations whose vectors n are not in one plane give the complete gain vector. K, the
+angle from the fixture's z axis, and the azimuth follow from this vector. Two orientations give K and the angle if the azimuth is
+stated. Orientations with the same n, or with the opposite n, give no information on the angle. An error that all rates have in
+common does not affect the angles.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ class FixtureAnglesParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixtureQuantities(Quantities):
-    """The observations and the fit of each axis, and the results."""
+    """Contains the observations and the fit of each axis, and the results."""
 
     axes: MountedAxes
     fits: tuple[tuple[Observations, OutputsFit], ...]
@@ -195,8 +196,8 @@ def _derived(
     axes: MountedAxes,
     fits: Sequence[tuple[Observations, OutputsFit]],
 ) -> Derived:
-    """Returns the scale factor K, the angle and, if it is fitted, the azimuth of each axis, in the units of the results, computed
-    from the offsets and gains of all axes."""
+    """Computes the results from the offsets and gains of all axes: for each axis, the scale factor K, the angle and, if it is
+    fitted, the azimuth, in the units of the results."""
     offsets, shapes = len(model.orientations), []
     reported: list[Reported] = []
     for k, (observations, fit) in enumerate(fits):
@@ -226,8 +227,8 @@ def _acting(
     """Returns the influences of stated inputs on the offsets and gains of one axis."""
 
     def answered(matrix: Array) -> Array:
-        """Returns the change of the fitted coefficients for a changed design matrix. The outputs do not change, so a change of a
-        stated input changes the fit with the opposite sign."""
+        """Returns the change of the fitted coefficients for a changed design matrix. The outputs stay the same; a change of their
+        expected values therefore changes the fit with the opposite sign."""
         return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
 
     stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)

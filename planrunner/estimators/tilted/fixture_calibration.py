@@ -1,5 +1,5 @@
-"""Takes the angles of a fixture from an estimate of `fixture_angles` instead of from the plan: the values of the angles, and the
-influences on them."""
+"""Takes the angles of a fixture, and the influences on these angles, from an estimate of `fixture_angles` instead of from the
+plan."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def _carried(
     freedom: Sequence[float],
     name: str,
 ) -> tuple[Influence, ...]:
-    """Returns the influences on the angles: for each axis, one influence from the data of the calibration; and the influences that
-    act on the calibration itself."""
+    """Returns the influences on the angles: one influence for each axis, due to the data of the calibration, and the influences
+    that acted on the calibration itself."""
     factors = np.array([unit(coefficients[row].unit).factor for row in rows])
     arcsec = unit("arcsec").factor
     found = []
@@ -108,7 +108,7 @@ def _at(axes: MountedAxes, coefficients: Sequence[Coefficient]) -> MountedAxes:
 
 def _data_freedom(used: Estimate, item: Coefficient) -> float:
     """Returns the degrees of freedom of an angle due to the data of the calibration alone. They are computed from the budget,
-    because the analysis has already combined them with the degrees of freedom of the influences."""
+    because the degrees of freedom in the estimate already include those of the influences."""
     for budget in used.budgets:
         if budget.coefficient == item.name:
             return next((line.degrees_of_freedom for line in budget.lines if line.kind == "A"), item.degrees_of_freedom)

@@ -1,4 +1,5 @@
-"""Describes the gain vector K·d of an axis in a fixture: its design matrix over orientations, its polar form, and influences on it.
+"""Describes the gain vector K·d of an axis in a fixture: the design matrix of several orientations, the polar form of the vector,
+and the influences on it.
 
 In each orientation, the output has a separate offset. The offset contains the bias, the dependence of the bias on gravity, and the
 Earth's rotation along the axis of the table.
@@ -110,10 +111,10 @@ def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
 
 def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
     """Returns a formula that converts gain vectors to their polar form: K in output unit/(rad/s), angle [rad] and, if it is fitted,
-    azimuth [rad]. An array (r, n) of n gain vectors gives an array (q, n). The r gains are the components of the gain vector of
-    axis k along the columns of `basis` (3, r). `gain`: array of shape (r,), a gain vector near which the formula is used. K is
-    negative if the gain vector points away from the stated direction. Raises `EstimationError` for an axis along z, which has no
-    azimuth."""
+    azimuth [rad]. From an array (r, n) of n gain vectors, it computes an array (q, n). The r gains are the components of the gain
+    vector of axis k along the columns of `basis` (3, r). `gain`: array of shape (r,), a gain vector; the formula is used for gain
+    vectors near it. K is negative if the gain vector points away from the stated direction. Raises `EstimationError` for an axis
+    along z, which has no azimuth."""
     sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
     if len(gain) == 3 and math.hypot(*gain[:2]) < 1e-9 * float(np.linalg.norm(gain)):
@@ -135,7 +136,7 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
 def stated_conditions(
     model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str
 ) -> Iterator[StatedCondition[Array]]:
-    """Returns the design matrix of axis k for small errors of the stated inputs. An error of one of these inputs changes all gains
+    """Yields the stated inputs, each with the design matrix of axis k as a function of its error. Such an error changes all gains
     in an orientation equally, and therefore causes almost no scatter."""
     basis = gain_basis(axes, k, azimuth)
 

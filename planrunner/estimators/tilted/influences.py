@@ -1,8 +1,8 @@
-"""Computes the Type B influences on scale factors of tilted axes: fixture, table, site, temperature, resolution, and drift of the
-zero.
+"""Computes the Type B influences on scale factors of tilted axes. Their sources are the fixture, the table, the site, the
+temperature, the resolution, and drift of the zero.
 
-Fixture, table and site are conditions of the function that computes the results. The other influences act on the means of segments.
-The sensitivities of the results to these means convert them to influences on the results.
+Fixture, table and site are conditions of the function that computes the results. The other sources change the means of segments.
+The changes of the means are converted to changes of the results by the sensitivities of the results to the means.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Situation:
     fixture: tuple[Influence, ...] = ()
 
     def again(self, conditions: TiltedConditions) -> Array:
-        """Computes `TiltedResults.vector` for other conditions, with zero for results that cannot be computed."""
+        """Computes `TiltedResults.vector` for other conditions. Results that cannot be computed are set to zero."""
         return np.nan_to_num(evaluate(self.groups, conditions, self.reference, self.worst).vector)
 
 
@@ -92,8 +92,8 @@ def influences(
     """Returns the influences on `TiltedResults.vector`.
 
     `inputs`: values that bench and plan state with an uncertainty. `common`: relative error that all rates have in common.
-    `rounding`: maps each output to the rounding error of its means. `flicker`: declared flicker of the segments' means, if the
-    basis of uncertainty uses it. `drifts`: maps the index of an axis to half of the change of its zero.
+    `rounding`: maps each output to the rounding error of its means. `flicker`: declared flicker in the means of segments, if the
+    basis of uncertainty includes it. `drifts`: maps the index of an axis to half of the change of its zero.
     """
     found = [
         *_calibrated_fixture(situation),
@@ -109,8 +109,9 @@ def influences(
 def _conditions(
     situation: Situation, inputs: Inputs, common: InputQuantity
 ) -> Iterator[StatedCondition[TiltedConditions]]:
-    """The conditions of the evaluation, as functions of those inputs that are stated with an uncertainty. The bench states the
-    error of each rate, which is the same whenever this rate is repeated. The plan states the error that all rates have in common."""
+    """Yields the inputs that are stated with an uncertainty, each with the conditions of the evaluation as a function of its error.
+    The bench states the error of each rate, which is the same whenever this rate is repeated. The plan states the error that all
+    rates have in common."""
     conditions, site = situation.conditions, situation.site
     axes, commanded = conditions.axes, conditions.commanded
     if not situation.fixture:
@@ -147,7 +148,7 @@ def _conditions(
 
 
 def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:
-    """The influences of the calibrated angles of the axes on the results."""
+    """Yields the influences of the calibrated angles of the axes on the results."""
     if situation.fixture:
         angles = range(len(situation.conditions.axes.names))
         moved = [partial(_with_angle, situation.conditions, k) for k in angles]
@@ -156,8 +157,8 @@ def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:
 
 
 def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
-    """The influence of an error of the thermometer that shifts all temperatures equally. K then belongs to a different temperature,
-    but the temperature coefficient of K does not change."""
+    """Yields the influence of an error of the thermometer that shifts all temperatures equally. K then belongs to a different
+    temperature, but the temperature coefficient of K does not change."""
     stated, found = inputs.get("temperature"), situation.found
     if stated is None or not np.isfinite(found.coefficient).all():
         return
@@ -169,7 +170,7 @@ def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
 
 
 def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rounding]) -> Iterator[Influence]:
-    """The influence of the rounding of each mean. The rounding error is assumed to be the same in every repeat."""
+    """Yields the influence of the rounding of each mean. The rounding error is assumed to be the same in every repeat."""
     for axis, output in enumerate(situation.conditions.axes.outputs):
         stated, left = inputs.of_output(Aspect.RESOLUTION, output), rounding.get(output)
         if stated is not None and left is not None:
@@ -178,7 +179,7 @@ def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rou
 
 
 def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: str) -> Iterator[Influence]:
-    """The influences of flicker, which changes the means of all segments according to the times of these segments. On the basis
+    """Yields the influences of flicker, which changes the mean of each segment according to the time of the segment. On the basis
     `residual`, the covariance of the results already includes these influences."""
     if not flicker:
         return
@@ -207,12 +208,12 @@ def unstated_influences(
 
 
 def _zero_drift(situation: Situation, basis: str, drifts: Mapping[int, float]) -> Iterator[Influence]:
-    """The influence of a drift of the zero. During the rates, the zero is assumed to differ from the mean of start zero and end
-    zero by at most half of the difference between the two, in either direction.
+    """Yields the influence of a drift of the zero. During the rates, the zero is assumed to lie between the start zero and the end
+    zero: it differs from their mean by at most half of the difference between the two.
 
-    The drift may have two shapes: the same offset at all rates, or a steady change from one end of the series to the other. A
-    steady change causes residuals about the line, so on the basis `residual` the scatter already includes it; an offset causes no
-    residuals.
+    Two shapes of the drift are considered: the same offset at all rates, and a steady change from one end of the series to the
+    other. A steady change causes residuals about the line, so on the basis `residual` the scatter already includes it; an offset
+    causes no residuals.
     """
     courses = _offset if basis == "residual" else _drift_courses
     for axis, half in drifts.items():
@@ -237,8 +238,8 @@ def _drift_courses(n: int) -> dict[str, Array]:
 def _by_courses(
     situation: Situation, quantity: InputQuantity, axis: int, courses: Callable[[int], dict[str, Array]]
 ) -> Influence:
-    """Returns the influence of an error of one output, where `courses` gives the shape of the error over the n rates of a series.
-    The errors at different temperatures are independent of each other."""
+    """Returns the influence of an error of one output. `courses`: a function that returns the shapes of the error over the n rates
+    of a series. The errors at different temperatures are independent of each other."""
     columns, parts = [], []
     width = situation.answers[0].shape[1] * len(QUANTITIES)
     for k, (group, answers) in enumerate(zip(situation.groups, situation.answers, strict=True)):

@@ -1,5 +1,5 @@
-"""Describes input axes in a tilted fixture: which output belongs to which axis of `mounting`, and the directions of the axes in the
-fixture.
+"""Describes input axes in a tilted fixture: the output that belongs to each axis of `mounting`, and the directions of the axes in
+the fixture.
 
 The fixture's frame is the frame that the plan's orientations call the sensor's frame. Its z axis lies along the rotation axis of
 the table. Angles of the axes are measured from z; azimuths are measured from x, right-handed about z.
@@ -28,8 +28,8 @@ class MountedAxes:
     """The m input axes in a fixture. `names`: names of the axes in `mounting`. `outputs`: names of the channels of the axes.
 
     `angles`: array of shape (m,) in rad. `azimuths`: array of shape (m,) in rad, NaN for an azimuth that is not stated. `tilt`:
-    array of shape (2,) in rad, a small rotation of all axes about the fixture's x and y axes, from which sensitivities are
-    computed.
+    array of shape (2,) in rad, a small rotation of all axes about the fixture's x and y axes, which is used to compute
+    sensitivities.
     """
 
     names: tuple[str, ...]
@@ -57,8 +57,8 @@ class MountedAxes:
 
 
 def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:
-    """Returns the axes of the outputs `chosen`. If no output is chosen, these are all axes of `mounting`. An output belongs to the
-    axis with whose name its own name ends.
+    """Returns the axes of the outputs `chosen`. If no output is chosen, these are all axes of `mounting`. An output belongs to an
+    axis if the name of the output ends with the name of the axis.
 
     `mounting`: maps the name of an axis to its `planrunner.plan.model.MountedAxis`. `available`: names of the existing channels.
     Raises `EstimationError` for an axis without an output, and for an output without an axis.
@@ -98,8 +98,8 @@ def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
     """Returns the direction about which each segment spins, in the fixture's frame, shape (n, 3); zero for a segment that does not
     spin.
 
-    If the orientation of a segment is unknown, z is assumed to lie along the rotation axis. `along_z`: True if an `EstimationError`
-    is raised when z does not lie along the rotation axis; the angles of the mounting are measured from z.
+    If the orientation of a segment is unknown, z is assumed to lie along the rotation axis. `along_z`: True to raise an
+    `EstimationError` if z does not lie along the rotation axis, because the angles of the mounting are measured from z.
     """
     found = np.zeros((len(segments), 3))
     for row, segment in enumerate(segments):

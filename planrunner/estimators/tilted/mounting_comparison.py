@@ -1,4 +1,5 @@
-"""Compares one tilted mounting of all axes with a separate mounting of each axis: duration of the test, and uncertainty.
+"""Compares one tilted mounting of all axes with a separate mounting of each axis, by the duration of the test and by the
+uncertainty.
 
 A tilted axis is at the angle θ from the rotation axis and senses the rate times cos θ. An axis along the rotation axis senses the
 whole rate, so the relative effect of noise on it is smaller by the factor cos θ. A small misalignment δ causes a relative error of
@@ -20,8 +21,8 @@ from planrunner.plan.schedule import Segment
 
 
 def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | None]) -> float:
-    """Returns the planned time [s] from the first move to the end of the last segment. A dwell that the plan does not state counts
-    with its recorded length.
+    """Returns the planned time [s] from the first move to the end of the last segment. If the plan does not state a dwell, its
+    recorded length is used.
 
     `seconds`: recorded durations of the segments, s. If the schedule has no times, because a recording is played back, the sum of
     the dwells is returned.

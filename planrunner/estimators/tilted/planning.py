@@ -1,5 +1,5 @@
-"""Predicts scale factors of tilted axes from planned rates, before anything moves: the expected uncertainties, and missing parts of
-the plan."""
+"""Examines the planned rates before anything moves: predicts the uncertainties of scale factors of tilted axes, and reports missing
+parts of the plan."""
 
 from __future__ import annotations
 

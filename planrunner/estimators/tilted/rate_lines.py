@@ -1,7 +1,7 @@
 """Fits straight lines through many series of rates simultaneously: F_j = K·x_j + F_0 + ν_j, by ordinary least squares.
 
-For the asymmetry, the module also fits two half-lines that meet at zero rate. It also computes the change of the output between the
-lowest rates.
+For the asymmetry, two half-lines that meet at zero rate are fitted as well. The module also computes the change of the output
+between the lowest rates.
 
 Other functions give the unit of a scale factor, which is an output divided by a rate.
 """
@@ -68,9 +68,9 @@ def _response(x: Array, f: Array, slope: Array) -> Array:
 
 
 def _asymmetry(x: Array, f: Array) -> Array:
-    """Returns the asymmetry of each series and axis. It is NaN for axes whose inputs all have the same sign (for example, because
-    the Earth's rotation is larger than the rates), or whose inputs are too few to separate the half-lines. It is computed from
-    normal equations of columns that are divided by the largest rate."""
+    """Returns the asymmetry of each series and axis. It is NaN if all inputs of an axis have the same sign (for example, because
+    the Earth's rotation is larger than the rates), or if there are too few inputs to separate the half-lines. It is computed from
+    normal equations, after the columns have been divided by the largest rate."""
     told = np.full((x.shape[0], x.shape[2]), np.nan, dtype=f.dtype)
     if np.unique(x[0, :, 0]).size < ENOUGH:
         return told

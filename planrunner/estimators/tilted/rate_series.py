@@ -1,7 +1,7 @@
 """Finds series of rates. A series consists of a start zero, the rates one after the other, and an end zero. At each temperature, a
 series may be repeated.
 
-The segment after an end zero begins the next series, and so does a segment at another temperature.
+The next series begins with the segment after an end zero, or with a segment at another temperature.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _one_rotation_axis(segments: Sequence[Segment]) -> None:
 
 
 def _series(segments: Sequence[Segment], start: list[int], spins: list[int], end: list[int]) -> RateSeries:
-    """Makes a series. Its name is the part with which all its labels begin, such as `20degC/r1`."""
+    """Makes a series. Its name is the common beginning of all its labels, such as `20degC/r1`."""
     every = [*start, *spins, *end]
     paths = [segments[index].label.split("/") for index in every]
     shared = [parts[0] for parts in takewhile(lambda parts: len(set(parts)) == 1, zip(*paths, strict=False))]

@@ -122,9 +122,9 @@ def _residuals(situation: Situation, units: Units) -> Table:
 
 
 def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Table:
-    """Returns a table of the response at the lowest rate (IEEE Std 528), and of the smallest change of rate that can be
-    distinguished from noise in a recording at this rate. This change is k·√2·u, where k is the coverage factor, and u is the
-    standard uncertainty of the mean, as a rate."""
+    """Returns a table of two quantities: the response at the lowest rate (IEEE Std 528), and the smallest change of rate that can
+    be distinguished from noise in a recording at this rate. This change is k·√2·u, where k is the coverage factor, and u is the
+    standard uncertainty of the mean, converted to a rate."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)

@@ -59,8 +59,8 @@ class Item:
 def items(
     found: TiltedResults, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
 ) -> tuple[Item, ...]:
-    """Returns the results that can be computed; those at the reference temperature come first. `units`: for each axis, the unit of
-    the rate and the unit of the output."""
+    """Returns the results that can be computed. The results at the reference temperature come first. `units`: for each axis, the
+    unit of the rate and the unit of the output."""
     listed = [item for k in _order(len(groups), reference) for item in _at(found, groups, axes, units, k, reference)]
     return tuple(item for item in listed if np.isfinite(found.vector[item.at]))
 

@@ -3,10 +3,9 @@
 
 For each temperature and repeat, F_r is the mean of the zero readings before and after the rates. The line F_j − F_r = K·cos θ·ω_j +
 F_0 + ν_j is fitted by ordinary least squares to the outputs F_j at the rates ω_j. The names of the metrics follow IEEE 952 and
-1431. The source does not treat the Earth's rotation. The component of the Earth's rotation along the rotation axis of the table is
-the same in F_j and F_r, and so cancels. The other components of the Earth's rotation turn with the table, so their average over
-whole turns in F_j is zero. They remain in the zero readings F_r at the home position, so F_0 contains these components unless they
-are corrected for.
+1431. The source does not treat the Earth's rotation. Its component along the rotation axis of the table is the same in F_j and F_r,
+      so it cancels. The other components change as the table turns, so their average over whole turns in F_j is zero. They remain
+      in the zero readings F_r at the home position. Therefore F_0 contains these components unless they are corrected for.
 """
 
 from __future__ import annotations
@@ -82,8 +81,8 @@ class TiltedQuantities(Quantities):
 
     `kept`: labels of the segments in complete series. `units`: for each axis, the unit of the rate and the unit of the output.
     `scatter`: type A uncertainty on the chosen basis. `within`: type A uncertainty from the noise within the segments alone.
-    `acting`: influences on `TiltedResults.vector`. `doubts`: warnings about series that are left out and about zeros that drift too
-    much.
+    `acting`: influences of declared inputs on the results, in the order of `TiltedResults.vector`. `doubts`: warnings about series
+    that are left out, and about zeros that drift too much.
     """
 
     situation: Situation
@@ -207,9 +206,9 @@ def _unstated(
     freedom: Array,
     shown: Sequence[Item],
 ) -> tuple[UnstatedFlicker, ...]:
-    """Returns the effect of flicker on the coefficients, for outputs for which the bench file states no flicker. `sigma`: array of
-    shape (N, m), noise of each segment's mean. `freedom`: array of shape (m,), degrees of freedom of this noise. Both arrays are in
-    the form in which `_sigma` returns them."""
+    """Returns how flicker affects the coefficients, for outputs for which the bench file states no flicker. `sigma`: array of shape
+    (N, m), noise of each segment's mean. `freedom`: array of shape (m,), degrees of freedom of this noise. Both arrays are results
+    of `_sigma`."""
     silent = unstated_flicker(observations, request.setup.inputs, SPAN.value)
     found = []
     for error, influence in unstated_influences(situation, silent, request.parameters.uncertainty):
@@ -231,8 +230,8 @@ def _unstated(
 
 
 def _against_declared(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[Said]:
-    """Warnings about outputs whose scale factor differs from the nominal value. For an output of angular rate without a declared
-    scale factor, the nominal value is one."""
+    """Returns warnings about outputs whose scale factor differs from the nominal value. For an output of angular rate without a
+    declared scale factor, the nominal value is one."""
     axes, slopes = found.situation.conditions.axes, found.situation.found.means[found.situation.reference, :, K]
     named: list[tuple[str, float, float]] = []
     plain: list[AxisResponse] = []
@@ -405,9 +404,9 @@ def _sigma(
     observations: Observations,
     flicker: Sequence[CorrelatedError],
 ) -> tuple[Array, Array]:
-    """Returns the noise (N, m) of each segment's mean, without the part that flicker adds to the scatter within the segments; and
-    the degrees of freedom (m,) of this noise. An output whose noise is not visible counts as noiseless. If the uncertainties are
-    based on this noise, an `EstimationError` is raised instead."""
+    """Returns the noise (N, m) of each segment's mean, and the degrees of freedom (m,) of this noise. The part that flicker adds to
+    the scatter within the segments is not included. An output whose noise is not visible is treated as noiseless. If the
+    uncertainties are based on this noise, an `EstimationError` is raised instead."""
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
         raise EstimationError(
@@ -433,8 +432,8 @@ def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[Said]:
 def _rounding(
     request: EstimateRequest[ScaleFactorTiltedParameters], kept: Sequence[RecordedSegment], axes: MountedAxes
 ) -> dict[str, Rounding]:
-    """Returns, for each output, how much rounding error remains in the means. If noise dithers the samples, their rounding errors
-    average out; otherwise a mean has the rounding error of a single sample."""
+    """Returns, for each output, the rounding error that remains in the means. If noise dithers the samples, their rounding errors
+    average out; otherwise, a mean has the rounding error of a single sample."""
     found = {}
     for output in axes.outputs:
         variances = [float(np.diag(one.statistics.covariance)[one.statistics.of(output)]) for one in kept]

@@ -6,8 +6,8 @@
 
 The module also judges the drift of the zero between the readings before and after the rates.
 
-The type A uncertainty includes the noise of the zeros. If flicker is declared, the type A uncertainty also includes the flicker, of
-which the drift of a series is one sample. A drift is therefore added separately only if noise and flicker together do not explain it.
+The type A uncertainty includes the noise of the zeros. If flicker is declared, it also includes the flicker, and the drift in a
+series may be a part of this flicker. A drift is therefore added separately only if noise and flicker together do not explain it.
 Otherwise every interval would include the same noise twice.
 """
 
@@ -76,8 +76,8 @@ def scatter_between_repeats(
 ) -> Scatter:
     """Returns the type A uncertainty from the scatter of the repeats. The variance of a quantity is pooled over the temperatures,
     unless Bartlett's test finds that it differs between them. The correlations between quantities come from the repeats of all
-    temperatures. All repeats have a part of the declared flicker in common. Their scatter cannot show this part, so it is added.
-    `answers`: sensitivities of each group, from `answers_of`."""
+    temperatures. A part of the declared flicker is common to all repeats. The scatter of the repeats cannot show this part, so it
+    is added. `answers`: sensitivities of each group, from `answers_of`."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(
@@ -106,9 +106,9 @@ def scatter_between_repeats(
 
 
 def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
-    """Returns the variances of the means over the repeats due to that part of the flicker which different repeats have in common,
-    shape (5·m,). A variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, where fᵣ is the sensitivity of the quantities of
-    repeat r to the segments, and C the covariance of the flicker; it is zero if this mean is negative."""
+    """Returns the variances that the part of the flicker common to different repeats causes in the means over the repeats, shape
+    (5·m,). A variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, or zero if this mean is negative. fᵣ is the
+    sensitivity of the quantities of repeat r to the means of segments, and C is the covariance of the flicker."""
     gains, q = answers_to_averages(answers), len(group.spins)
     found = np.zeros(gains.shape[1:])
     for effect in flicker:
@@ -169,13 +169,14 @@ def scatter_of_means(
 def _about_the_line(
     group: Group, residuals: Array, noise: Array, flicker: Sequence[CorrelatedError]
 ) -> tuple[Array, Array]:
-    """Computes the scatter of the outputs at the rates from the residuals (n, m): for each output, one standard uncertainty at all
-    rates, (n, m); and the covariances (m, n + 1, n + 1) that flicker causes between the averages of `Group.averages`.
+    """Computes the scatter of the outputs at the rates from the residuals (n, m). Returns the standard uncertainties (n, m), which
+    are equal at all rates for each output, and the covariances (m, n + 1, n + 1) that flicker causes between the averages of
+    `Group.averages`.
 
     Without declared flicker, the variance is s² = Σν²/(n − 2) for the residuals ν. With flicker, the covariance of the rates is
     proportional to V = σ²·1 + C, where σ² is the mean square of `noise` (n, m), and C the covariance of the flicker. The residuals
-    give a common factor for both parts: the minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), where the columns of X are 1 and the
-    rates. For C = 0 both formulas agree.
+    give a common factor for both parts. This factor is the minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), where the columns of X
+    are 1 and the rates. For C = 0, the two formulas agree.
     """
     n, m = residuals.shape
     weights = group.averages
@@ -195,8 +196,8 @@ def _about_the_line(
 
 
 def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other: Array) -> Array:
-    """Returns the degrees of freedom of a sum of two variances by Welch–Satterthwaite (JCGM 100:2008, G.4.1): the variance of the
-    residuals, and the variance due to the noise of the zeros, which causes no residuals."""
+    """Returns the degrees of freedom of a sum of two variances by the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1). `one`:
+    variance of the residuals. `other`: variance due to the noise of the zeros, which causes no residuals."""
     known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
     squares = one**2 / freedom_of_one + other**2 / known
     return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
@@ -271,8 +272,8 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
     """Returns half of the drift of an axis's zero, as a root mean square over temperatures and repeats. The contribution of noise
     is removed.
 
-    `sigma`: array of shape (N,), standard uncertainty of each segment's mean. `shared`: True to return only the part that all
-    repeats have in common; this part includes noise.
+    `sigma`: array of shape (N,), standard uncertainty of each segment's mean. `shared`: True to return only the part of the drift
+    that all repeats have in common. In this case, noise is not removed.
     """
     drifts = [group.drift[:, axis] for group in groups]
     if shared:
@@ -303,9 +304,8 @@ def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[Corre
 
 
 def moved_alike(groups: Sequence[Group]) -> set[int]:
-    """Returns the axes whose zeros drifted equally in all repeats, by more than the scatter between repeats explains. For this
-    purpose, an F test at 1 % compares the mean drifts at the temperatures with the scatter. Every group must have at least two
-    repeats."""
+    """Returns the axes whose zeros drifted equally in all repeats, by more than the scatter between repeats explains. An F test at
+    1 % compares the mean drifts at the temperatures with this scatter. Every group must have at least two repeats."""
     from scipy.special import fdtrc
 
     freedom = sum(len(group.drift) - 1 for group in groups)
