@@ -19,7 +19,7 @@ def weighing() -> Weighing:
     return Weighing(record())
 
 
-def _dense(weighing: Weighing, channel: int, walk: float) -> np.ndarray:
+def dense_covariance(weighing: Weighing, channel: int, walk: float) -> np.ndarray:
     """Covariance (M, M) of a channel's coefficients, written from the definition: white on all, the walk on means and by its spectrum."""
     observed, spectrum = weighing.observed, weighing.spectrum
     white = weighing.white[channel]
@@ -46,7 +46,7 @@ def test_evidence_is_that_of_dense_densities(weighing: Weighing, level: int) -> 
         weight = weighing.weights[channel][level]
         nominal = weighing.nominal[channel]
         scaled = nominal / np.linalg.norm(nominal, axis=0) * weighing.white[channel] * 1e5
-        plain = _dense(weighing, channel, weight.walk) + scaled @ scaled.T
+        plain = dense_covariance(weighing, channel, weight.walk) + scaled @ scaled.T
         column = weighed.raw[channel][:, [channel]]
         projected = weight.project(column)[:, 0]
         size, score = float(projected @ projected), float(projected @ weight.residual)
@@ -62,7 +62,7 @@ def test_the_likelihoods_of_noise_compare_as_dense_densities_do(weighing: Weighi
     nominal, y = weighing.nominal[0], weighing.spectrum.values[:, 0]
     scaled = nominal / np.linalg.norm(nominal, axis=0) * weighing.white[0] * 1e5
     both = [weighing.weights[0][0], weighing.weights[0][6]]
-    dense = [_log_density(_dense(weighing, 0, w.walk) + scaled @ scaled.T, y) for w in both]
+    dense = [_log_density(dense_covariance(weighing, 0, w.walk) + scaled @ scaled.T, y) for w in both]
     assert both[1].walk > 0
     assert both[1].log_likelihood - both[0].log_likelihood == pytest.approx(dense[1] - dense[0], abs=0.02)
 
@@ -70,7 +70,7 @@ def test_the_likelihoods_of_noise_compare_as_dense_densities_do(weighing: Weighi
 def test_whitening_with_a_walk_is_the_dense_covariance(weighing: Weighing) -> None:
     weight = weighing.weights[1][6]
     covariance = weight.covariance(np.ones(len(weighing.spectrum.segment), dtype=bool))
-    assert covariance == pytest.approx(_dense(weighing, 1, weight.walk), rel=1e-9)
+    assert covariance == pytest.approx(dense_covariance(weighing, 1, weight.walk), rel=1e-9)
     columns = np.random.default_rng(1).normal(size=(len(covariance), 4))
     whitened = weight.whiten(columns)
     assert whitened.T @ whitened == pytest.approx(columns.T @ np.linalg.solve(covariance, columns), rel=1e-6)
