@@ -71,8 +71,8 @@ class ScaleFactorParameters(Record):
     )
     weights: str = key(
         Choice(("noise", "equal")),
-        "Weight each rate by the noise of its segment, so that an unsteady rate has less weight; or give "
-        "all rates the same weight, as in ordinary least squares.",
+        "Weights of the rates. `noise`: the noise of its segment determines the weight of a rate, so an unsteady rate has less weight; "
+        "`equal`: all rates have the same weight, as in ordinary least squares.",
         "noise",
         default="noise",
     )

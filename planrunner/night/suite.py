@@ -91,7 +91,7 @@ class SuiteBench(Record):
     )
     check_standard_first: bool = key(
         Boolean(),
-        "Measures the check standard of the bench before all other tests; if it is not in control then, no other test runs on this bench.",
+        "Measures the check standard of the bench before all other tests. If it is then not in control, no other test runs on this bench.",
         True,
         default=False,
     )
@@ -297,7 +297,7 @@ class Notification(Record):
     password_from: str | None = optional(_VARIABLE, "Environment variable with the password.", "SMTP_PASSWORD")
     when: str = key(
         Choice(("always", "failed")),
-        "Whether to notify after every night, or only after one that failed.",
+        "Whether to notify after every night, or only after a night that failed.",
         "failed",
         default="always",
     )

@@ -37,8 +37,8 @@ def drift() -> tuple[str, ...]:
     """Makes the plan key `drift` of estimators that fit constants to segments."""
     words: tuple[str, ...] = key(
         ListOf(Choice((BY_EVIDENCE, NONE, *ORDERS, *WITH_TEMPERATURE)), single=True, minimum=1),
-        "Drift of the outputs during the test that is fitted together with the coefficients: in time (`quadratic` includes `linear`, and "
-        "`cubic` includes both), with the recorded temperature, or with its rate of change. `by_evidence`: a "
+        "Drift of the outputs that is fitted together with the coefficients. It follows the time (`quadratic` includes `linear`, and "
+        "`cubic` includes both), the recorded temperature, or the rate of change of this temperature. `by_evidence`: a "
         "drift is fitted only if the segments show one.",
         ["linear", "temperature"],
         default=(BY_EVIDENCE,),

@@ -29,7 +29,7 @@ def drift_span() -> Quantity:
     """Makes the key for the time span over which a constant is defined as the average."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
-        "A reported constant is the mean over this time span, which has the test in its middle and is at least as long as the test. "
+        "A reported constant is the mean over this time span. The span is at least as long as the test, and the test is in its middle. "
         "The span affects the uncertainties only if a bias instability is declared.",
         "24 h",
         default=SPAN,

@@ -65,8 +65,8 @@ class DiagnosisSpec(Record):
 
     nominal: tuple[str, ...] = key(
         ListOf(Choice(NOMINAL_TERMS)),
-        "Terms of the simulated model that are fitted to the recording; a term that is left out is treated as a possible "
-        "explanation of the gap, like any other effect.",
+        "Terms of the simulation that are fitted to the recording. A term that is left out is a possible explanation of the gap, "
+        "like any other effect.",
         ["accel_bias"],
         default=NOMINAL_TERMS,
     )
@@ -78,8 +78,8 @@ class DiagnosisSpec(Record):
     )
     segments: tuple[str, ...] | Detection = key(
         SelectionKind(),
-        "Labels of the segments to diagnose, or patterns with the wildcards * and ?; or {detect: still} for a sensor tumbled by hand, "
-        "whose orientation is unknown.",
+        "Labels of the segments to diagnose, or patterns with the wildcards * and ?. For a sensor that is tumbled by hand in unknown "
+        "orientations, write {detect: still}.",
         "P*",
         default=("*",),
     )

@@ -84,8 +84,8 @@ class WatchSpec(Tolerated):
     )
     doubts: str = key(
         Choice(("limit", "note")),
-        "Treatment of samples that the instrument marks as doubtful (status bits): with `limit`, they count as an exceeded limit; "
-        "with `note`, they are only noted.",
+        "Treatment of samples that the instrument marks as doubtful (status bits). `limit`: they count as an exceeded limit; "
+        "`note`: they are only noted.",
         "note",
         default="limit",
     )
@@ -168,8 +168,8 @@ class RecordedSpec(Record):
     )
     averaging: Quantity | None = optional(
         QuantityOf("time", "positive"),
-        "Time over which outputs and motion are averaged before they are compared; by default ten samples for an angle or an attitude, "
-        "whose differences are noisy, and none for rates.",
+        "Time over which outputs and motion are averaged before they are compared. By default, ten samples are averaged for an angle or "
+        "an attitude, because their differences are noisy; rates are not averaged.",
         "50 ms",
     )
 
@@ -180,7 +180,7 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 
 
 class MotionSpec(Record):
-    """Declares what the sensor does while it records: one of rate, rock, cycle and recorded; without these, the sensor is at rest."""
+    """Declares the motion of the sensor while it records: one of rate, rock, cycle and recorded. Without these, it is at rest."""
 
     rate: Quantity | None = optional(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY), "Constant rate about the rotation axis.", "300 deg/s"
@@ -396,7 +396,7 @@ class SegmentSpec(State):
     )
     prompt: str | None = optional(
         Text(r"[^\x00-\x1f]{1,200}", "a line of text"),
-        "Instruction or question that the operator must confirm before the segment begins (before the first of its steps); until then the "
+        "Instruction or question that the operator must confirm before the segment (or the first of its steps) begins. Until then, the "
         "bench is in its safe state.",
         "Turn the fixture to face {orientation}, then leave the table",
     )

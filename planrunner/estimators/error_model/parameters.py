@@ -50,8 +50,8 @@ class ErrorModelParameters(Record):
     )
     axes: dict[str, str] = key(
         MapOf(Choice(AXES)),
-        "The axis of the sensor along which an output measures; required if the name of the output does not contain this axis, or "
-        "contains the letter of another axis.",
+        "The axis of the sensor along which an output measures. It is required unless the name of the output contains the letter of "
+        "this axis and of no other axis.",
         {"torquer_x": "y"},
         default_factory=dict,
     )

@@ -86,8 +86,8 @@ class ImuMultiPositionParameters(Record):
     )
     misalignment: str = key(
         Choice(("full", "lower_triangular")),
-        "full: all six misalignments, in the axes of the planned orientations. lower_triangular: three of them, in the frame of the "
-        "accelerometers, and the rotation from that frame to the planned axes. The x axis of that frame is the first input axis, and its "
+        "full: six misalignments, in the axes of the planned orientations. lower_triangular: three misalignments in the frame of the "
+        "accelerometers, and the rotation from this frame to the planned axes. The x axis of this frame is the first input axis, and its "
         "y axis is in the plane of the first two input axes. If there are no accelerometers, the frame is that of the gyros.",
         "lower_triangular",
         default="full",

@@ -59,8 +59,8 @@ class TemperatureModelParameters(Record):
     )
     rule: str = key(
         Choice(RULES),
-        "Which curve is selected by its prediction errors for the values that were left out. one_standard_error: the simplest "
-        "curve whose error is within one standard error of the smallest. smallest_error: the curve with the smallest error.",
+        "Rule for the selection of the curve. Each curve predicts the values that were left out. smallest_error: the curve with the "
+        "smallest prediction error. one_standard_error: the simplest curve with an error at most one standard error above the smallest.",
         "smallest_error",
         default="one_standard_error",
     )

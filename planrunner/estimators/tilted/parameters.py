@@ -28,8 +28,9 @@ class ScaleFactorTiltedParameters(Record):
     )
     earth_rate: str = key(
         Choice(("corrected", "averaged", "ignored")),
-        "How the component of the Earth rate perpendicular to the table's rotation axis is treated: corrected, with latitude, fixture "
-        "angles and azimuths; averaged over whole turns, which are then required; or ignored. Only `corrected` removes it from F0.",
+        "Treatment of the component of the Earth rate perpendicular to the table's rotation axis. `corrected`: it is computed from "
+        "latitude, fixture angles and azimuths; `averaged`: it averages to zero over whole turns, which are then required; `ignored`: "
+        "it is neglected. Only `corrected` removes it from F0.",
         "corrected",
         default="corrected",
     )
