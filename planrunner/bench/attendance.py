@@ -8,8 +8,8 @@ from planrunner.plan.schedule import Schedule
 
 
 def check_unattended(bench: Bench, schedule: Schedule, log: Findings) -> None:
-    """Adds an error for every prompt of the plan if no operator is present. On a simulated bench nothing is added, because nobody
-    is asked there."""
+    """Adds an error for every prompt of the plan if no operator is present. On a simulated bench, no errors are added, because
+    prompts are skipped there."""
     if runs_on_virtual_clock(bench):
         return
     seen = set()

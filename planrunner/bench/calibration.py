@@ -1,5 +1,5 @@
-"""Calibrations of the parts of a bench: the record, the checks of its dates, and the check that it is valid on the day of a run.
-The module also has the record of the bench's laboratory as calibration certificates name it (ISO/IEC 17025:2017, 7.8).
+"""Describes the calibrations of the parts of a bench, checks their dates, and checks that they are valid on the day of a run. Also
+describes the laboratory of the bench as calibration certificates name it (ISO/IEC 17025:2017, 7.8).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Calibration(Record):
 
     @property
     def words(self) -> str:
-        """Names the certificate and the laboratory; budgets show this text as the source of a stated uncertainty."""
+        """Returns a text that names the certificate and the laboratory. Budgets show it as the source of a stated uncertainty."""
         return self.certificate + (f" ({self.laboratory})" if self.laboratory else "")
 
 

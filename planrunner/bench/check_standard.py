@@ -1,6 +1,5 @@
-"""Declares the check standard of a bench: a device that stays in the laboratory and is measured repeatedly. The check standard
-shows whether the measurement process is in control (NIST/SEMATECH e-Handbook of Statistical Methods, 2.2; NIST SOP 17, NISTIR
-7383)."""
+"""Declares the check standard of a bench: a device that stays in the laboratory and is measured repeatedly. Its values show whether
+the measurement process is in control (NIST/SEMATECH e-Handbook of Statistical Methods, 2.2; NIST SOP 17, NISTIR 7383)."""
 
 from __future__ import annotations
 

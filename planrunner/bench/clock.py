@@ -1,4 +1,5 @@
-"""Provides clocks. Simulated time and real time have the same methods, so that the executor need not know which one it uses."""
+"""Provides clocks for simulated time and for real time. Both have the same methods, so that the executor need not know which one it
+uses."""
 
 from __future__ import annotations
 
@@ -7,13 +8,13 @@ from collections.abc import Callable
 
 
 class VirtualClock:
-    """A clock of simulated time. It advances only when something sleeps, and a sleep takes no real time."""
+    """A clock of simulated time. It advances only during calls of `sleep`, which take no real time."""
 
     def __init__(self, start: float = 0.0):
         self._now = start
 
     def now(self) -> float:
-        """Simulated seconds since the run began."""
+        """Returns the simulated time since the run began, s."""
         return self._now
 
     def sleep(self, seconds: float) -> None:
@@ -42,7 +43,7 @@ class WallClock:
         self._attend: Callable[[], bool] | None = None
 
     def now(self) -> float:
-        """Seconds since the run began, not counting the time during which the run was interrupted."""
+        """Returns the time since the run began, s. The time during which the run was interrupted does not count."""
         return (time.monotonic() - self._origin) * self.speed
 
     def sleep(self, seconds: float) -> None:

@@ -1,8 +1,8 @@
-"""Checks a cycle of turns and stops: whether the table axis can execute it, and which part of a constant sensor error in the
-horizontal plane remains after it.
+"""Checks a cycle of turns and stops: whether the axis of the table can execute it, and how much of a constant horizontal sensor
+error remains on average over it.
 
-A cycle that cancels constant errors has zero residual over its stops, zero residual over its turns, and a mean angle of zero. The figures
-come from `planrunner.physics.rotation_cycle`.
+A cycle cancels constant errors if its residual over the stops, its residual over the turns, and its mean angle are zero. The
+figures come from `planrunner.physics.rotation_cycle`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _DESIGN = "`planrunner design` finds cycles without a residual"
 def check_cycle(
     axis: TableAxis, starts: Sequence[float], motion: Cycle, dwell: float | None, site: Site, at: MarkOf, log: Findings
 ) -> tuple[float, float]:
-    """Adds findings about a cycle of the table that begins at the first of `starts` [rad], the possible joint angles. Also checks
-    whether the cycle exceeds a limit if it begins at another of these angles. Returns the angle [rad] at which the joint rests
-    after the dwell, and the time [s] to come to rest. Both values are for a cycle that begins at the first angle."""
+    """Adds findings about a cycle of the table. `starts`: the angles [rad] at which the joint may be when the cycle begins, the
+    planned one first. For the other angles, only the limits of the axis are checked. Returns two values for a cycle that begins at
+    the planned angle: the angle [rad] at which the joint rests after the dwell, and the time [s] to come to rest."""
     start = starts[0]
     excess = next(filter(None, (cycle_excess(axis, begin, motion) for begin in starts)), [])
     for one in excess:
@@ -85,7 +85,7 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
 
 
 def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
-    """Adds a warning about stops whose total time in a cycle is longer than the total time of the stops on the opposite side."""
+    """Adds a warning if the stops on one side have a longer total time in a cycle than the stops on the opposite side."""
     angles = {name: round(math.degrees(angle) % 360, 6) % 360 for name, angle in motion.positions.items()}
     names: dict[float, str] = {}
     held: dict[float, float] = {}
@@ -128,8 +128,8 @@ def _check_whole(cycle: RotationCycle, dwell: float, mark: Mark, log: Findings) 
 
 
 def seconds_of_error(left: complex) -> str:
-    """States in words what remains of a sensor error after a cycle: the component in the direction of the error and, if not zero,
-    the component perpendicular to it (positive to the left, seen from above)."""
+    """States in words how much of a sensor error remains after a cycle: the component in the direction of the error and, if it is
+    not zero, the perpendicular component (positive to the left, seen from above)."""
     across = f"{left.imag:+.2f} s across" if abs(left.imag) > 5e-3 else ""
     if abs(left.real) <= 5e-3:
         return across or "0 s"

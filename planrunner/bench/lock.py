@@ -1,10 +1,10 @@
-"""Ensures that only one run uses a bench: a process locks every real instrument, under all names of its address, against all other
-processes of the computer.
+"""Ensures that only one run uses a bench. A process locks every real instrument against all other processes of the computer. It
+locks all names of the instrument's address.
 
 Locks are files in one folder of the computer, which does not depend on the folder for temporary files of a process. The operating
-system releases them when a process ends for any reason. The watchdog of a run also takes a lock, before the first
-instrument is connected. If a run is killed, no other run gets the bench until the watchdog has made it safe. Locks have no effect
-on a second computer that uses the same instrument.
+system releases them when a process ends for any reason. The watchdog of a run takes a lock as well, before the first instrument is
+connected. Therefore, if a run is killed, no other run gets the bench until the watchdog has made it safe. Locks have no effect on a
+second computer that uses the same instrument.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ RESCUE_PATIENCE = 30.0
 def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[None]:
     """Locks the bench's real instruments. A bench without real instruments needs no lock.
 
-    `shown`: name of the bench file, for messages. `purpose`: why the bench is locked, for the message to others who want to use it.
-    Raises `InputError` if another process holds one of the instruments. Waits for the watchdog of a run that has ended.
+    `shown`: name of the bench file, for messages. `purpose`: the reason for the lock; others who want to use the bench see it in a
+    message. Raises `InputError` if another process holds one of the instruments. Waits for the watchdog of a run that has ended.
     """
     instruments = _names(bench)
     with ExitStack() as stack:
@@ -98,8 +98,8 @@ def lock_folder() -> Path:
 
 
 def _named(folder: Path) -> Path:
-    """Returns the folder for locks that an environment variable names. If it does not exist, it is created: by an administrator for
-    all users, by any other user for this user alone."""
+    """Returns the folder for locks that is named by an environment variable. If it does not exist, it is created: for all users if
+    an administrator runs the program, otherwise for this user alone."""
     if not folder.is_absolute():
         raise UntrustedFolderError(f"{folder} is a different folder for each process: give its absolute path")
     try:
@@ -135,7 +135,7 @@ def _names(bench: Bench) -> Mapping[str, str]:
 
 
 def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown: str, purpose: str) -> None:
-    """Takes all locks of one kind, or none if one of them is held elsewhere; closing the returned stack releases them."""
+    """Takes all locks of one kind, or none of them if another process holds one. Closing `stack` releases them."""
     if not instruments:
         return
     folder = _usable_folder(shown)

@@ -48,8 +48,8 @@ SINGLE_ROLES = ("table", "chamber", "sensor")  # roles that drivers have a model
 
 
 class MagneticFieldSpec(Record):
-    """States the true components of the Earth's magnetic field at the site. Only the ratios of the components matter unless
-    sensitivities are to have a unit."""
+    """States the true components of the Earth's magnetic field at the site. Their unit matters only if sensitivities to the field
+    are stated in a unit; otherwise, only the ratios of the components matter."""
 
     east: float = key(Number(-1e6, 1e6), "Component towards east.", 0.0, default=0.0)
     north: float = key(Number(-1e6, 1e6), "Component towards north.", 22.0)
@@ -116,8 +116,8 @@ class SiteSpec(Record):
 
 
 def astronomic_latitude(site: SiteSpec) -> Quantity:
-    """Returns the latitude of the plumb line [rad], which gives the direction of the Earth's rotation relative to gravity. It is Φ
-    = φ + ξ if the geodetic latitude is stated."""
+    """Returns the latitude of the plumb line [rad], which determines the direction of the Earth's rotation relative to gravity. If
+    the geodetic latitude φ is stated, it is Φ = φ + ξ."""
     stated, deviation = site.latitude, site.deviation_of_vertical
     if deviation is None or site.latitude_kind == "astronomic":
         return stated
@@ -126,8 +126,8 @@ def astronomic_latitude(site: SiteSpec) -> Quantity:
 
 
 def geodetic_latitude(site: SiteSpec) -> float:
-    """Returns the latitude on the ellipsoid [rad], which is used for navigated positions. It is φ = Φ − ξ if the astronomic
-    latitude is stated."""
+    """Returns the latitude on the ellipsoid [rad], which is used for navigated positions. If the astronomic latitude Φ is stated,
+    it is φ = Φ − ξ."""
     deviation = site.deviation_of_vertical
     known = site.latitude_kind == "astronomic" and deviation is not None
     return site.latitude.value - (deviation.north.value if known and deviation is not None else 0.0)
@@ -265,7 +265,7 @@ class Bench(Record):
     )
 
     def calibrations(self) -> tuple[tuple[str, Calibration], ...]:
-        """Returns name and record of each calibrated object."""
+        """Returns the name and the calibration of each calibrated object."""
         fixed = self.fixture.calibration if self.fixture else None
         found = [("the site's survey", self.site.survey), ("the fixture", fixed)]
         found += [(f"'{name}'", entry.calibration) for name, entry in self.instruments.items()]
@@ -276,10 +276,10 @@ class Bench(Record):
 class BenchModels:
     """Properties of a bench that are known without connecting to its instruments.
 
-    `replays`: the sensor plays back a recording, so orientations, rates and temperatures come from the recording and need no table
-    or chamber. `measures`: True if at least one instrument has live readings. `counts`: True if the sensor counts its lost and
-    corrupt frames. On a bench with simulated time, `measures` and `counts` are True. `origin`: whether the samples are simulated,
-    played back or measured.
+    `replays`: True if the sensor plays back a recording. Orientations, rates and temperatures then come from the recording and need
+    no table or chamber. `measures`: True if at least one instrument has live readings. `counts`: True if the sensor counts its lost
+    and corrupt frames. On a bench with simulated time, `measures` and `counts` are always True. `origin`: whether the samples are
+    simulated, played back or measured.
     """
 
     site: Site
@@ -335,8 +335,9 @@ def models(bench: Bench) -> BenchModels:
 
 
 def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool) -> DataOrigin:
-    """Returns the origin of the bench's samples. It is simulated if at least one instrument is simulated, in this program (which
-    restores the state of the instrument after a crash) or in a process behind the address of the instrument."""
+    """Returns the origin of the bench's samples. The origin is simulated if at least one instrument is simulated. The simulation is
+    part of this program (which restores the state of the instrument after a crash), or a separate process at the address of the
+    instrument."""
     inside = any(issubclass(driver, Resumable) and not issubclass(driver, PlaysBack) for driver in drivers)
     if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
         return "simulated"
@@ -344,12 +345,13 @@ def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool
 
 
 def real_instruments(bench: Bench) -> tuple[str, ...]:
-    """Names the instruments that are not simulated within this program, in the order in which they are made safe."""
+    """Returns the names of the instruments that are not simulated within this program, in the order in which they are made safe."""
     return tuple(name for name in safe_order(bench) if not issubclass(driver_of(bench.instruments[name]), Resumable))
 
 
 def runs_on_virtual_clock(bench: Bench) -> bool:
-    """Returns True if time is simulated, as the bench states it. By default only played-back recordings use simulated time."""
+    """Returns True if the bench uses simulated time. If the bench file does not state this, only played-back recordings use
+    simulated time."""
     return _virtual(bench, any(issubclass(driver_of(entry), PlaysBack) for entry in bench.instruments.values()))
 
 
@@ -358,8 +360,8 @@ def _virtual(bench: Bench, replays: bool) -> bool:
 
 
 def safe_order(bench: Bench) -> tuple[str, ...]:
-    """Names all instruments in the order in which they are made safe. This is the order stated in the bench; by default, the table
-    comes first, then the chamber, then all others."""
+    """Returns the names of all instruments in the order in which they are made safe. The bench file states this order; by default,
+    the table comes first, then the chamber, then all others."""
     if bench.safe_order:
         return bench.safe_order
     ranks = {"table": 0, "chamber": 1}
@@ -388,8 +390,8 @@ def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, by
 
 @lru_cache(maxsize=16)
 def bench_of(data: bytes, shown: str) -> Bench:
-    """Returns the bench that a file's bytes describe, cached because many plans name the same bench. Raises `InputError` if the
-    file contains an error."""
+    """Returns the bench that the bytes of a file describe. The result is cached, because many plans name the same bench. Raises
+    `InputError` if the file contains an error."""
     bench, log = parse_bench(source.parse(source.decode(data, shown), shown))
     if bench is None or log.errors:
         raise InputError(log)

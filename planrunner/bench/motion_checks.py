@@ -1,7 +1,7 @@
 """Checks a motion against the table and the sensor's sampling, and computes the time to start the motion and to come to rest.
 
 Spins and rocking are checked here; cycles of turns and stops are checked in `planrunner.bench.cycle_checks`. The limits of the axes
-are checked by `planrunner.physics.table_motion`, which the tables use too.
+are checked by `planrunner.physics.table_motion`, which the drivers of the tables also use.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Hold:
     """States how long a motion is held.
 
     `settle`: planned settling time, s. `dwell`: planned dwell, s; None if the dwell lasts as long as the recording. `sampled`:
-    sample rate, Hz; None if the sensor is not known. `sooner`: the time [s] by which measurements can end the settling early; 0 if
-    they cannot.
+    sample rate, Hz; None if the sensor is not known. `sooner`: the time [s] by which the settling may end early, because it ends as
+    soon as measurements allow; 0 if it has a fixed length.
     """
 
     settle: float
@@ -56,7 +56,8 @@ def start_motion(
     execute becomes a finding at the position of the motion in the plan.
 
     `input_axes`: array of shape (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not
-    known. `at`: returns the mark of one of the motion's keys in the plan or, for an empty key, the mark of the whole motion.
+    known. `at`: a function that returns the mark of one of the motion's keys in the plan or, for an empty key, the mark of the
+    whole motion.
     """
     table, mark = models.table, at("")
     if isinstance(motion, Rest):
@@ -87,8 +88,8 @@ def start_motion(
 
 
 def _check_moved(motion: RecordedMotion, models: BenchModels, at: MarkOf, log: Findings) -> None:
-    """Checks whether a motion that nobody commands is possible on this bench, and whether the bench's sensor has the channels that
-    show the motion."""
+    """Checks a motion that is not commanded: whether it is possible on this bench, and whether the sensor of the bench has the
+    channels that show the motion."""
     if models.table is not None:
         message = "the table of this bench moves only on command, so the sensor cannot move in a way that only the recording shows"
         log.error(
@@ -141,7 +142,8 @@ def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
 
 
 def _check_sampled(motion: Rock, sampled: float | None, mark: Mark, log: Findings) -> None:
-    """Checks the sampling theorem: a sine at half the sample rate or above is recorded with a wrong frequency."""
+    """Checks the condition of the sampling theorem: a sine at half the sample rate or above would be recorded with a wrong
+    frequency."""
     if sampled is None or motion.frequency < sampled / 2 * (1 - 1e-9):
         return
     alias = abs(motion.frequency - sampled * round(motion.frequency / sampled))
@@ -196,8 +198,8 @@ def _spin(
 def _elsewhere(
     table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
 ) -> list[Excess]:
-    """Returns the limits of the axes that a spin exceeds if it begins at an angle other than the planned one. The table may be at
-    several such angles."""
+    """Returns the limits of the axes that a spin exceeds if it begins at an angle other than the planned one. All angles at which
+    the table may be are examined."""
     # The angle of a continuous innermost axis makes no difference to a spin.
     matter = len(table.axes) - 1 if table.axes[-1].continuous else len(table.axes)
     starts = {start[:matter].tobytes(): start for start in state.starts()[1:]}
@@ -223,8 +225,8 @@ def _perhaps(excess: Sequence[Excess]) -> list[Excess]:
 def _whole_turns(
     motion: Spin, dwell: float, input_axes: Array | None, models: BenchModels, mark: Mark, log: Findings
 ) -> None:
-    """Warns if the spin ends with an incomplete turn that biases the mean of the samples. The Earth rate causes this bias for an
-    input axis that is not parallel to the rotation axis."""
+    """Warns if the spin ends with an incomplete turn that biases the mean of the samples. The bias occurs if an input axis is not
+    parallel to the rotation axis, because it then senses a part of the Earth rate that varies during a turn."""
     turns = abs(motion.rate) * dwell / (2 * math.pi)
     if abs(turns - round(turns)) < 1e-3 or input_axes is None:
         return
@@ -245,9 +247,10 @@ def _whole_turns(
 
 def mean_left(turns: float) -> float:
     """Returns the largest possible absolute mean of a sine wave with the amplitude one during `turns` turns. The mean depends on
-    the angle at which the sine wave starts; the largest mean over all such angles is returned.
+    the start angle of the sine wave; the result is the largest mean of all start angles.
 
-    (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN): at most |sin πN|/(πN), and zero after whole turns.
+    The mean (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN). Its magnitude is at most |sin πN|/(πN), and it is
+    zero after whole turns.
     """
     return abs(math.sin(math.pi * turns)) / (math.pi * turns)
 

@@ -1,11 +1,11 @@
-"""Connects a bench: its instruments by role and name, and its clock; and makes it safe.
+"""Connects the instruments and the clock of a bench, and makes the bench safe.
 
-Only the instruments that this process took control of are made safe. Connecting to an instrument does not count as commanding it:
-an instrument that someone else started must not be stopped. When the bench is made safe, each instrument is tried in the bench's
-order, even if others fail. Connecting stops at the first instrument that fails and releases those already connected.
+Only the instruments that this process has taken control of are made safe. An instrument to which it has only connected is left as
+it is, because an instrument that someone else started must not be stopped. When the bench is made safe, each instrument is tried in
+the bench's order, even if others fail. Connecting stops at the first instrument that fails and releases those already connected.
 
-For a run the bench is locked against other runs, guarded by a watchdog, connected, and finally made safe, in this order. Without
-real instruments the bench needs neither lock nor watchdog.
+For a run, the bench is locked against other runs, then guarded by a watchdog, then connected, and at the end made safe. A bench
+without real instruments needs neither a lock nor a watchdog.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class OpenBench:
     disconnects all instruments.
 
     `table`, `chamber`, `sensor`: the instrument of that role, or None. `instruments`: maps the name of each instrument to the
-    instrument. `limits`: descriptions of the limits that the instruments enforce themselves. `watchdog`: the watchdog of a guarded
-    bench. `safe`: True if the last attempt brought all controlled instruments to their safe state.
+    instrument. `limits`: descriptions of the limits that the instruments enforce themselves. `watchdog`: the watchdog, if one
+    guards the bench. `safe`: True if the last attempt brought all controlled instruments to their safe state.
     """
 
     def __init__(self, bench: Bench, clock: RunClock, site: Site):
@@ -99,9 +99,9 @@ class OpenBench:
         self._roles = {**self._roles, name: role}
 
     def take_control(self, *names: str) -> None:
-        """Declares that from now on this process commands these instruments (by default all). The process then makes these
-        instruments safe at the end; if it cannot, its watchdog does. Call this before the first command. Raises `InstrumentError`
-        if the watchdog has ended."""
+        """Declares that, from now on, this process commands these instruments (by default all). At the end, the process makes them
+        safe; if it cannot, its watchdog does so. Call this before the first command. Raises `InstrumentError` if the watchdog has
+        ended."""
         added = set(names or self.instruments) - self._controlled
         if added and self.watchdog is not None:
             self.watchdog.answer_for(added)
@@ -152,7 +152,7 @@ class OpenBench:
 
 
 def real_clock(bench: Bench) -> WallClock:
-    """Returns a clock of real time. If a separate process simulates the bench, returns a clock at the speed of that process."""
+    """Returns a clock of real time. If a separate process simulates the bench, the clock has the speed of this process."""
     if bench.simulation is None:
         return WallClock()
     drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}

@@ -1,4 +1,4 @@
-"""Protects a bench: its instruments enforce limits themselves, and plans must not exceed these limits.
+"""Describes the protection of a bench: limits that its instruments enforce themselves, and that plans must not exceed.
 
 Instruments that support limits receive them before the first move. planrunner also compares its own readings with these limits.
 """

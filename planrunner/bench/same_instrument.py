@@ -1,8 +1,8 @@
-"""Gives names to the address of an instrument on this computer. Two addresses of the same instrument have a name in common.
+"""Finds all names of the address of an instrument on this computer. Two addresses of the same instrument have a name in common.
 
-A serial port has several names (`/dev/ttyUSB0`, a link in `/dev/serial/by-id`, `ASRL/dev/ttyUSB0::INSTR`; `COM3` and `ASRL3::INSTR`), and
-so has a network host. If an instrument has two connections, such as GPIB and network or two ports of a host, their addresses have no name
-in common and cannot be matched.
+A serial port has several names (`/dev/ttyUSB0`, a link in `/dev/serial/by-id`, `ASRL/dev/ttyUSB0::INSTR`; `COM3` and
+`ASRL3::INSTR`), and so has a network host. Two connections of the same instrument, such as GPIB and network, or two ports of a
+host, have no name in common. This module cannot recognise that they belong to the same instrument.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _HOST_AND_PORT = re.compile(r"\[?([^\]/]+)\]?:(\d+)/?")
 
 def names_of(address: str) -> frozenset[str]:
     """Returns all names under which the instrument at `address` can be addressed on this computer. An address is a VISA resource, a
-    serial port as pyserial names it, or a text that only its driver understands, which is then the only name. The result is never
-    empty; an unknown host keeps its name."""
+    serial port as pyserial names it, or a text that only its driver understands; such a text is its only name. The result is never
+    empty: for an unknown host, it contains the name of the host."""
     text = address.strip()
     if found := _SOCKET.fullmatch(text):
         return _of_host(found[1], f"port {int(found[2])}")
@@ -68,8 +68,8 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """Returns all names that this computer has for a serial port. `numbered`: True if a name that is a plain number means the
-    Windows port with this number."""
+    """Returns all names that this computer has for a serial port. `numbered`: True if a plain number is the name of the Windows
+    port with this number."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":
@@ -89,14 +89,14 @@ def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
 
 
 def windows_port(name: str, numbered: bool = False) -> frozenset[str]:
-    r"""Returns one name for a Windows port that can be written as `\\.\com3`, as `COM3` or, in a VISA resource, as `3`."""
+    r"""Returns the same name for all spellings of a Windows port: `\\.\com3`, `COM3` or, in a VISA resource, `3`."""
     plain = name.upper().removeprefix("\\\\.\\")
     return frozenset({f"COM{plain}" if numbered and plain.isdecimal() else plain})
 
 
 def _calling_out(path: str) -> str:
-    """Returns the device of macOS for outgoing calls that belongs to a serial port. macOS has two devices for each port; the other
-    one waits for a carrier."""
+    """Returns the device for outgoing calls that macOS provides for a serial port. macOS has two devices for each port; the other
+    device waits for a carrier."""
     return path.replace("/dev/tty.", "/dev/cu.", 1)
 
 

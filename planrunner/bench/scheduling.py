@@ -1,10 +1,11 @@
-"""Makes a schedule from a plan and a bench: computes transitions and checks every state against the capabilities of the bench.
+"""Makes a schedule from a plan and a bench. Computes the transitions between states, and checks that the bench can reach every
+state.
 
 The findings that are added here concern physics: what the bench can reach, and how it is sampled. Motions are checked in
 `planrunner.bench.motion_checks`, temperatures in `planrunner.bench.temperature_checks`.
 
-Settling conditions and limits are converted to SI units and checked against the measurements that the bench offers. On a simulated clock
-nothing is measured: a simulated state is steady when its instrument reports it.
+Settling conditions and limits are converted to SI units. It is checked that the bench can measure the quantities that they limit.
+With simulated time, nothing is measured: a state is steady as soon as the simulated instrument reports it.
 """
 
 from __future__ import annotations
@@ -136,8 +137,8 @@ def _days(seconds: float) -> str:
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
-    """Returns the position of the finding about segments without a required key, and its message, which names the first of these
-    segments. `segments`: maps the position of each segment in the plan to its label."""
+    """Returns the position and the message of the finding about segments that lack a required key. The message names the first of
+    these segments. `segments`: maps the position of each segment in the plan to its label."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 
@@ -228,8 +229,8 @@ class _Planner:
         )
 
     def report_missing(self) -> None:
-        """Adds one finding for each missing key, however many segments lack it: a key that is missing in `defaults` is missing in
-        every segment."""
+        """Adds one finding for each missing key, even if several segments lack it, because a key that is missing in `defaults` is
+        missing in every segment."""
         if self._without_orientation:
             hint = "add for example `orientation: {x: up, y: north, z: west}` there or to `defaults`, or `orientation: unknown`"
             self.log.error("meaning-no-orientation", *_lacking(self._without_orientation, "orientation"), hint)
@@ -238,8 +239,8 @@ class _Planner:
             self.log.error("meaning-no-dwell", *_lacking(self._without_dwell, "dwell"), hint)
 
     def return_time(self) -> float:
-        """Time [s] from the end of the last segment to the safe state, in which the chamber is at ambient temperature and the table
-        at rest."""
+        """Returns the time [s] from the end of the last segment to the safe state, in which the chamber is at ambient temperature
+        and the table is at rest."""
         return max(self.state.stopping, self.temperatures.return_time())
 
     # -- keys of a segment ---------------------------------------------------------------------------------------------
@@ -378,7 +379,7 @@ class _Planner:
         return stopping + seconds
 
     def _sampled(self, item: StatedSegment) -> float | None:
-        """Sample rate [Hz] of a segment; None if the sensor is not known."""
+        """Returns the sample rate [Hz] of a segment; None if the sensor is not known."""
         rate, sensor = item.state.sample_rate, self.models.sensor
         if rate is not None:
             return rate.value

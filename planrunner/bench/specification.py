@@ -1,8 +1,9 @@
-"""Describes the specification of a sensor: limits of its constant errors, as declared or as usual for its grade.
+"""Describes the specification of a sensor: the limits of its constant errors. They are declared limits, or the usual limits of its
+grade.
 
 A diagnosis compares its results with these limits. This comparison is necessary because the simulation fits biases and scale
-factors: even a very large value leaves no gap between simulation and measurement. If the bench file declares no limits, the usual
-limits of the sensor's grade apply.
+factors, so that even a very large bias or scale-factor error leaves no gap between simulation and measurement. If the bench file
+declares no limits, the usual limits of the sensor's grade apply.
 
 Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed.,
 2013, table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to
@@ -25,7 +26,7 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 
 
 class Sense(Enum):
-    """States the quantity that a sensor measures, which decides which limits apply."""
+    """States the quantity that a sensor measures. The limits that apply depend on it."""
 
     RATE = "angular rate"
     FORCE = "specific force"
@@ -106,8 +107,8 @@ class Specification(Record):
     )
 
     def limits(self) -> Mapping[str, Quantity]:
-        """Maps each term of the nominal model to its upper limit. The limit is the one that the key of the term states; without
-        this key, it is the usual limit of the grade."""
+        """Maps each term of the nominal model to its upper limit, which the key of the term states. Without this key, the usual
+        limit of the grade applies."""
         usual = {name: limit for grade in GRADES if grade.name == self.grade for name, limit in grade.limits().items()}
         stated = {
             "gyro_bias": self.gyro_bias,

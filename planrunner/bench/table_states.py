@@ -1,5 +1,5 @@
-"""Describes where a table may be: its planned joint angles, their possible deviations after a motion, and the consequences for the
-next orientation.
+"""Describes the angles at which a table may be: its planned joint angles, and their possible deviations after a motion. Determines
+the consequences for the next orientation.
 
 The angle at which a motion ends is known only approximately: the computer ends the motion with some delay, and the rate has an
 error. If two ways to the next orientation take almost equally long, the deviation of the angle decides which way the table takes.
@@ -33,7 +33,7 @@ _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this
 class TableState:
     """Contains the state of the table: joint angles [rad], the outermost joint first, and the time [s] to come to rest.
 
-    `roughly`: index of a joint that a motion has left at an angle known only approximately; None if every joint is at its commanded
+    `roughly`: index of the joint whose angle is known only approximately after a motion; None if every joint is at its commanded
     angle. `below`, `above`: largest negative and largest positive deviation [rad] of each joint from `joints`; empty if the angles
     are exact. `others`: other joint angles at which the table may be instead of `joints`.
     """
@@ -56,10 +56,10 @@ class TableState:
         return centres + [start for grid in grids.values() for start in grid]
 
     def _around(self, centre: Array) -> Array:
-        """Joint angles (n, joints) [rad] at which the table may be instead of `centre`. They are spaced closely enough to include
-        each possible choice between two ways to an orientation.
+        """Returns joint angles (n, joints) [rad] at which the table may be instead of `centre`. They are spaced so closely that
+        every possible choice between two ways to an orientation occurs.
 
-        A continuous joint that may be at any angle gets the same angles whatever its planned angle is, so that the moves from them
+        For a continuous joint that may be at any angle, the angles do not depend on the planned angle, so that the moves from them
         are computed only once.
         """
         if not self._inexact:
@@ -93,8 +93,7 @@ class TableState:
         """Returns the state after the move to an attitude, and the time [s] of the move from the planned angles. The attitude has
         the shape (3, 3).
 
-        Raises `Unreachable` with the reason, also if the attitude cannot be reached from one of the angles at which the table may
-        be.
+        Raises `Unreachable`, with the reason, if the attitude cannot be reached from all angles at which the table may be.
         """
         target, seconds = quickest_move(axes, attitude, self.joints, azimuth)
         if not (self._inexact or self.others) or (len(axes) == 1 and axes[0].continuous):
@@ -140,7 +139,7 @@ def spin_misses(rate: float, angle: float, sooner: float) -> tuple[float, float]
 
 
 def _tried(centre: float, low: float, high: float) -> list[float]:
-    """Angles [rad] to try, from `centre + low` to `centre + high`, at most `_STEP` apart."""
+    """Returns the angles [rad] to try, from `centre + low` to `centre + high`, at most `_STEP` apart."""
     if low == 0.0 and high == 0.0:
         return [centre]
     if low <= -math.pi and high >= math.pi:  # only a continuous joint has such a range
@@ -150,7 +149,8 @@ def _tried(centre: float, low: float, high: float) -> list[float]:
 
 
 def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
-    """Differences (n, joints) between pairs of joint angles [rad]. For a continuous axis, whole turns are subtracted."""
+    """Returns the differences (n, joints) between pairs of joint angles [rad]. For a continuous axis, whole turns are
+    subtracted."""
     off = first - second
     turns = np.array([TURN if axis.continuous else 0.0 for axis in axes])
     return np.asarray(off - turns * np.round(off / TURN))

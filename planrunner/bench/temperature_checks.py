@@ -1,5 +1,5 @@
-"""Checks temperatures: the range of the chamber, ramps that end before the target, and soaks that are too short for a sensor whose
-temperature lags behind the air."""
+"""Checks temperatures. Reports temperatures outside the range of the chamber, ramps that end before the target, and soaks that are
+too short for a sensor whose temperature lags behind that of the air."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _FORGOTTEN = 40.0  # time constants after which the rest of a change is negligib
 
 
 class Temperatures:
-    """Follows the setpoint of the chamber, and the temperature of the sensor, which lags behind the air."""
+    """Follows the setpoint of the chamber, and the temperature of the sensor, which lags behind that of the air."""
 
     def __init__(self, models: BenchModels, log: Findings):
         self._chamber, self._replays, self._log = models.chamber, models.replays, log
@@ -54,9 +54,9 @@ class Temperatures:
             self._log.warning("physics-ramp", mark, message, f"dwell for {_minutes(seconds)}")
 
     def check_soaked(self, label: str, now: float, soak: float, mark: Mark) -> None:
-        """Warns if, at the beginning of the dwell, the sensor with its declared lag is further from the setpoint than the chamber's
-        tolerance. The warning is given once per change of the setpoint, because a soak that is long enough for the first segment
-        suffices for the following ones."""
+        """Warns if, at the beginning of the dwell, the temperature of the sensor differs from the setpoint by more than the
+        chamber's tolerance. It is computed with the declared lag of the sensor. The warning is given once per change of the
+        setpoint, because a soak that is long enough for the first segment suffices for the following ones."""
         if self._chamber is None or not self._lag or self._warned == self._reached:
             return
         left = self._behind(now)
@@ -99,8 +99,8 @@ class Temperatures:
         return seconds > abs(kelvin) / self._chamber.ramp + _FORGOTTEN * (self._lag + self._chamber.lag)
 
     def _behind(self, now: float) -> float:
-        """Difference [K] between the setpoint and the temperature of the sensor. It is the sum of the parts of all changes of the
-        setpoint that the sensor has not yet followed."""
+        """Returns the difference [K] between the setpoint and the temperature of the sensor. The sensor has not yet followed a part
+        of each change of the setpoint; the difference is the sum of these parts."""
         assert self._chamber is not None
         return sum(self._chamber.behind(kelvin, self._lag, now - begun) for begun, kelvin in self._changes)
 

@@ -1,9 +1,10 @@
 """Starts and feeds the watchdog, a separate process that makes the bench safe if planrunner no longer can.
 
-It is started before the first instrument is connected. It receives the names of the instruments that the run controls, and a
-heartbeat about every second. It ends when the run reports that the bench is safe. If the connection ends in any other way, it acts
-(`planrunner.bench.watchdog_process`), because planrunner crashed, was killed or could not make the bench safe. If the heartbeat
-stops for longer than the bench allows, it ends planrunner and acts. It acts only on the instruments that the run controlled.
+The watchdog is started before the first instrument is connected. It receives the names of the instruments that the run controls,
+and a heartbeat about every second. It ends when the run reports that the bench is safe. If the connection ends in any other way,
+planrunner has crashed, was killed or could not make the bench safe; the watchdog then acts (`planrunner.bench.watchdog_process`).
+If the heartbeat stops for longer than the bench allows, the watchdog ends planrunner and then acts. It acts only on the instruments
+that the run controlled.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ class Watchdog:
             raise InstrumentError(_GONE) from None
 
     def answer_for(self, instruments: Collection[str]) -> None:
-        """Announces instruments that are commanded from now on, so that the watchdog can make them safe. Raises `InstrumentError`
-        if the watchdog has ended, so that nothing is commanded unguarded."""
+        """Announces instruments that will be commanded from now on, so that the watchdog can make them safe. Raises
+        `InstrumentError` if the watchdog has ended, so that no instrument is commanded without it."""
         try:
             self._tell(json.dumps({"answer_for": sorted(instruments)}))
         except OSError:
@@ -97,7 +98,8 @@ class Watchdog:
         self._part(LEAVING)
 
     def let_act(self) -> None:
-        """Lets the watchdog make the bench safe with new connections, because this process could not, and waits for it."""
+        """Lets the watchdog make the bench safe with new connections, because this process could not do so. Waits until it has
+        finished."""
         self._part(ENDING)
 
     @property
@@ -138,8 +140,8 @@ def _start() -> subprocess.Popen[bytes]:
 
 
 def _first_line(process: subprocess.Popen[bytes], patience: float) -> str:
-    """Reads the first line that the watchdog prints; if there is none, returns the reason. A thread reads the line, because not
-    every system can wait for a pipe."""
+    """Returns the first line that the watchdog prints, or the reason if there is none. A thread reads the line, because not every
+    operating system can wait for a pipe with a time limit."""
     assert process.stdout is not None
     found: list[bytes] = []
     reader = threading.Thread(target=lambda: found.append(process.stdout.readline()), daemon=True)  # type: ignore[union-attr]

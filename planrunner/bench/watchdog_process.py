@@ -1,11 +1,12 @@
 """The watchdog process, started by `planrunner.bench.watchdog` through `planrunner.bench.watchdog_start`.
 
-From standard input it reads which bench to guard, then heartbeats and the names of the instruments that planrunner controls. If the
-heartbeat stops for too long, it ends planrunner, which may hold exclusive connections and might continue to send commands. Then it
-makes the bench safe; it does the same if the input ends without the word `safe`. To make the bench safe, it connects to every real
-instrument that planrunner controlled, using only the bench file, and brings the instrument to its safe state. It reports to the run
-folder and on its standard error stream. Instruments that planrunner only connected to are left as they are. If an instrument hangs
-or fails, the watchdog continues with the next. While it exists, no other run gets the bench (`bench.lock`).
+From its standard input, it reads which bench it guards, and then heartbeats and the names of the instruments that planrunner
+controls. It makes the bench safe in two cases: if the input ends without the word `safe`, and if the heartbeat stops for too long.
+In the second case, it first ends planrunner, which may hold exclusive connections and might continue to send commands. To make the
+bench safe, it connects to every real instrument that planrunner controlled, using only the bench file, and brings the instrument to
+its safe state. If an instrument hangs or fails, it continues with the next. Instruments to which planrunner had only connected are
+left as they are. It reports to the run folder and on its standard error stream. While it exists, no other run gets the bench
+(`bench.lock`).
 """
 
 from __future__ import annotations
@@ -95,8 +96,9 @@ def _read_charge(line: bytes) -> Charge:
 
 
 def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
-    """Waits until the bench is safe, and returns None, or until it must be made safe, and returns the reason. Silence counts only
-    after the first heartbeat, because connecting takes time and nothing has moved yet."""
+    """Waits until planrunner reports that the bench is safe, and returns None; or waits until the watchdog must make it safe, and
+    returns the reason. A missing heartbeat counts only after the first one, because connecting takes time and nothing has moved
+    yet."""
     begun = False
     while True:
         try:
@@ -119,7 +121,8 @@ def _hear(charge: Charge, told: JsonObject) -> None:
 
 
 def _ended(parent: int) -> str:
-    """Ends planrunner; returns the outcome in words. The pipe from planrunner is still open, so its process number is still valid."""
+    """Ends planrunner, and returns the outcome in words. The process number is certainly that of planrunner, because the pipe from
+    it is still open."""
     number = getattr(signal, "SIGKILL", signal.SIGTERM)  # on Windows both signals end a process
     try:
         os.kill(parent, number)

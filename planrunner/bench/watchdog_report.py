@@ -1,4 +1,5 @@
-"""The watchdog's report in a run folder. The watchdog's process writes it, and the journal includes it when the run is resumed."""
+"""Writes and reads the watchdog's report in a run folder. The process of the watchdog writes it; when the run is resumed, it is
+entered into the journal."""
 
 from __future__ import annotations
 

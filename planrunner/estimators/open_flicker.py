@@ -24,7 +24,7 @@ class OpenFlicker:
     """Describes the flicker of a channel if it may be larger than an estimate assumes.
 
     `bound`: the largest bias instability B that the data do not exclude, in `unit`. `coefficient`: name of the coefficient whose
-    interval would be most in error if B were `bound`. `widening`: factor by which this interval would then have to be wider.
+    interval would have to be widened most if B were `bound`. `widening`: the factor of this widening.
     """
 
     channel: str

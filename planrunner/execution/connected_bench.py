@@ -1,4 +1,4 @@
-"""The interface that the executor needs of a bench whose instruments are connected."""
+"""Defines the interface of a connected bench that the executor uses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ConnectedBench(Protocol):
 
     @property
     def untouched(self) -> Sequence[str]:
-        """Names of the instruments that were never controlled."""
+        """Returns the names of the instruments that were never controlled."""
 
     def make_safe(self) -> Sequence[object]:
         """Brings every controlled instrument to its safe state; returns the failures, whose texts name the instruments."""

@@ -1,7 +1,8 @@
-"""The state that a run needs to continue after a crash: the states of simulated instruments and of the executor, which are stored
-with every segment.
+"""Handles the state that a run needs to continue after a crash. It consists of the states of simulated instruments and of the
+executor, which are stored with every segment.
 
-On a real bench nothing is stored, because its state is in the laboratory. After an interruption nothing is assumed about it.
+On a real bench, nothing is stored, because the state of real instruments cannot be restored from data. After an interruption,
+nothing is assumed about their state.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Continuity:
         }
 
     def states_if_known(self) -> JsonObject:
-        """Returns the states as in `states` after a failure; empty if a driver that has failed does not know its state."""
+        """Does the same as `states` after a failure. The result is empty if a driver that has failed does not know its state."""
         self._reaching.forget()
         try:
             return self.states()

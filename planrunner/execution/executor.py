@@ -1,9 +1,9 @@
-"""The executor: runs a schedule on a bench and makes a recording.
+"""Executes a schedule on a bench and makes a recording.
 
-For each segment it brings the bench to the required state (temperature, orientation, motion), waits for settling, writes the samples of the
-sensor to the run folder, takes readings, and ends the motion. It uses instruments only through their capabilities, and time only through
-the clock of the bench. A segment during which a limit of the plan is exceeded is rejected and repeated, as often as the plan allows. On any
-failure the bench is brought to its safe state before anything else.
+For each segment it brings the bench to the required state (temperature, orientation, motion), waits for settling, writes the
+samples of the sensor to the run folder, takes readings, and ends the motion. It uses instruments only through the interfaces of
+their capabilities, and time only through the clock of the bench. If a limit of the plan is exceeded during a segment, the segment
+is rejected and repeated, as often as the plan allows. After any failure, the bench is first brought to its safe state.
 """
 
 from __future__ import annotations
@@ -51,10 +51,11 @@ def execute(
     patience: Patience | None = None,
     operator: Operator | None = None,
 ) -> Outcome:
-    """Executes those segments of `schedule`, from the index `start_at` on, that `writer` has not acknowledged.
+    """Executes the segments of `schedule` from the index `start_at` on, except those that `writer` has acknowledged already.
 
-    `operator`: receives the prompts of the plan; None on a simulated bench, where nobody is asked. Failures of instruments or of
-    the disk raise no exception: they are in the outcome, and the bench is safe. A finished run is sealed.
+    `operator`: receives the prompts of the plan; None on a simulated bench, where prompts are skipped. Failures of instruments or
+    of the disk do not raise exceptions; the outcome contains them, and the bench is brought to its safe state. A finished run is
+    sealed.
     """
     return _Execution(schedule, bench, writer, stop, progress, start_at, patience or Patience(), operator).carry_out()
 
@@ -273,7 +274,7 @@ class _Execution:
                 stream.close()
 
     def _stand(self, segment: Segment, holding: Holding) -> None:
-        """Waits for the time of a dwell that is not recorded, and supervises the bench."""
+        """Waits for the duration of a dwell that is not recorded, and supervises the bench."""
         if segment.dwell is None:
             message = f"'{segment.label}' lasts as long as its recording, but the sensor does not stream samples"
             raise InstrumentError(message)
@@ -283,7 +284,7 @@ class _Execution:
             holding.check()
 
     def _read(self) -> dict[str, float]:
-        """Readings of all instruments, under names of the form `instrument.quantity_unit`."""
+        """Returns the readings of all instruments, under names of the form `instrument.quantity_unit`."""
         if not self.readable:
             return {}
         self._say("taking readings")
@@ -301,7 +302,7 @@ class _Execution:
         return self.doing if self.segment is None else f"segment '{self.segment.label}', {self.activity}"
 
     def _on_tick(self) -> bool:
-        """Returns a callback that a clock of real time calls while it sleeps; ends the sleep if the run must stop at once."""
+        """Is called by a clock of real time while it sleeps. Returns True if the run must stop at once, which ends the sleep."""
         self.meter.advance(self.clock.now(), self.activity)
         return self.lookout.tick()
 
@@ -311,7 +312,7 @@ class _Execution:
         self.live.notice(f"{instrument}: {text}")
 
     def _wait_safely(self) -> None:
-        """Brings the bench to its safe state before a person approaches it. Afterwards the executor no longer relies on earlier
+        """Brings the bench to its safe state before a person approaches it. After that, the executor no longer relies on earlier
         commands."""
         self.reaching.forget()
         failures = [str(failure) for failure in self.bench.make_safe()]
@@ -326,7 +327,7 @@ def _frames(counts: FrameCounts | None) -> JsonObject | None:
 
 
 def _make_safe(bench: ConnectedBench) -> list[str]:
-    """Makes the bench safe even if a signal or an exception interrupts it: in that case it tries again, and failures are reported."""
+    """Makes the bench safe. If a signal or an exception interrupts this, it tries again. Returns the failures."""
     told = "the bench could not be made safe: switch the table and the chamber off by hand"
     for _ in range(SAFE_ATTEMPTS):
         try:

@@ -1,8 +1,8 @@
-"""Publishes the live state of a run in its folder: how far the run has got, time left, statistics and strip charts of the channels,
-prompts and notices.
+"""Publishes the live state of a run in its folder: progress, remaining time, statistics and strip charts of the channels, prompts
+and notices.
 
-Publishing must never disturb a run. A failure to write is ignored, blocks of samples are only copied until the state is written, and the
-state is written at most once in `EVERY` seconds of real time.
+Publishing must never disturb a run. Therefore a failure to write is ignored, and the state is written at most once in `EVERY`
+seconds of real time. Between two writes, blocks of samples are only copied.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ NOTICES = 20
 
 @dataclass(slots=True)
 class _Moments:
-    """Count, mean, sum of squared deviations, minimum and maximum of the samples of each channel, shape (channels,)."""
+    """Contains, for each channel, the count, mean, sum of squared deviations, minimum and maximum of the samples; the arrays have
+    the shape (channels,)."""
 
     count: int
     mean: NDArray[np.float64]
@@ -79,7 +80,7 @@ class _Moments:
 
 @dataclass(slots=True)
 class _Samples:
-    """Samples of the current segment: the samples not yet summarised, and the moments of the summarised ones."""
+    """Contains the samples of the current segment: the samples that are not yet summarised, and the moments of all others."""
 
     units: Mapping[str, str]
     waiting: list[NDArray[np.float64]] = field(default_factory=list)
@@ -132,7 +133,7 @@ class LiveReport:
         self._samples, self._hidden = _Samples(shown), len(channels) - len(shown)
 
     def begin(self, segment: Segment) -> None:
-        """Begins a segment: the statistics are reset, the strips of recent statistics continue."""
+        """Begins a segment: resets the statistics, and continues the strips of recent statistics."""
         self._index, self._label = segment.index, segment.label
         self._samples.begin()
 
@@ -155,7 +156,8 @@ class LiveReport:
         self.notice(f"segment '{label}' was rejected: {reason}")
 
     def ask(self, prompt: str) -> Question:
-        """Shows a prompt as a question. Afterwards, `answer` returns the answer to the question, and `asked` withdraws the prompt."""
+        """Publishes a prompt as a question. After that, `answer` returns the answer to the question, and `asked` withdraws the
+        prompt."""
         self._question = Question(os.urandom(8).hex(), prompt)
         self._activity = "waiting for the operator"
         self._publish()

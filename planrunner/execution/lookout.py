@@ -1,4 +1,5 @@
-"""Supervises the bench during every wait of a run: links, faults, limits of the bench, the watchdog, and requests of the operator.
+"""Supervises the bench during every wait of a run. It checks links, faults, limits of the bench, the watchdog, and requests of the
+operator.
 
 About once a second by the bench's clock, every instrument that can report its state is queried. Unusual events are entered in the
 journal.
@@ -31,7 +32,8 @@ class StoppedAtOnceError(Exception):
 
 
 class Lookout:
-    """Watches the instruments during a run. `notice`: called with the name of an instrument and a description of the unusual event."""
+    """Watches the instruments during a run. `notice`: a function that is called with the name of an instrument and a description of
+    an unusual event."""
 
     def __init__(self, bench: ConnectedBench, stop: StopRequest, notice: Notice):
         self._clock = bench.clock
@@ -108,14 +110,13 @@ class Lookout:
                 self._once(name, str(error))
 
     def hear(self) -> None:
-        """Adds an event to the journal which states that a driver had to repeat a command."""
+        """Adds an event to the journal for each command that a driver had to repeat."""
         for name, item in self._remarking.items():
             for text in item.remarks():
                 self._notice(name, text)
 
     def tick(self) -> bool:
-        """Returns a callback that a clock of real time calls while it sleeps, even within a driver; returns whether the sleep must
-        end."""
+        """Is called by a clock of real time while it sleeps, even within a driver. Returns True if the sleep must end."""
         try:
             self._sign_of_life()
         except InstrumentError as error:
@@ -123,7 +124,7 @@ class Lookout:
         return self._stop.at_once or self._lost is not None
 
     def begin_segment(self) -> None:
-        """Resets the supervision for a segment, so that doubtful states are reported again."""
+        """Resets the supervision at the beginning of a segment, so that doubtful states are reported again."""
         self._doubts.clear()
         self._last = -math.inf
 

@@ -1,7 +1,7 @@
-"""Waits for a person at a segment boundary: a prompt of the plan must be confirmed, or a pause must end.
+"""Waits for a person between two segments, until a prompt of the plan is confirmed or a pause ends.
 
-Meanwhile the bench is in its safe state, so that a fixture can be mounted. On a simulated bench nobody is asked. A prompt can be confirmed
-by the operator at the terminal or, from another process, by an answer in the run folder.
+During the wait, the bench is in its safe state, so that a fixture can be mounted. On a simulated bench, prompts are skipped. A
+prompt can be confirmed by the operator at the terminal or, from another process, by an answer in the run folder.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NOT_ASKED = "not asked: the bench is simulated"
 
 class Operator(Protocol):
     def ask(self, prompt: str) -> Callable[[], bool]:
-        """Shows the prompt to the operator. Returns a function that can be called at any time and that immediately returns whether
+        """Shows the prompt to the operator. Returns a function that can be called at any time; without waiting, it returns True if
         the prompt has been confirmed."""
 
     def tell(self, text: str) -> None:
@@ -33,8 +33,8 @@ class Operator(Protocol):
 
 
 class Boundary:
-    """Handles prompts and pauses between two segments. `make_safe`: brings the bench to its safe state and forgets earlier
-    commands. `go_on`: called before the first move after the wait."""
+    """Handles prompts and pauses between two segments. `make_safe`: a function that brings the bench to its safe state and forgets
+    earlier commands. `go_on`: a function that is called before the first move after the wait."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Progress of a run, reported as typed events and measured in planned time."""
+"""Reports the progress of a run as typed events. Progress is measured in planned time."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ ProgressCallback = Callable[[ProgressEvent], None]
 
 
 def with_lengths(schedule: Schedule, sensor: object) -> Schedule:
-    """Returns the schedule with a stated dwell for each segment that lasts as long as its recording, if the sensor knows the length
-    of the recording."""
+    """Returns the schedule after the unknown dwells have been set. A dwell is unknown if it lasts as long as a recording; it is set
+    if the sensor knows the length of the recording."""
     if not isinstance(sensor, KnowsLength):
         return schedule
     segments = (replace(one, dwell=sensor.length_of(one)) if one.dwell is None else one for one in schedule.segments)
@@ -64,9 +64,9 @@ class Meter:
     """Converts the position of the executor to events.
 
     The time left is estimated from the remaining planned time and the speed so far, so it is in real time even on a simulated
-    bench. `callback`: receives all events. A callback that raises an exception is not called again, because a display must not end
-    a run. `live`: a callback that receives only the progress within segments. Most runs have no display; for them the beginning and
-    the end of a segment cost nothing.
+    bench. `callback`: receives all events. If it raises an exception, it is not called again, because a display must not end a run.
+    `live`: a callback that receives only the progress within segments. In a run without a display, the beginning and the end of a
+    segment therefore take no time.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class Meter:
 
 
 def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
-    """Planned time [s] of the completed segments. If no segment of the schedule has a planned time, the number of completed
-    segments."""
+    """Returns the planned time [s] of the completed segments. If no segment of the schedule has a planned time, returns the number
+    of completed segments."""
     times = [segment.seconds for segment in schedule.segments if done(segment.index)]
     return sum(times) if any(segment.seconds for segment in schedule.segments) else float(len(times))

@@ -1,11 +1,13 @@
-"""The state of a segment on the bench: reaches it, checks while the segment is recorded that the bench holds it, and comes to rest.
+"""Brings the bench to the state of a segment, checks while the segment is recorded that the bench holds this state, and brings the
+bench to rest.
 
-Commands return at once with their expected duration. After the expected time on the bench's clock, the instrument is queried until
-it has reached the state, up to a time-out. If the plan names quantities to settle and instruments measure them, settling ends when
-they have settled. Temperature is set only when it changes, orientation only when it changes or after a motion.
+A command returns at once, and gives the time that its execution is expected to take. After this time on the bench's clock, the
+instrument is queried until it has reached the state, or until a time-out. If the plan names quantities to settle and instruments
+measure them, settling ends when they have settled. The temperature is set only when it changes; the orientation is set only when it
+changes, or after a motion.
 
-The same readings of the instruments, under the names used in plans, decide whether a quantity has settled before a segment is
-recorded, and whether it stays within its limits while the segment is recorded.
+Readings of the instruments, under the names that plans use, decide whether a quantity has settled before a segment is recorded. The
+same readings decide whether it stays within its limits while the segment is recorded.
 """
 
 from __future__ import annotations
@@ -36,8 +38,8 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """Time limits for instruments: how long [s] an instrument may take beyond its expected duration, and the interval [s] between
-    queries."""
+    """Time limits for instruments: the time [s] that an instrument may take beyond the expected duration of a command, and the
+    interval [s] between queries."""
 
     table: float = 60.0
     chamber: float = 1800.0
@@ -114,8 +116,8 @@ class Reaching:
             self._wait_until_settled(segment, segment.settle, segment.stable)
 
     def _wait_until_settled(self, segment: Segment, seconds: float, stability: Stability | None) -> None:
-        """Waits for a fixed time. If the plan names quantities to settle and instruments measure them, waits instead until these
-        quantities have stayed within their limits for that time."""
+        """Waits for a fixed time or, if the plan names quantities to settle and instruments measure them, until these quantities
+        have stayed within their limits for the required time."""
         if stability is None or not self._lookout.sees:
             self.pause(seconds)
             return
@@ -254,7 +256,7 @@ class Readings:
 
     def take(self, now: float, conditions: Mapping[str, Condition]) -> dict[str, float]:
         """Maps each known reading to its current value in SI units. If several instruments report the same reading, the worst value
-        counts."""
+        is taken."""
         found: dict[str, float] = {}
         for name, condition in conditions.items():
             for reading in ("position_error", "rate_error"):
@@ -271,8 +273,8 @@ class Readings:
         return found
 
     def _drift(self, name: str, now: float, kelvin: float) -> float | None:
-        """Returns the drift |dT/dt| [K/s] from a straight line fitted to the temperatures of the last `over` seconds; None before
-        that time has passed."""
+        """Returns the drift |dT/dt| [K/s], which is the slope of a straight line fitted to the temperatures of the last `over`
+        seconds; None before this time has passed."""
         course = self._courses.setdefault(name, deque())
         course.append((now, kelvin))
         while course and now - course[0][0] > self.over * (1 + 1e-9) and now - course[1][0] >= self.over:
@@ -295,7 +297,7 @@ def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Reading
 
 
 def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[str]:
-    """Returns a text for each reading that exceeds its limit; limits without a known reading are omitted."""
+    """Returns a text for each reading that exceeds its limit. A limit without a known reading is ignored."""
     return [
         f"{_shown(name, values[name])} is more than the {_amount(name, limit)} that the plan allows"
         for name, limit in limits.items()

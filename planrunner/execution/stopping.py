@@ -1,8 +1,8 @@
 """Stops a run on request: the first Ctrl-C ends the run after the segment, the second Ctrl-C or a termination signal ends it at
 once.
 
-Handlers only record the request; the executor checks it between steps and leaves the bench safe. A third Ctrl-C raises KeyboardInterrupt,
-in case a driver does not return; the executor makes the bench safe then too.
+The signal handlers only record the request; the executor checks it between steps, and makes the bench safe before it ends. A third
+Ctrl-C raises KeyboardInterrupt, in case a driver does not return. In this case, too, the executor makes the bench safe.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ AT_ONCE_SIGNALS = ("SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class StopRequest:
-    """Records whether and how the run must stop. As a context manager it handles the signals that stop a run, and restores the
-    previous signal handlers on exit.
+    """Records a request to stop the run, and how the run must stop. As a context manager it handles the signals that stop a run,
+    and restores the previous signal handlers on exit.
 
-    `notify`: called with a line of text for the operator at every request (from the signal handler, so it must be quick).
+    `notify`: a function that is called at every request with a line of text for the operator. The signal handler calls it, so it
+    must be quick.
     """
 
     def __init__(self, notify: Callable[[str], None] | None = None):

@@ -1,2 +1,2 @@
-"""Defines the plan language: the text of plans with source positions, quantities, orientations, checks, and the schedule that
-follows from a plan."""
+"""Defines the plan language: the text of plans with its source positions, quantities, orientations, checks, and the schedule that
+is made from a plan."""

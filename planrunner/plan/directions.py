@@ -1,7 +1,7 @@
 """Defines the words for directions at the site, and their vectors in East-North-Up. A new word is declared only in this module.
 
-Parsing, suggestions, the schemas, the reference of keys, reports and the diagnosis use `DIRECTIONS`, so they need no change.
-Designs and proposals search only among `CARDINAL`, so a new word does not change their choices.
+Parsing, suggestions, the schemas, the reference of keys, reports and the diagnosis use `DIRECTIONS`, so they need no change for a
+new word. Designs and proposals search only among `CARDINAL`, so a new word does not change their choices.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ RIGHT_ANGLE = 1e-9
 
 
 def word_of(direction: Iterable[float], within: float = 1e-9) -> str | None:
-    """Returns the direction word whose vector differs least from a unit vector; None if every word differs too much. `within`: the
-    length of the difference between the two vectors must be smaller than `within`."""
+    """Returns the direction word whose vector differs least from a unit vector; None if the vectors of all words differ too much.
+    `within`: limit of the length of the difference between the two vectors."""
     given = tuple(direction)
     word, vector = min(DIRECTIONS.items(), key=lambda item: math.dist(item[1], given))
     return word if math.dist(vector, given) < within else None

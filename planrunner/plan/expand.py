@@ -27,8 +27,8 @@ class StatedSegment:
     """Contains one segment of a plan: its state, which includes the inherited keys, and the position of each value in the file.
 
     `prompts`: prompts to the operator that precede the segment, in order, each with its position in the file. `conditioning`: True
-    if the plan declares that the segment only brings the sensor to a state. `sound`: False if the state is not known completely:
-    the segment inherits a value from `defaults` that could not be read, or its label names a key that is not swept.
+    if the plan declares that the segment only brings the sensor to a state. `sound`: False if the state is not known completely,
+    because the segment inherits a value from `defaults` that could not be read, or because its label names a key that is not swept.
     """
 
     label: str
@@ -41,8 +41,8 @@ class StatedSegment:
 
 
 def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
-    """Makes all segments of the plan in order, without those that contain errors themselves. Adds findings about too many segments,
-    repeated or empty labels, and contradictory keys."""
+    """Makes all segments of the plan in order, except segments that contain errors themselves. Adds findings about too many
+    segments, repeated or empty labels, and contradictory keys."""
     count = sum(_count(spec) for spec in plan.segments)
     if count > MAX_SEGMENTS:
         longest = max(plan.segments, key=_count)
@@ -70,7 +70,7 @@ UNREADABLE = object()
 
 
 def _stated(state: StateValues) -> tuple[State, bool]:
-    """Returns the part of a state that could be read; and True if this part is enough to check a segment."""
+    """Returns the part of a state that could be read. The second value is True if this part is enough to check a segment."""
     readable = {name: value for name, value in state.items() if value is not UNREADABLE}
     sound = len(readable) == len(state) or not any(state.get(name) is UNREADABLE for name in _DECISIVE)
     return State(**readable), sound
@@ -81,8 +81,8 @@ _DECISIVE = tuple(name for name, traits in STATE_TRAITS.items() if traits.decisi
 
 
 def _count(spec: SegmentSpec) -> int:
-    """Number of segments that one entry of `segments` makes. The number includes segments that will be omitted later, because the
-    expansion visits them too."""
+    """Returns the number of segments that one entry of `segments` makes. It includes segments that will be omitted later, because
+    the expansion also processes them."""
     own = spec.repeat * (spec.for_each.size if spec.for_each else 1)
     return own * (sum(_count(step) for step in spec.steps) or 1)
 
@@ -99,8 +99,8 @@ def _inherit(own: State, state: StateValues, marks: dict[str, Mark]) -> None:
 
 
 def _set(name: str, value: object, mark: Mark, state: StateValues, marks: dict[str, Mark]) -> None:
-    """Sets the value of a key, and the position of this value in the file. A rate replaces an inherited motion and vice versa,
-    because both define the motion of the table."""
+    """Sets the value of a key, and the position of this value in the file. A rate replaces an inherited motion, and a motion
+    replaces an inherited rate, because both define the motion of the table."""
     other = STATE_TRAITS[name].replaces
     if other is not None:
         state.pop(other, None)
@@ -118,7 +118,7 @@ def _one_motion(own: State, log: Findings) -> bool:
 
 
 def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
-    """Checks that no key is both swept and set to a single value, and that rate and motion are not both swept."""
+    """Checks that no key is swept and also set to a single value, and that rate and motion are not both swept."""
     swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
     for name in swept:
         twin = STATE_TRAITS[name].replaces or name

@@ -1,15 +1,16 @@
-"""Kinds of value: one declaration that both reads a node of the file and describes the permitted values as JSON Schema.
+"""Defines kinds of values. One declaration reads a node of the file, and also describes the permitted values as JSON Schema.
 
 A record is a frozen dataclass derived from `Record` whose fields are made with `key(...)`. This single declaration gives the reader
 (with findings at file:line:column), the JSON Schema for editors, and the reference in `docs/`. Plug-ins declare their parameters in
-the same way. A key's value has a kind: a scalar, a quantity, a collection, a record, or a choice that depends on the form of the
-node.
+the same way. The value of each key has a kind: a scalar, a quantity, a collection, a record, or a kind that depends on the form of
+the node.
 
     class Chamber(Record):
         lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature the chamber reaches.", "-55 degC")
 
-The `read` method of a kind returns None if it has added a finding. The reader adds a finding with a code beginning with `form-` if
-and only if the schema rejects the node. Faults that a schema cannot detect (units, directions, references) have other codes.
+The `read` method of a kind returns None if it has added a finding. If and only if the schema rejects a node, the reader adds a
+finding whose code begins with `form-`. Findings about faults that a schema cannot detect (units, directions, references) have other
+codes.
 """
 
 from __future__ import annotations
@@ -113,8 +114,8 @@ _WORDS_FOR = {
 
 
 def _in_words(pattern: str) -> str:
-    """Advice on how to write a name, for the finding about a name that does not match `pattern`. The advice for most patterns is in
-    `_WORDS_FOR`; for a pattern that limits only the length it is made here."""
+    """Returns advice on how to write a name, for the finding about a name that does not match `pattern`. For most patterns, the
+    advice is in `_WORDS_FOR`. For a pattern that limits only the length, this function makes the advice."""
     if pattern.startswith(r"[^\x00-\x1f]"):
         limit = pattern.rpartition(",")[2].rstrip("}")
         return f"write it on one line, 1 to {limit} characters without control characters"
@@ -212,7 +213,7 @@ Sign = Literal["any", "positive", "not negative"]
 
 
 def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: str = "") -> bool:
-    """Returns True if a quantity has the required sign; adds a finding if it does not. `name`: the key that the finding names."""
+    """Returns True if a quantity has the required sign; otherwise adds a finding. `name`: the key that the finding names."""
     if sign == "any" or quantity.value > 0 or (sign == "not negative" and quantity.value == 0):
         return True
     hint = "write zero or more" if sign == "not negative" else "write a value above zero"
@@ -225,8 +226,8 @@ def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: st
 class QuantityOf:
     """Reads a number with a unit of the named dimension, or with any unit if the dimension is None.
 
-    `uncertain`: True if an uncertainty may be stated, which is the case if results include it. `elsewhere`: a text that says where
-    to state the uncertainty; it is used if no uncertainty may be stated here.
+    `uncertain`: True if an uncertainty may be stated, because results include it. `elsewhere`: if no uncertainty may be stated
+    here, a text that says where to state it.
     """
 
     dimension: str | None
@@ -329,8 +330,8 @@ class MapOf:
 
 @dataclass(frozen=True, slots=True)
 class ByShape:
-    """Reads a value whose kind depends on the form of the node: a scalar, a mapping and a list each have their own kind. A node is
-    refused if there is no kind for its form.
+    """Reads a value whose kind depends on the form of the node. There can be separate kinds for a scalar, a mapping and a list. A
+    node is refused if there is no kind for its form.
 
     If scalars are read as quantities, a mapping with the key `value` is read as a quantity too.
     """
@@ -371,8 +372,7 @@ class WordOr:
 
 
 class Origin:
-    """Contains the positions in the file at which the keys of a record stand. The mapping is empty for a record that was made in
-    code.
+    """Contains the positions of the keys of a record in the file. The mapping is empty for a record that was made in code.
 
     `broken`: the keys whose values could not be read completely. `meant`: maps an absent key to the positions of the unknown keys
     that may be misspellings of the key.
@@ -389,7 +389,8 @@ class Origin:
         self.meant = meant
 
     def __getstate__(self) -> dict[str, object]:
-        """Returns the state for pickling. It lacks the nodes, because the marks of the parser in them cannot be pickled."""
+        """Returns the state for pickling. It does not contain the nodes, because these contain marks of the parser, which cannot be
+        pickled."""
         return {"_node": None, "broken": self.broken, "meant": dict(self.meant), "mark": self.mark, "keys": self.keys}
 
     @cached_property
@@ -398,8 +399,9 @@ class Origin:
 
     @cached_property
     def keys(self) -> Mapping[str, Mark]:
-        """Maps the path of each key to a position in the file. The path `report` leads to the position at which the value of that
-        key begins, `report[1]` to the second entry of its list, and `limits.x` to the value of `x` in the mapping `limits`."""
+        """Maps the path of each key to a position in the file. For example, the path `report` gives the position at which the value
+        of this key begins, `report[1]` that of the second entry of its list, and `limits.x` that of the value of `x` in the mapping
+        `limits`."""
         marks: dict[str, Mark] = {}
         for name, item in self._node.entries if self._node else ():
             marks[name.text] = _used(name, item)
@@ -423,8 +425,8 @@ class Origin:
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
-        """Returns the mark of a key, or of an entry in the list or mapping that is the key's value. If an entry has no mark, the
-        mark of its key is returned; if the key has no mark either, the mark of the record is returned."""
+        """Returns the mark of a key, or of an entry in the list or mapping that is the key's value. An entry without a mark has the
+        mark of its key; a key without a mark has the mark of the record."""
         if key in self.keys:
             return self.keys[key]
         return self.keys.get(key.partition("[")[0].partition(".")[0], self.mark)
@@ -446,9 +448,9 @@ def key(
 ) -> Any:
     """Makes a dataclass field that is also a key of the language. Every key has a description and an example.
 
-    `name`: spelling of the key in YAML, if this spelling is not a valid Python name. `fallback`: value that replaces a required
-    value that is missing or wrong, so that the rest of the record can still be checked. `traits`: properties that the module of the
-    record needs, such as whether the key may be swept.
+    `name`: spelling of the key in YAML, if it differs from the name of the field because it is not a valid Python name. `fallback`:
+    value that replaces a required value that is missing or wrong, so that the rest of the record can still be checked. `traits`:
+    properties that the module of the record needs, such as whether the key may be swept.
     """
     metadata = {
         "kind": kind,
@@ -508,8 +510,8 @@ def is_required(item: dataclasses.Field[Any]) -> bool:
 def read_keys(
     node: source.Mapping, fields: Mapping[str, dataclasses.Field[Any]], log: Findings, passed: Iterable[str] = ()
 ) -> tuple[JsonObject, Origin]:
-    """Reads the values of the given keys; returns the values by Python name, and the positions of the keys. Unknown and missing
-    keys become findings. Keys in `passed` are permitted and not read here, because other code reads them."""
+    """Reads the values of the given keys. Returns the values by Python name, and the positions of the keys. Unknown and missing
+    keys become findings. Keys in `passed` are permitted, but other code reads them."""
     values: JsonObject = {}
     broken: set[str] = set()
     known, given = dict.fromkeys((*fields, *passed)), {name.text for name, _ in node.entries}
@@ -540,9 +542,9 @@ def _meant(
 ) -> tuple[dict[str, tuple[Mark, ...]], dict[str, str]]:
     """Maps each absent key to the unknown keys that may be misspellings of it, and each unknown key to a hint.
 
-    An unknown key counts as a misspelling of the absent key that it resembles. An unknown key that resembles no absent key may mean
-    any optional key. It may also mean a required key if the number of such unknown keys is at least the number of required keys
-    that are missing.
+    An unknown key counts as a misspelling of the absent key that it resembles. An unknown key that resembles no absent key may be a
+    misspelling of any optional key. If there are at least as many such unknown keys as missing required keys, it may also be a
+    misspelling of a required key.
     """
     unknown = {name.text: name.mark for name, _ in node.entries if name.text not in known}
     if not unknown:
@@ -589,15 +591,15 @@ def inline(example: Any) -> str:
 
 
 def _used(key: source.Scalar, value: source.Node) -> Mark:
-    """Returns the position at which a value is used. The value of an alias has the position of its anchor, which is before the key;
-    in that case the position of the key is returned."""
+    """Returns the position at which a value is used. The value of an alias has the position of its anchor, which is before the key.
+    In this case, the position of the key is returned."""
     return key.mark if value.precedes(key) else value.mark
 
 
 @dataclass(frozen=True, slots=True)
 class RecordOf:
-    """A mapping that is read into a `Record`. `check`: function of the record and the log that may add findings about several keys
-    together."""
+    """A mapping that is read into a `Record`. `check`: a function of the record and the log; it may add findings that concern
+    several keys together."""
 
     record: type[Record]
     check: Callable[[Any, Findings], None] | None = None
@@ -645,9 +647,9 @@ class Plugin(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Plugged:
-    """Reads a record whose additional keys belong to the plug-in that `selector` names.
+    """Reads a record with additional keys that belong to a plug-in. The value of the key `selector` names the plug-in.
 
-    The keys of the plug-in stand in the same mapping as the common keys, and are read into the field `parameters` of the record.
+    The keys of the plug-in are in the same mapping as the common keys. They are read into the field `parameters` of the record.
     """
 
     record: type[Record]

@@ -1,7 +1,7 @@
 """Checks what concerns the whole plan: labels, references between parts, limits, reports.
 
-Channels named in estimates are checked against the channels of the bench's sensor. Parameters of the kind `CHANNEL` are found by their
-declaration, so the check covers estimators of plug-ins too.
+Channels named in estimates are checked against the channels of the bench's sensor. Parameters of the kind `CHANNEL` are found by
+their declaration, so estimators of plug-ins are checked as well.
 """
 
 from __future__ import annotations
@@ -69,7 +69,8 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
 
 
 def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
-    """Adds one finding for each name that is not the name of an estimate, regardless of how often the name is used."""
+    """Adds a finding for each name that is not the name of an estimate. A name that is used several times causes only one
+    finding."""
     unknown: dict[str, list[Mark]] = {}
     for spec in plan.estimates.values():
         for index, other in enumerate(spec.uses):
@@ -86,8 +87,7 @@ def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
 
 
 def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Labels, log: Findings) -> set[int]:
-    """Checks the selected segments. A pattern that matches no segment gives one finding, regardless of how often the pattern is
-    written."""
+    """Checks the selected segments. A pattern that matches no segment causes only one finding, even if it is used several times."""
     chosen: set[int] = set()
     undefined: dict[str, list[Mark]] = {}
     for spec in specs:
@@ -109,7 +109,7 @@ def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Lab
 
 
 def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findings) -> None:
-    """Adds one warning for each position in the plan that defines unused segments, regardless of the number of these segments."""
+    """Adds one warning for each position in the plan that defines unused segments, even if it defines several of them."""
     unused: dict[Mark, list[str]] = {}
     for index, segment in enumerate(segments):
         if index not in used and not segment.conditioning:
@@ -171,8 +171,8 @@ def _check_limit(limit: Limit, log: Findings) -> None:
 def check_channels(parameters: Record, outputs: Collection[str] | None, log: Findings) -> None:
     """Adds a finding for each channel that the sensor does not have, and for each channel that is named twice.
 
-    `outputs`: names of the sensor's outputs; None if it is not known what will be recorded. An estimator's default channels, which
-    the plan does not name, may be absent from the outputs: the estimator decides whether it needs them.
+    `outputs`: names of the sensor's outputs; None if it is not known what will be recorded. Default channels of an estimator, which
+    the plan does not name, may be absent from the outputs. The estimator itself decides whether it needs them.
     """
     seen: set[str] = set()
     for key, place, channel in _named(parameters):
@@ -208,7 +208,7 @@ def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
 
 
 def _naming(parameters: type[Record]) -> tuple[tuple[str, str, Kind], ...]:
-    """Returns the keys whose values name channels: a tuple of the key, the name of its field in the record, and the kind of its
+    """Returns a tuple for each key whose value names channels: the key, the name of its field in the record, and the kind of its
     value."""
     if parameters not in _NAMING:
         kinds = [(key, item.name, item.metadata["kind"]) for key, item in keys_of(parameters).items()]

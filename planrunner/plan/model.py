@@ -390,8 +390,8 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
     """Reads the plan in a document as far as possible; returns the plan and its findings. If `log` is given, the findings are also
     added to it.
 
-    A part with an error is omitted, except that a segment is kept and marked as not sound, so that all other parts can still be
-    checked.
+    A part with an error is omitted, so that all other parts can still be checked. A segment with an error is not omitted, but
+    marked as not sound.
     """
     log = Findings() if log is None else log
     if root.get("planrunner") is None and root.get("planrunner_bench") is not None:
@@ -405,8 +405,8 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
 
 
 def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
-    """Reads the plan in `text`; returns the plan and all its findings. `shown`: the file name that the findings state. It never
-    raises an error, whatever the text contains."""
+    """Reads the plan in `text`. Returns the plan and all its findings. No text makes this function raise an exception. `shown`: the
+    file name that the findings state."""
     log = Findings()
     try:
         root = source.parse(text, shown, log)

@@ -32,7 +32,7 @@ _FORMS = "rate, rock, cycle and recorded"
 
 
 def motion_of(state: State, marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
-    """Returns the motion of one segment; None after a finding was added."""
+    """Returns the motion of one segment; None if it was not valid and a finding was added."""
     if state.rate is not None:
         return Spin(state.rate.value) if state.rate.value else Rest()
     motion = state.motion
@@ -160,7 +160,7 @@ def _cycle(motion: model.MotionSpec, sign: float, log: Findings) -> Cycle | None
 def _check_positions(
     moves: list[Move], positions: Mapping[str, float], motion: model.MotionSpec, log: Findings
 ) -> None:
-    """Adds one finding for each name that is not the name of a position, however many moves use it."""
+    """Adds one finding for each name that is not the name of a position, even if several moves use it."""
     users: dict[str, list[int]] = {}
     for index, move in enumerate(moves):
         for name in dict.fromkeys((move.start, move.end)):
@@ -206,6 +206,6 @@ def _degrees(angle: float) -> str:
 
 
 def _turns(positions: Mapping[str, float], move: Move) -> str:
-    """Returns the two rotations that lead to the end position of a move, in words: the short way and the long way."""
+    """Returns, in words, the two rotations that lead to the end position of a move: the short way and the long way."""
     short = round(math.degrees(math.remainder(positions[move.end] - positions[move.start], TURN)), 6)
     return f"{short:+g} or {short - math.copysign(360, short):+g} deg"

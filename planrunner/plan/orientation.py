@@ -52,7 +52,8 @@ UNKNOWN = Orientation("unknown", None)
 
 
 def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
-    """Writes the orientation in words, such as `x up, y north, z west`. An axis in a direction without a word is given as numbers."""
+    """Writes the orientation in words, such as `x up, y north, z west`. If there is no word for the direction of an axis, the
+    direction is given as numbers."""
     return ", ".join(f"{axis} {_pointing(row, tolerance)}" for axis, row in zip(AXES, attitude, strict=True))
 
 
@@ -182,7 +183,7 @@ _TURNED = ("from", "rotate")
 
 @lru_cache(maxsize=1024)
 def _sound(words: tuple[tuple[str, object], ...]) -> Orientation | None:
-    """Returns the orientation that these words describe; None after adding a finding that they describe no valid orientation."""
+    """Returns the orientation that these words describe. If it is not valid, adds a finding and returns None."""
     nowhere = Written("")
     entries = [(Scalar(key, key, nowhere), Scalar(str(word), str(word), nowhere)) for key, word in words]
     return _read_words(Mapping(tuple(entries), nowhere), Findings())
@@ -251,8 +252,8 @@ def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[fl
 
 
 def _repairs(matrix: Matrix) -> list[str]:
-    """Returns the right-handed orientations, in words, that result from a left-handed `matrix` by exchanging two axes or reversing
-    one axis."""
+    """Returns, in words, the right-handed orientations that result if two axes of a left-handed `matrix` are exchanged or one axis
+    is reversed."""
     repairs = []
     for i, j in ((1, 2), (0, 1), (0, 2)):
         swapped = matrix.copy()

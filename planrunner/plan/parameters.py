@@ -1,8 +1,8 @@
-"""Replaces the parameters of a plan: the values in its text with a YAML anchor, such as `dwell: &dwell 2 min`. A run or a suite may
-replace these values.
+"""Replaces the values of parameters in the text of a plan. A parameter is a value with a YAML anchor, such as `dwell: &dwell 2
+min`. A run or a suite may give another value for it.
 
-A plan with other values for its parameters is a different plan. Its text differs only in these values, so every other line keeps
-its position. The run stores this text, and readers of the run need nothing else.
+A plan with other values for its parameters is a different plan. Its text differs only in these values; every other line keeps its
+position. The run stores the changed text, so readers of the run need nothing else.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def parameters_of(settings: Sequence[str]) -> dict[str, Given]:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """Contains the text of a plan with other values for its parameters. `places`: maps each parameter to the position of its value
-    in `text`."""
+    """Contains the text of a plan whose parameters have other values. `places`: maps each parameter to the position of its value in
+    `text`."""
 
     text: str
     places: Mapping[str, Mark]
@@ -73,8 +73,8 @@ class _Anchored:
 
 
 def variant_name(plan: str, parameters: Mapping[str, str]) -> str:
-    """Returns the name of the plan in the archive if it runs with these values. A plan with other values is a different plan, so
-    its results belong in another history. The name does not depend on the order in which the values were given."""
+    """Returns the name that the plan has in the archive if it runs with these values. A plan with other values is a different plan,
+    so its results belong to another history. The order in which the values were given does not change the name."""
     if not parameters:
         return plan
     return f"{plan} ({', '.join(f'{name}={value}' for name, value in sorted(parameters.items()))})"
@@ -119,8 +119,8 @@ def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
 
 
 def _written(value: str, *, quoted: bool) -> str:
-    """Returns a value as YAML text. Quotes are omitted if `quoted` is False and YAML reads the same text without quotes, wherever
-    the value stands."""
+    """Returns a value as YAML text. Quotes are omitted if `quoted` is False, and if YAML reads the same text without quotes at any
+    place in a file."""
     return value if not quoted and _is_plain(value) else json.dumps(value, ensure_ascii=False)
 
 
@@ -139,7 +139,7 @@ def _is_plain(value: str) -> bool:
 
 
 def _anchored(text: str, file: str, log: Findings) -> dict[str, _Anchored]:
-    """Returns the values with an anchor, by the name of the anchor. A name that belongs to two values causes a finding."""
+    """Returns the values that have an anchor, by the name of the anchor. An anchor name with two values causes a finding."""
     found: dict[str, _Anchored] = {}
     for event, is_key in _nodes(text):
         if event.anchor is None:
@@ -163,7 +163,7 @@ def _anchored(text: str, file: str, log: Findings) -> dict[str, _Anchored]:
 
 
 def _nodes(text: str) -> Iterator[tuple[yaml.NodeEvent, bool]]:
-    """Yields each node that is not an alias, with True if the node is a key of a mapping."""
+    """Yields each node that is not an alias. The second value is True if the node is a key of a mapping."""
     open_: list[bool | None] = []  # of each open mapping: whether a key comes next; None for a list
     for event in yaml.parse(text, _Loader):
         if isinstance(event, yaml.CollectionEndEvent):

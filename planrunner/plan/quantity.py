@@ -1,4 +1,4 @@
-"""Quantities: one number and one unit, never an expression.
+"""Defines quantities. A quantity is one number and one unit, never an expression.
 
 300 deg/s          a value
 54.7356 deg ± 20 arcsec   with its standard uncertainty
@@ -71,8 +71,8 @@ class Quantity:
 
     @property
     def shape(self) -> str:
-        """Names the distribution as an uncertainty budget states it: Student's t instead of normal if the degrees of freedom are
-        finite."""
+        """Returns the name of the distribution in an uncertainty budget, which is Student's t instead of normal if the degrees of
+        freedom are finite."""
         return "t" if math.isfinite(self.degrees_of_freedom) and self.distribution == "normal" else self.distribution
 
     def to(self, unit_text: str) -> float:
@@ -93,8 +93,8 @@ class QuantityError(ValueError):
 
 
 def takes_bare_number(dimension: str | None) -> bool:
-    """Returns True if a number without a unit can be a quantity of this dimension. This is the case for a ratio, and for None,
-    which means any dimension."""
+    """Returns True if a number without a unit can be a quantity of this dimension. This is so for a ratio, and for None, which
+    means any dimension."""
     return dimension in (None, "ratio")
 
 
@@ -103,7 +103,8 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
     """Parses the quantity in `text`, of the named dimension (see `units.DIMENSIONS`) if one is given. Raises `QuantityError` if the
     text is not such a quantity.
 
-    `54.7 deg ± 0.1 deg`, `54.7 deg ± 6 arcmin`, `54.7 deg ± 0.1` and `54.7 ± 0.1 deg` all mean a standard uncertainty.
+    In all of `54.7 deg ± 0.1 deg`, `54.7 deg ± 6 arcmin`, `54.7 deg ± 0.1` and `54.7 ± 0.1 deg`, the number after ± is a standard
+    uncertainty.
     """
     match = _parts(text)
     if match is None or not (_has_unit(match) or takes_bare_number(dimension)):
@@ -129,11 +130,11 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
 
 
 def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
-    """Parses the values of a sweep, such as `±300, ±150 deg/s` or `10, 20, 30 deg`; ± stands for the positive value and then the
-    negative value. Raises `QuantityError` if the text is not such a list.
+    """Parses the values of a sweep, such as `±300, ±150 deg/s` or `10, 20, 30 deg`; ± gives two values, first the positive and then
+    the negative one. Raises `QuantityError` if the text is not such a list.
 
-    A unit after the last value applies to values without a unit. A comma must be followed by a space, so that a decimal comma does not
-    separate two values.
+    A unit after the last value applies to values without a unit. A comma separates two values only if a space follows it, so that
+    it differs from a decimal comma.
     """
     if re.search(r",[^ \t\r\n\u00a0\u2009\u202f]", text):
         hint = "write a decimal point (1.5 deg/s), or a space after the comma between two values (1, 5 deg/s)"
@@ -169,7 +170,7 @@ def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
 
 
 def is_symmetric(text: str) -> bool:
-    """Returns True if a text has the form `SYMMETRIC`, whatever its unit is."""
+    """Returns True if a text has the form `SYMMETRIC`. Its unit is not checked."""
     signed = _SIGNED.fullmatch(text)
     parts = _parts(signed[2]) if signed else None
     return parts is not None and parts[3] is None
@@ -260,8 +261,8 @@ def read_quantity(
 ) -> Quantity | None:
     """Reads the quantity in a node, which is a text or a mapping. Returns None after a finding was added to `log`.
 
-    `uncertain`: True if results use the uncertainty; if it is False, a stated uncertainty causes a finding. `elsewhere`: text that
-    says where to state the uncertainty instead; '' if it cannot be stated anywhere.
+    `uncertain`: True if results use the uncertainty; otherwise a stated uncertainty causes a finding. `elsewhere`: text that says
+    where to state the uncertainty instead; '' if there is no such place.
     """
     if uncertain:
         return _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)
@@ -423,8 +424,8 @@ def _degrees(node: Mapping, log: Findings) -> float:
 
 
 def anchored(pattern: str) -> str:
-    """Converts the pattern to a form that must match the whole text, in JSON Schema as well as in Python ('$' alone would allow a
-    final line break)."""
+    """Converts a pattern so that it must match the whole text, both in JSON Schema and in Python (with '$' alone, a final line
+    break would be permitted)."""
     return rf"^(?:{pattern})$(?!\n)"
 
 

@@ -1,6 +1,7 @@
 """Rewrites orientations, dwells, moves or rates in the text of a plan. Only the rewritten values change; comments and layout stay.
 
-Orientations are written as the nearest orientation in words plus turns about the sensor's axes, so that a reviewer can picture them.
+An orientation is written as the nearest orientation in words, followed by turns about the sensor's axes, so that a reviewer can
+imagine it.
 """
 
 from __future__ import annotations
@@ -64,9 +65,10 @@ def as_written(attitude: Matrix, decimals: int = DECIMALS) -> Matrix:
 
 
 def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
-    """Angles [deg] of successive rotations about x, y, z from `start` to `end`.
+    """Returns the angles [deg] of successive rotations about x, y, z that lead from `start` to `end`.
 
-    With passive rotations end·startᵀ = Z·Y·X, so its transpose is the product of the active rotations about x, y and z.
+    With passive rotations, end·startᵀ = Z·Y·X. The transpose of this matrix is therefore the product of the active rotations about
+    x, y and z.
     """
     turned = start @ end.T
     y = math.asin(min(1.0, max(-1.0, float(turned[0, 2]))))
@@ -76,7 +78,7 @@ def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
 
 
 def _degrees(angle: float, decimals: int) -> str:
-    """Returns an angle with at least two decimals, and with more only if they are not zero."""
+    """Writes an angle with two decimals, and with further decimals only if they are not zero."""
     text = f"{round(angle, decimals):.{decimals}f}"
     return text[: len(text) - decimals + DECIMALS] + text[len(text) - decimals + DECIMALS :].rstrip("0")
 
@@ -185,8 +187,8 @@ def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: S
 
 
 def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
-    """Returns the position in the text at which an item must be inserted to append it to a mapping or list, and the text to insert
-    there."""
+    """Prepares appending an item to a mapping or list. Returns the position at which to insert it in the text, and the text to
+    insert."""
     begin = node.start_mark.index
     end = begin + len(text[begin : last.end_mark.index].rstrip())
     if node.flow_style:

@@ -1,5 +1,5 @@
-"""Run information that the plan requests (serial number, operator, ambient conditions …). The user gives it with `--set` or in a
-file."""
+"""Collects the run information that a plan requests (serial number, operator, ambient conditions …). The user gives it with `--set`
+or in a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Describes the schedule, which is a plan on a bench as an ordered list of segments. Each segment is a state to reach and hold.
+"""Describes the schedule: an ordered list of the segments of a plan, as a certain bench executes them. Each segment is a state to
+reach and hold.
 
 Segments are pure data in SI units with radians. `planrunner.bench.scheduling` makes the schedule, and the executor executes it.
 Estimators, reports and design read it.
@@ -32,9 +33,9 @@ class Rock:
     """Sinusoidal rocking of the table's rings: angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad], where t is the
     time since the record began [s].
 
-    The rocking has its full amplitude for `duration` s. It fades in during one period before `steady`, and fades out during one
-    period after `steady` + `duration`. `phases`: one phase for each ring, the outermost first. `delay`: time at rest at the
-    beginning of the record, s; if it is zero, the rocking fades in before the record begins.
+    The rocking has its full amplitude for `duration` s. It fades in during the period that ends at `steady`, and fades out during
+    the period that begins at `steady` + `duration`. `phases`: one phase for each ring, the outermost first. `delay`: time at rest
+    at the beginning of the record, s; if it is zero, the rocking fades in before the record begins.
     """
 
     amplitude: float
@@ -76,8 +77,8 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """Turns and stops that are repeated during the dwell: the table stops for `stop` s at each position, then turns at `rate`
-    rad/s."""
+    """Turns and stops that are repeated during the dwell: the table stops at each position for `stop` [s], and then turns at the
+    rate `rate` [rad/s]."""
 
     positions: Mapping[str, float]
     moves: tuple[Move, ...]
@@ -87,7 +88,7 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMotion:
-    """Describes a motion that channels of the recording show, and that no table was commanded to make.
+    """Describes a motion that was not commanded to a table, but that channels of the recording show.
 
     At least one of `angle`, `attitude`, `rates` and `forces` is stated. `angle`: channel of the encoder of an axis along the site
     direction `about`; the angle is zero in the segment's orientation. `attitude`: four channels that form a unit quaternion from
@@ -128,11 +129,11 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Conditions that must hold while a segment records.
+    """Contains the conditions that must hold while a segment is recorded.
 
     `limits`: largest permitted value of each reading, as in `Stability`. `lost`, `corrupt`: permitted fractions of lost and of
-    corrupt frames; None if any fraction is permitted. `doubts`: True if an instrument's doubts about its samples count as an
-    exceeded limit. `retakes`: how often the segment may be repeated after a limit was exceeded.
+    corrupt frames; None if any fraction is permitted. `doubts`: True if a limit also counts as exceeded when an instrument reports
+    doubts about its samples. `retakes`: how often the segment may be repeated after a limit was exceeded.
     """
 
     limits: Mapping[str, float] = field(default_factory=dict)
@@ -150,17 +151,17 @@ class Segment:
         site, so that v_sensor = attitude @ v_site. None if the plan says `unknown`.
     `temperature`: stated temperature [K]; None for a ramp.
     `ramp_to`: temperature [K] at the end of a ramp; None if the temperature does not ramp.
-    `kept_temperature`: temperature [K] at which the chamber has kept the sensor since an earlier segment; None if no earlier segment
-        states a temperature, and on a bench that plays back a recording.
+    `kept_temperature`: temperature [K] at which the chamber has kept the sensor since an earlier segment. None if no earlier
+    segment states a temperature, or if the bench plays back a recording.
     `supply_voltage`, `ambient_pressure`: supply voltage [V] and ambient pressure [Pa]; None for a quantity that the plan does not state.
     `soak`, `settle`: waiting times before the dwell, s.
-    `dwell`: duration of the dwell, s; None if the dwell lasts as long as the recording.
+    `dwell`: duration of the dwell, s; None if the dwell lasts as long as the recording that is played back.
     `transition`: planned time to reach the state (moves, spin-up, temperature), s.
     `start`: planned time from the beginning of the run to the beginning of the dwell, s.
     `sample_rate`: sample rate, Hz; None for the sensor's own rate.
     `mode`: operating mode of the sensor; None if the plan does not set it.
     `on_break`: what happens to a segment that a crash interrupts: 'retake' repeats it, 'keep' keeps the recorded part.
-    `stable`, `soaked`: readings that must be steady before the waits `settle` and `soak` end; None for a wait of fixed length.
+    `stable`, `soaked`: conditions of stability under which the waits `settle` and `soak` end; None for a wait of fixed length.
     `watch`: conditions that are checked during the dwell.
     `prompts`: prompts to the operator before the segment.
     `marks`: positions of the segment's keys in the plan file, for messages.
@@ -203,7 +204,7 @@ class Segment:
     @property
     def begins_at(self) -> float | None:
         """Returns the temperature [K] at the beginning of the dwell: the stated temperature, otherwise the temperature at which the
-        chamber keeps the sensor; None if neither is known."""
+        chamber keeps the sensor; None if neither of them is known."""
         return self.kept_temperature if self.temperature is None else self.temperature
 
     @property

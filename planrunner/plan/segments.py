@@ -1,4 +1,4 @@
-"""Declares the plan keys for segments: states to reach and hold, sweeps over them, and steps with a common state.
+"""Declares the plan keys for segments: states to reach and hold, sweeps over states, and steps that share a state.
 
 A state consists of the orientation, the motion, the temperature, the readings that must settle before the segment records, and the
 readings that must stay within limits while it records.
@@ -55,7 +55,7 @@ class Tolerated(Record):
     )
 
     def stated(self) -> dict[str, Quantity]:
-        """Returns the stated limits for the given readings: reading → largest value."""
+        """Returns the stated limits as a mapping from each reading to its largest permitted value."""
         return {name: getattr(self, name) for name in READINGS if getattr(self, name) is not None}
 
 
@@ -272,8 +272,8 @@ class Ramp(Record):
 class State(Record):
     """A state to reach and hold. Nested steps inherit the keys that they do not set.
 
-    A new key is declared only here, with its traits; the schema, reading, inheritance, sweeps, labels and the reference of keys
-    follow from this. What the bench does for a key is defined in the schedule.
+    To add a key, declare it here with its traits. The schema, reading, inheritance, sweeps, labels and the reference of keys follow
+    from this declaration. What the bench does for a key is defined in the schedule.
     """
 
     orientation: Orientation | None = optional(

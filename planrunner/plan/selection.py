@@ -1,4 +1,4 @@
-"""Selects the segments for an estimate: by patterns of their labels, or by detecting spans in the data."""
+"""Selects the segments for an estimate, by patterns of labels or by detecting spans in the data."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def matches(label: str, pattern: str) -> bool:
 
 
 def select(labels: Sequence[str], patterns: Sequence[str]) -> list[int]:
-    """Indices of the labels that match at least one pattern, in the order of the labels."""
+    """Returns the indices of the labels that match at least one pattern, in the order of the labels."""
     return list(_selected(tuple(labels), tuple(patterns)))
 
 
@@ -79,8 +79,8 @@ def spelt_alike(recorded: str, planned: str) -> bool:
 def closest_label(label: str, known: Iterable[str]) -> str:
     """Returns a hint that suggests the known label, or the pattern, that was probably meant.
 
-    A label that differs only in plus signs is suggested first. The table of a recording, or a plan written for an older rule, may
-    lack the plus sign in the label of a sweep. Such a label is only suggested; it does not count as a match.
+    A label that differs only in plus signs is suggested first, because the table of a recording, or a plan written for an older
+    rule, may lack the plus sign in the label of a sweep. Such a label is only suggested; it does not count as a match.
     """
     names = list(known)
     bare = label.replace("+", "")
@@ -113,7 +113,7 @@ class Labels:
         return closest_label(pattern, [*self._parts, *(self._whole if "/" in pattern else ())])
 
     def meant_by(self, pattern: str) -> set[int]:
-        """Indices of the labels that match a pattern (see `matches`)."""
+        """Returns the indices of the labels that match a pattern (see `matches`)."""
         if pattern not in self._found:
             known = self._whole if "/" in pattern else self._parts
             if any(sign in pattern for sign in "*?["):

@@ -1,7 +1,8 @@
 """Parses YAML text into nodes with source positions.
 
-The meaning follows YAML 1.2 core (`1e-3` is a number; `no` and `12:30` are strings; duplicate keys are errors). The nodes are read
-from libyaml's events without recursion, within limits on size, depth, nodes and aliases, so that no file can harm the reader.
+Texts are interpreted according to the core schema of YAML 1.2 (`1e-3` is a number; `no` and `12:30` are strings; duplicate keys are
+errors). The nodes are read from libyaml's events without recursion, within limits on size, depth, nodes and aliases, so that no
+file can harm the reader.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Written:
 
 
 class Position(Protocol):
-    """States a position in a text, with the attributes of a mark of the YAML parser. Lines and columns count from 0."""
+    """States a position in a text. It has the same attributes as a mark of the YAML parser. Lines and columns count from 0."""
 
     @property
     def line(self) -> int: ...
@@ -66,7 +67,7 @@ class _Placed:
     """A part of a text.
 
     `begin`, `end`: the positions at which the part begins and ends; None for a part that was made in code. The attribute `mark` is
-    computed only when it is needed, because a plan has hundreds of nodes and few of them are named in a finding.
+    computed only when it is needed, because a plan has hundreds of nodes, of which few appear in findings.
     """
 
     __slots__ = ("_begin", "_end", "_written")
@@ -152,7 +153,7 @@ def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> 
 
 
 def refused_input(refused: RefusedFileError, name: str) -> InputError:
-    """Returns the finding about a file that is refused. `name`: file name that the finding states."""
+    """Returns the error about a file that is refused. `name`: file name that the finding states."""
     mark, message, hint = Mark(name), str(refused), refused.hint
     match refused.kind:
         case "missing":
@@ -194,8 +195,8 @@ def load(path: Path, shown: str | None = None, log: Findings | None = None) -> M
 def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
     """Parses the mapping in `text`. `file`: file name that findings state.
 
-    Raises `InputError` if the text is not a mapping that can be read. If `log` is given, faults that leave the rest readable, such
-    as duplicate keys, are added to it instead.
+    Raises `InputError` if the text is not a mapping that can be read. Some faults, such as duplicate keys, leave the rest readable.
+    If `log` is given, findings about such faults are added to it, and no exception is raised.
     """
     if forbidden := _forbidden(text):
         raise _not_allowed(forbidden[0], _mark_at(text, forbidden.start(), file))
@@ -290,8 +291,8 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
 class _Open:
     """A sequence or mapping whose end has not been read yet.
 
-    `around`: the nodes in the enclosing collection before this one. `before`: number of all nodes in the file before this one,
-    where an alias counts as all the nodes that it stands for."""
+    `around`: the nodes of the enclosing collection that come before this one. `before`: number of all nodes in the file before this
+    one. An alias counts as all the nodes that it stands for."""
 
     start: yaml.CollectionStartEvent
     around: list[Node]
@@ -385,8 +386,8 @@ class _Builder:
         self._put(node, None, size)
 
     def _put(self, node: Node, anchor: str | None, size: int, inside: int = 0) -> None:
-        """Adds a node to the open collection. `size`: number of nodes that it adds, where an alias counts as all the nodes that it
-        stands for. `inside`: number of nodes within this node that have already been counted."""
+        """Adds a node to the open collection. `size`: number of nodes that are added with it; an alias counts as all the nodes that
+        it stands for. `inside`: number of nodes within this node that have already been counted."""
         self._nodes += 1
         self._written_out += size
         if self._nodes > MAX_NODES:
@@ -430,7 +431,7 @@ class _Builder:
 
 
 def _sound(pairs: tuple[tuple[Node, Node], ...]) -> TypeGuard[tuple[tuple[Scalar, Node], ...]]:
-    """Whether all keys of a mapping are scalars with different texts, and none of them is a merge key."""
+    """Returns True if all keys of a mapping are scalars with different texts, and none of them is a merge key."""
     names = {key.text for key, _ in pairs if type(key) is Scalar}
     return len(names) == len(pairs) and "<<" not in names
 

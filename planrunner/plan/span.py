@@ -1,7 +1,8 @@
-"""A half-open interval of time: [start, end). A sample at `start` belongs to it, a sample at `end` to the next interval.
+"""Defines half-open intervals of time: [start, end). A sample at `start` belongs to the interval; a sample at `end` belongs to the
+next interval.
 
 Played-back recordings, still spans and detected segments all use this definition. Adjacent intervals therefore share no sample, and
-n samples with the period T last n·T.
+the duration of n samples with the period T is n·T.
 """
 
 from __future__ import annotations

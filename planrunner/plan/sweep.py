@@ -1,19 +1,20 @@
-"""Reads `for_each`, which states sweeps over states. Several keys give all combinations of their values; the first key changes
-slowest.
+"""Reads the key `for_each`, which states sweeps over states. Several swept keys give all combinations of their values, in which the
+first key changes slowest.
 
 for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
 for_each: {temperature: [-40 degC, 20 degC]}
 for_each: {orientation: {P1: {x: up, y: north}, …}}     names become labels
 
 A label depends only on its value, never on the other values, so that adding, removing or splitting values renames no segment.
-References to labels, tables of recordings and plans written by a design stay valid. Signs therefore follow one rule:
+References to labels, tables of recordings, and plans that a design has written therefore stay valid. Signs therefore follow one
+rule:
 
-- a rate always has its sign, for it is the sense of rotation (`R+10`, `R-10`);
-- any other quantity has a sign below zero only, as engineers write it (`20degC`, `-40degC`);
-- zero has none (`R0`).
+- a rate always has its sign, because the sign is the sense of rotation (`R+10`, `R-10`);
+- any other quantity has a sign only below zero, as engineers usually write it (`20degC`, `-40degC`);
+- zero has no sign (`R0`).
 
-The alternative, signs only in sweeps that contain both signs, was rejected: it renames `20degC` when -40 degC is added, and turns `R+10`
-into `R10` when a design splits a sweep into one sweep per rate.
+An alternative would be signs only in sweeps that contain both signs. It was rejected, because it would rename `20degC` when -40
+degC is added, and `R+10` to `R10` when a design splits a sweep into one sweep for each rate.
 """
 
 from __future__ import annotations
@@ -98,9 +99,9 @@ class StateTraits:
 
     `swept`: True if the key may be swept with `for_each`. `directed`: True if the sign of the quantity is a direction, so that
     labels show + as well as −. `decisive`: True if the rest of the segment cannot be checked when the value of this key could not
-    be read. `replaces`: another key by which the plan can state the same property in another form. A segment has only one of these
-    two keys: setting this key removes an inherited value of the other key. `sweep_example`: an example of a sweep, if the example
-    of one value does not show how to write a sweep.
+    be read. `replaces`: another key that states the same property in another form. A segment has only one of the two keys: setting
+    this key removes an inherited value of the other key. `sweep_example`: an example of a sweep; it is given if the example of one
+    value does not show how to write a sweep.
     """
 
     swept: bool = False
@@ -284,8 +285,8 @@ def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Finding
 def _check_signs(
     key: SweptKey, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
-    """Returns the values with labels, if the swept key accepts their signs; None after a finding was added. For example, a dwell
-    cannot be negative."""
+    """Returns the values with labels. If the swept key does not accept their signs (for example, a dwell cannot be negative), adds
+    a finding and returns None."""
     sign: Sign = "any" if key.quantity is None else key.quantity.sign
     if not all(has_sign(quantity, sign, node.mark, log, key.name) for quantity in quantities):
         return None
@@ -312,7 +313,7 @@ def _named(kind: Kind, node: source.Mapping, log: Findings) -> tuple[SweepValue,
 
 
 def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepValue, ...]:
-    """Returns the values with labels made from their numbers and units. The labels of repeated values get numbers."""
+    """Returns the values with labels made from their numbers and units. Labels that occur several times get numbers."""
     rows: list[SweepValue] = []
     for index, (value, mark) in enumerate(values, start=1):
         if isinstance(value, Quantity):

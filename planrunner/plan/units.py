@@ -1,4 +1,4 @@
-"""Defines the units: pint interprets the texts of units, with the project's own definitions.
+"""Defines the units. The library pint interprets the texts of units, using the project's own definitions.
 
 The project has its own definitions for three reasons: in this field `g` is standard gravity, not gram; an angle is a dimension, so
 that a frequency in Hz differs from a rate in deg/s; and outputs are in pulses. Common units are listed in `_DAILY`, so that
@@ -97,7 +97,7 @@ EXAMPLES = {
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A resolved unit: SI value = written value × factor + offset."""
+    """A unit that was found in the definitions: SI value = written value × factor + offset."""
 
     text: str
     factor: float
@@ -294,7 +294,7 @@ def convert(value: float, from_unit: str, to_unit: str) -> float:
 
 
 def dimension_name(dimension: Dimension) -> str:
-    """Returns the usual name of a dimension; if it has none, returns its base units with their exponents."""
+    """Returns the usual name of a dimension or, if it has none, its base units with their exponents."""
     for name, known in DIMENSIONS.items():
         if known == dimension:
             return name

@@ -156,8 +156,8 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 def fold_of(group: Integers, folds: int) -> Integers:
     """Returns the index of the fold in which each group of temperatures is held out. If `folds` is 0, each group is a separate
-    fold. Otherwise there are as many folds as `folds` states, each a range of temperature. Neighbouring temperatures, which share a
-    slow drift, are then usually held out together and do not predict each other."""
+    fold. Otherwise there are `folds` folds, which are adjoining ranges of temperature. Neighbouring temperatures, which share a
+    slow drift, are then held out together and do not predict each other."""
     return group if folds == 0 else group * folds // (int(group.max()) + 1)
 
 
