@@ -93,7 +93,8 @@ class TableState:
         """Returns the state after the move to an attitude, and the time [s] of the move from the planned angles. The attitude has
         the shape (3, 3).
 
-        Raises `Unreachable`, with the reason, if the attitude cannot be reached from all angles at which the table may be.
+        Raises `Unreachable`, with the reason, if the attitude cannot be reached from one or more of the angles at which the table
+        may be.
         """
         target, seconds = quickest_move(axes, attitude, self.joints, azimuth)
         if not (self._inexact or self.others) or (len(axes) == 1 and axes[0].continuous):
