@@ -16,7 +16,7 @@ class SamplesStuck:
     id, stage, outside, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
     about = About(
         "samples repeat the last value",
-        "For some time the outputs keep the value of one sample, because the sensor or the logger gives no new one.",
+        "For some time the outputs keep the value of one sample, because the sensor or the logger gives no new sample.",
         Actor.BENCH,
         "Look for lost messages, an overloaded logger or a converter that stopped at this time, and leave these samples out: {found}.",
     )

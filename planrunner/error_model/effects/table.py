@@ -158,7 +158,7 @@ class TableWobble:
     id, stage = "table_wobble", "stimulus"
     about = About(
         "axis of the table wobbles",
-        "While the table turns, its axis is tilted by a constant angle that turns with the table.",
+        "While the table turns, its axis is tilted by a constant angle, in a direction that turns with the table.",
         Actor.BENCH,
         "Have the bearing and the mounting face of the table checked: {found}.",
     )

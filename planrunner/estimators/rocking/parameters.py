@@ -127,7 +127,7 @@ class RockingDriftParameters(Record):
     )
     gimbal_axes: tuple[str, ...] = key(
         ListOf(Choice(("x", "y", "z")), minimum=3, maximum=3),
-        "Axis about which each gimbal turns, outermost gimbal first; it is an axis of the part that carries the gimbal.",
+        "Axis about which each gimbal turns, outermost gimbal first. The letter names an axis of the part that carries the gimbal.",
         ["x", "y", "z"],
         default=("x", "y", "z"),
     )
