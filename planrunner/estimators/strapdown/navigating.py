@@ -118,12 +118,12 @@ class StrapdownNavigationParameters(Record):
     )
     gyro_uncertainty: Quantity | None = optional(
         QuantityOf("angular rate", "positive"),
-        "Standard uncertainty of each gyro's constant error. The uncertainty of the alignment and the expected errors depend on it.",
+        "Standard uncertainty of each gyro's constant error; the uncertainty of the alignment and the expected errors use it.",
         "0.005 deg/h",
     )
     accelerometer_uncertainty: Quantity | None = optional(
         QuantityOf("acceleration", "positive"),
-        "Standard uncertainty of each accelerometer's constant error. The uncertainty of the alignment and the expected errors depend on it.",
+        "Standard uncertainty of each accelerometer's constant error; the uncertainty of the alignment and the expected errors use it.",
         "50 ug",
     )
 
