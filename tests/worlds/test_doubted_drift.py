@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, ncx2
 
 from planrunner.estimators.interface import Estimate
 from planrunner.uncertainty.decision import expanded_uncertainty
 from tests.worlds.campaigns import CAMPAIGNS, Campaign
 from tests.worlds.coverage import estimated, known, recorded, tally
 from tests.worlds.faults import WORLDS, Recorded
+from tests.worlds.felt import felt
 
 EIGHT = CAMPAIGNS["flexure_gyro_static"]
 
@@ -145,6 +147,25 @@ def test_a_temperature_that_rises_evenly_is_the_same_drift_as_the_time() -> None
                 together = np.hypot(linear[item.name].standard_uncertainty, change)
                 assert item.standard_uncertainty == pytest.approx(together, rel=1e-6)
     assert doubts
+
+
+def test_even_a_test_for_the_exact_form_misses_small_drifts() -> None:
+    """What decisions 71 and 86 state about the eight positions. The residuals of the means have two dimensions for each output; λ is the
+    energy of a warm-up in them, in units of their variance. A test that knows the form of the warm-up, but not its sizes in the two
+    outputs, compares a non-central χ² with two degrees of freedom."""
+    seen = felt(EIGHT.steps, EIGHT.sampling)
+    share = (seen.time - seen.time[0]) / np.ptp(seen.time)
+    rows = [seen.step == number for number in range(8)]
+    means = [[*seen.rate[own, :2].mean(axis=0), *seen.force[own].mean(axis=0), 1.0] for own in rows]
+    course = np.array([(1 - np.exp(-3 * share[own])).mean() for own in rows])
+    left = course - np.array(means) @ np.linalg.lstsq(np.array(means), course, rcond=None)[0]
+
+    def found(size: float, false_alarms: float) -> float:
+        return float(ncx2.sf(chi2.isf(false_alarms, 2), 2, 2 * size**2 * left @ left))
+
+    assert 2 * 10**2 * left @ left == pytest.approx(20, abs=0.05)
+    assert [round(100 * found(10, rate), 1) for rate in (0.01, 0.05)] == [94.2, 98.5]
+    assert round(100 * found(5, 0.224)) == 78
 
 
 @pytest.mark.slow
