@@ -1,1 +1,1 @@
-"""Run folders: they are written atomically, sealed, and remain readable for all later versions."""
+"""Writes and reads run folders. They are written atomically and sealed, and all later versions of planrunner can read them."""

@@ -1,9 +1,9 @@
-"""Analyses of a run: each is stored in a numbered folder, which is written atomically with a list of digests and never changed
-afterwards.
+"""Stores the analyses of a run. Each analysis is in a numbered folder, which is written atomically together with a list of digests,
+and is never changed afterwards.
 
-Each list contains the digest of the previous list, the journal head at the time of the analysis, and the digest of the seal, if
-there was one. Analyses therefore form a chain, like the events of the journal: a changed or removed analysis is detected as long as
-a later one exists.
+Each list contains the digest of the previous list, the head of the journal at the time of the analysis, and the digest of the seal
+if there was one. Like the events of the journal, the analyses therefore form a chain: if a later analysis exists, a changed or
+removed analysis is detected.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ MOST_RESULTS = 2**27
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """States from which state of a run an analysis is made: the first `events` events of the journal, the digest `head` of the last
-    of these events, and the digest of the seal if the run had one."""
+    """States the state of a run from which an analysis is made. `events`: number of events in the journal. `head`: digest of the
+    last of these events. It also contains the digest of the seal if the run had one."""
 
     events: int
     head: str
@@ -60,8 +60,8 @@ class StoredAnalysis:
 
     @property
     def basis(self) -> Basis | None:
-        """Returns the data from which the analysis was made; None for an analysis in an earlier format, in which this was not
-        recorded."""
+        """Returns the data from which the analysis was made; None for an analysis in an earlier format, which does not contain this
+        information."""
         if self.digests["planrunner_digests"] == 1:
             return None
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
@@ -111,7 +111,7 @@ class StoredAnalysis:
 
 
 def exchanged(path: Path, other: str) -> IntegrityError:
-    """Makes the error for a file that has the content of another file of the run."""
+    """Makes the error about a file that has the content of another file of the run."""
     return IntegrityError(
         f"{path}: it has the content of {other}: files were exchanged; {formats.FROM_BACKUP}", "run-reordered"
     )
@@ -157,8 +157,8 @@ def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
 
 
 def chosen_analysis(run: Path, analyses: Iterable[StoredAnalysis], number: int | None = None) -> StoredAnalysis:
-    """Returns the analysis of a run that has this number; by default, the newest analysis. Raises `InputError` if the run does not
-    have it."""
+    """Returns the analysis with the given number or, by default, the newest analysis of a run. Raises `InputError` if the run has
+    no such analysis."""
     known = {one.number: one for one in analyses}
     number = max(known, default=0) if number is None else number
     if number not in known:
@@ -214,7 +214,8 @@ def _take_number(
     basis: Basis,
     storage: Storage,
 ) -> int:
-    """Writes the number of the new analysis and the digest of the previous analysis into its list of digests."""
+    """Chooses the number of the new analysis, and writes it and the digest of the previous analysis into the list of digests.
+    Returns the number."""
     while True:
         standing = numbers(run)
         last = stored_analysis(run, standing[-1]) if standing else None

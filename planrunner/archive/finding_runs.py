@@ -29,8 +29,8 @@ class FoundFolder:
 
 
 def find_runs(archive: Path) -> Iterator[FoundFolder]:
-    """The run folders in an archive, in the order of their names, and the folders that cannot be searched. Raises `OSError` if the
-    archive cannot be read."""
+    """Yields the run folders in an archive, in the order of their names, and the folders that cannot be searched. Raises `OSError`
+    if the archive cannot be read."""
     yield from _search(GuardedFolder.open(archive), "")
 
 

@@ -36,25 +36,26 @@ FROM_BACKUP = "take the run folder from a backup"
 
 
 def to_bytes(value: Json) -> bytes:
-    """JSON text for a file, with full precision and without NaN; the same data always give the same bytes. A lone surrogate is
-    written as its escape sequence."""
+    """Returns the JSON text for a file, with full precision and without NaN. The same data always give the same bytes. A lone
+    surrogate is written as its escape sequence."""
     return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "backslashreplace")
 
 
 def digested(value: JsonObject) -> bytes:
-    """JSON text for a file whose last key, `digest`, contains the SHA-256 of the text without this key."""
+    """Returns the JSON text for a file with its own digest: the last key, `digest`, contains the SHA-256 of the text without this
+    key."""
     return to_bytes({**value, "digest": hashlib.sha256(to_bytes(value)).hexdigest()})
 
 
 def require_own_digest(data: bytes, value: JsonObject, path: Path) -> None:
-    """Checks the digest in a file whose text was made by `digested`. A file of an earlier format, without `digest`, passes. Raises
-    `IntegrityError` if the digest is wrong."""
+    """Checks the digest in a file whose text was made by `digested`. A file of an earlier format, which has no key `digest`, passes
+    the check. Raises `IntegrityError` if the digest is wrong."""
     if "digest" in value and digested({key: item for key, item in value.items() if key != "digest"}) != data:
         raise IntegrityError(f"{path}: changed after it was written: it does not match its own digest; {FROM_BACKUP}")
 
 
 def from_bytes(data: bytes) -> Json:
-    """Reads JSON data; refuses NaN, infinities and excessive nesting. Raises ValueError for any other text."""
+    """Reads JSON data. Raises ValueError for text that is not JSON, and for NaN, infinities and excessive nesting."""
     try:
         value = _decode(data.decode("utf-8"))
     except RecursionError:

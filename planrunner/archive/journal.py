@@ -1,9 +1,9 @@
-"""The journal of a run: one event per line. Each line contains the SHA-256 of the previous line.
+"""Writes and reads the journal of a run. It has one event per line, and each line contains the SHA-256 of the previous line.
 
-A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process that is killed during a
-write leaves an incomplete last line, which was never acknowledged; resuming the run removes it. A break anywhere else in the chain
-means that the file was changed, and the journal is refused. A journal is also refused if a line, the file or the number of events
-exceeds the limits that writers keep.
+A line is acknowledged when `Journal.append` returns. In durable mode, it is on the disk at this time. A process that is killed
+during a write leaves an incomplete last line, which was never acknowledged; resuming the run removes it. If the chain is broken
+anywhere else, the file was changed, and the journal is refused. A journal is also refused if a line, the file or the number of
+events exceeds the limits that planrunner observes when it writes.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Journal:
 
     @property
     def head(self) -> str:
-        """SHA-256 of the last line of the journal."""
+        """Returns the SHA-256 of the last line of the journal."""
         return self._state[0]
 
     @property
@@ -83,9 +83,9 @@ class Journal:
     def append(self, event: str, data: Mapping[str, Json], *, acknowledge: bool = True) -> str:
         """Adds one event; returns the digest of its line.
 
-        `acknowledge`: in durable mode, True waits until the event is on the disk. Use False for an event that only announces
-        something; the next acknowledged event writes it to the disk too. Raises `OSError`, and ValueError for data that JSON cannot
-        represent.
+        `acknowledge`: True to wait, in durable mode, until the event is on the disk. Use False for an event that only announces
+        something; it reaches the disk together with the next acknowledged event. Raises `OSError`, and ValueError for data that
+        JSON cannot represent.
         """
         if self._broken:
             raise OSError("the journal could not be repaired after a failed write; resume the run to repair it")
@@ -124,12 +124,12 @@ class Journal:
 class JournalScan:
     """Reads a journal and checks the chain of its lines.
 
-    Iterate once over the events; afterwards, `head`, `count`, `size`, `torn`, `heads` and `digests` are known. `size`: number of
+    Iterate once over the events; after that, `head`, `count`, `size`, `torn`, `heads` and `digests` are known. `size`: number of
     bytes in complete lines. `torn`: number of bytes in an incomplete last line. `marks`: numbers of events after which the state of
-    the chain is to be stored. After each of these numbers of events, `heads` receives the head of the chain, and `digests` the
-    SHA-256 of the file up to this event. Both are also stored before each event `reopened`. `times`: maps each number in `marks` to
-    the time of the event with this number. `name`: name of the file, for messages. Raises `IntegrityError` if the chain is broken,
-    and `OSError` if the file cannot be read.
+    the chain is stored. `heads`, `digests`: for each number in `marks`, the head of the chain and the SHA-256 of the file after
+    this number of events; both are also stored before each event `reopened`. `times`: maps each number in `marks` to the time of
+    the event with this number. `name`: name of the file, for messages. Raises `IntegrityError` if the chain is broken, and
+    `OSError` if the file cannot be read.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = (), name: str = NAME):
@@ -186,8 +186,8 @@ class JournalScan:
         return event
 
     def _misplaced(self, number: Json, rest: BufferedReader) -> IntegrityError:
-        """The error for a line whose number does not match its position, which shows that lines were removed, inserted or
-        exchanged."""
+        """Makes the error for a line whose number does not match its position. Such a line shows that lines were removed, inserted
+        or exchanged."""
         expected = self.count + 1
         what = f"has the number {str(number)[:20]}, but {expected} is expected here"
         if type(number) is not int:
@@ -209,8 +209,8 @@ class JournalScan:
 
 
 def _two_lines(line: bytes) -> bool:
-    """Returns True if zero bytes are followed by a line end and preceded by a complete line. The preceding line was then
-    acknowledged, so the zero bytes are not the trace of an interrupted write."""
+    """Returns True if there are zero bytes between a complete line and a line end. The complete line was then acknowledged, so the
+    zero bytes are not the trace of an interrupted write."""
     first, zeros, _ = line.partition(b"\0")
     if not zeros or not line.endswith(b"\n"):
         return False

@@ -1,4 +1,5 @@
-"""The state that a journal describes: acknowledged segments, their files, and the point where the run was interrupted."""
+"""Determines the state that a journal describes: the acknowledged segments, their files, and the point at which the run was
+interrupted."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ class Begun:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """Describes data of a segment that were kept but do not count, with the reason."""
+    """Describes data of a segment that are stored but do not count, with the reason."""
 
     index: int
     label: str
@@ -57,15 +58,15 @@ class Rejected:
 class JournalState:
     """Contains the state of a run according to its journal.
 
-    `clock`, `states`: time and states that were stored with the last acknowledged segment, and from which the run can be resumed.
-    `open`: the segment during which the process ended; None if the process ended between segments. `earlier_seals`: maps the
-    SHA-256 of each seal that the run had when it was reopened to the number of events at that time. `turning_times`: number and
-    time of the first event, of the last event, and of the two events on either side of each step back in time. `planned`: number of
+    `clock`, `states`: time and states that were stored with the last acknowledged segment; the run can be resumed from them.
+    `open`: the segment during which the process ended; None if the process ended between segments. `earlier_seals`: for each time
+    that the run was reopened, maps the SHA-256 of its seal to the number of events at that time. `turning_times`: number and time
+    of certain events: the first, the last, and the two events before and after each step back in time. `planned`: number of
     segments in the schedule; 0 if the run never started. `stamped`, `unstamped`: the events about time stamps that were obtained,
-    and about those that were not. `unstamped_ends`: numbers of the events `finished` at which a part of the journal had neither a
-    time stamp nor an event that explains why it has none. `renewals`: the time of each event that reopened the run with further
-    approvals, and the entries of these approvals. `standards`: for each event that reopened the run on a bench with a check
-    standard, its time and the state of the check standard at that time.
+    and about those that were not. `unstamped_ends`: numbers of those events `finished` at which a part of the journal had no time
+    stamp, and also no event that explains why. `renewals`: the time of each event that reopened the run with further approvals, and
+    the entries of these approvals. `standards`: for each event that reopened the run on a bench with a check standard, its time and
+    the state of the check standard at that time.
     """
 
     created: JsonObject = field(default_factory=dict)
@@ -90,7 +91,7 @@ class JournalState:
     _end_of_others: int = 0
 
     def files(self) -> Iterator[Part]:
-        """Every file of samples listed in the journal, whether it counts or not."""
+        """Yields every file of samples that the journal lists, including those that do not count."""
         for item in self.acknowledged.values():
             yield from item.parts
         for rejected in self.rejected:
@@ -99,7 +100,7 @@ class JournalState:
             yield from self.open.parts
 
     def take(self, event: Mapping[str, Json]) -> None:
-        """Updates the state for one event of the journal."""
+        """Updates the state according to one event of the journal."""
         kind = event["event"]
         handler = getattr(self, f"_{kind}", None)
         if handler is not None:
@@ -108,7 +109,7 @@ class JournalState:
             self._end_of_others = event.get("seq", self._end_of_others)
 
     def take_time(self, number: int, at: str) -> None:
-        """Updates `turning_times` for one event of the journal. All events state the time in the same form, so that the
+        """Updates `turning_times` according to one event of the journal. All events state the time in the same form, so that the
         alphabetical order of the texts is the order of the times."""
         kept = self.turning_times
         rising = len(kept) > 1 and kept[-2][1] <= kept[-1][1] <= at

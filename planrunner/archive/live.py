@@ -1,9 +1,10 @@
-"""Stores the live state of a run, and answers to its prompts, in two small files in the run folder, for other processes.
+"""Exchanges data with other processes in two small files in the run folder: the live state of a run, and the answers to its
+prompts.
 
 The process that executes a run replaces `.live` about once a second and removes it at the end. A process that watches the run reads
-it, and writes `.answer` when a person has confirmed a prompt. Neither file belongs to the record of the run: they are not flushed
-to the disk, not sealed, and a run works without them. The files may come from other processes, so they are checked against a schema
-and a maximum size before they are used.
+it, and writes `.answer` when a person has confirmed a prompt. The two files are not part of the record of the run: they are not
+flushed to the disk and not sealed, and a run does not depend on them. The files may come from other processes, so they are checked
+against a schema and a maximum size before they are used.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ _STORAGE = Storage("flushed")
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Describes a prompt that waits for an answer. `id`: identifier of the prompt; each prompt that is shown has a new one, so that
-    an answer cannot apply to another prompt."""
+    """Describes a prompt that waits for an answer. `id`: identifier of the question. Each question has a new identifier, so that an
+    answer cannot apply to another question."""
 
     id: str
     text: str
@@ -178,14 +179,13 @@ def _channel(data: JsonObject) -> LiveChannel:
 
 
 def _short(text: str) -> str:
-    """Returns a text, shortened to the length that the schema permits. This is necessary because a plan or a driver may give a text
-    of any length."""
+    """Shortens a text to the length that the schema permits, because a plan or a driver may give a text of any length."""
     return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
 
 
 def _number(value: float) -> float | None:
-    """Returns a number for display, with ten significant digits, because a bias can be a millionth of the reading of a channel. NaN
-    and infinities become null."""
+    """Returns a number for display. It has ten significant digits, because a bias can be a millionth of the reading of a channel.
+    NaN and infinities become null."""
     return float(f"{value:.10g}") if math.isfinite(value) else None
 
 
@@ -199,7 +199,7 @@ def publish(run: GuardedFolder, state: LiveState) -> None:
 
 
 def withdraw(run: GuardedFolder) -> None:
-    """Removes the live state, and an answer that was not used, as far as possible, because the run has ended."""
+    """Removes the live state and an unused answer, because the run has ended. Failures to remove them are ignored."""
     for name in (NAME, ANSWER):
         with contextlib.suppress(OSError):
             run.remove(name)

@@ -1,4 +1,5 @@
-"""Ensures that a run folder has only one writer, by a lock that the operating system releases when the process ends for any reason."""
+"""Ensures, by a lock, that a run folder has only one writer. When a process ends for any reason, the operating system releases its
+lock."""
 
 from __future__ import annotations
 

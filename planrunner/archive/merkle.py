@@ -1,4 +1,5 @@
-"""Computes Merkle trees of a log that only grows: tree heads, inclusion proofs and consistency proofs (RFC 9162, section 2.1).
+"""Computes the Merkle tree of a log that only grows, with tree heads, inclusion proofs and consistency proofs (RFC 9162, section
+2.1).
 
 The symbols of RFC 9162 are used: MTH is the hash of a tree, PATH an inclusion proof, PROOF a consistency proof. Hashes are SHA-256.
 """
@@ -38,7 +39,8 @@ def tree_hash(leaves: Hashes) -> bytes:
 
 
 def complete_nodes(leaves: Hashes) -> list[list[bytes]]:
-    """Hashes of all complete subtrees, which have 1, 2, 4 … leaves, grouped by height, as `root_of` needs them."""
+    """Returns the hashes of all complete subtrees, which have 1, 2, 4 … leaves. They are grouped by height, as `root_of` needs
+    them."""
     levels = [list(leaves)]
     while len(below := levels[-1]) > 1:
         levels.append([node_hash(below[i], below[i + 1]) for i in range(0, len(below) - 1, 2)])
@@ -46,8 +48,8 @@ def complete_nodes(leaves: Hashes) -> list[list[bytes]]:
 
 
 def root_of(levels: Sequence[Hashes], size: int) -> bytes:
-    """Returns the hash MTH of the tree of the first `size` leaves, computed from `complete_nodes`. The time grows with the
-    logarithm of the size."""
+    """Returns the hash MTH of the tree of the first `size` leaves, computed from the result of `complete_nodes`. The computing time
+    grows with the logarithm of the size."""
     root, end = None, size
     for height, level in enumerate(
         levels
@@ -60,8 +62,8 @@ def root_of(levels: Sequence[Hashes], size: int) -> bytes:
 
 
 def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
-    """Returns the inclusion proof PATH(index, leaves): the hashes that lead from a leaf, counted from 0, to the root (RFC 9162,
-    2.1.3.1)."""
+    """Returns the inclusion proof PATH(index, leaves): the hashes that lead from a leaf to the root (RFC 9162, 2.1.3.1). The index
+    counts from 0."""
     if not 0 <= index < len(leaves):
         raise ProofError(f"the tree has no leaf {index}")
     n = len(leaves)

@@ -1,9 +1,9 @@
 """Checks whether this user made a run folder on this computer. The check needs no network and does not trust the folder.
 
-A key of 32 random bytes stays in the user's state folder. The run folder contains `.origin`: an HMAC-SHA-256, made with that key,
-of the digest of the journal's first line. That line contains the digests of run.json, plan and bench. `.origin` cannot be made
-without the key, is valid for one run only, and reveals nothing about the key, the user or the computer. Without a state folder runs
-are still made, but their origin is unknown.
+The user's state folder contains a key of 32 random bytes. With this key, an HMAC-SHA-256 of the digest of the journal's first line
+is computed and stored in the run folder as `.origin`. The first line of the journal contains the digests of run.json, plan and
+bench. `.origin` cannot be made without the key, is valid for one run only, and reveals nothing about the key, the user or the
+computer. If there is no state folder, runs are still possible, but their origin is unknown.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def _home() -> Path:
 
 
 def leave_origin(run: GuardedFolder, first: str) -> None:
-    """Marks a new run folder as made here, if a key is available. `first`: digest of the journal's first line. Raises `OSError` if
-    the run folder cannot be written."""
+    """Marks a new run folder as made by this user on this computer, if a key is available. `first`: digest of the journal's first
+    line. Raises `OSError` if the run folder cannot be written."""
     try:
         key = _key(make=True)
     except OriginUnknownError:
@@ -85,8 +85,8 @@ def made_here(run: GuardedFolder, first: str) -> bool:
 
 
 def foreign(run: GuardedFolder, first: str) -> str:
-    """Returns the reason why a run folder counts as made elsewhere; empty if this user made it on this computer. The bench file of
-    a run made elsewhere must not decide what planrunner connects to or signs."""
+    """Returns the reason why a run folder counts as made elsewhere; empty if this user made it on this computer. If it was made
+    elsewhere, its bench file must not decide to what planrunner connects, or what it signs."""
     try:
         return "" if made_here(run, first) else "you did not make this run folder on this computer"
     except OriginUnknownError as error:
@@ -134,8 +134,8 @@ def _make_key(folder: GuardedFolder) -> None:
 
 @contextlib.contextmanager
 def _alone(folder: GuardedFolder) -> Iterator[None]:
-    """Holds a lock, so that only one process at a time runs the enclosed code. Raises `OSError` if another process does not release
-    the lock."""
+    """Holds a lock, so that only one process at a time executes the enclosed code. Raises `OSError` if another process does not
+    release the lock."""
     deadline = time.monotonic() + PATIENCE
     while True:
         try:

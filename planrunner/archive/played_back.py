@@ -1,4 +1,5 @@
-"""Makes the segments of a recording that is played back, in the form in which a run would record them, but without a run folder."""
+"""Makes the segments of a recording that is played back. They have the same form as the segments of a run, but there is no run
+folder."""
 
 from __future__ import annotations
 
@@ -31,8 +32,8 @@ def played(player: RecordingPlayer | SummaryPlayer, segments: Sequence[Segment])
 
 
 def _play(player: RecordingPlayer, segment: Segment, passed: RowsRead) -> RecordedSegment:
-    """Plays back one segment of the recording. If the player holds the recording in memory, the samples of the segment are in
-    memory too; otherwise they are read again each time they are needed."""
+    """Plays back one segment of the recording. If the recording of the player is in memory, the samples of the segment are also in
+    memory. Otherwise they are read again each time they are needed."""
     units = dict(player.channels())
     read = partial(player.stream, segment)
     if isinstance(player.file, HeldRecording):

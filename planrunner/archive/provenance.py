@@ -25,7 +25,8 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def computed_with() -> dict[str, str]:
-    """Everything that can affect the last digits of a result: planrunner, Python, the processor, the libraries and the BLAS."""
+    """Returns everything that can affect the last digits of a result: the versions of planrunner, Python and the libraries, the
+    processor, and the BLAS."""
     from threadpoolctl import threadpool_info
 
     blas = [item for item in threadpool_info() if item.get("user_api") == "blas"]

@@ -1,4 +1,4 @@
-"""Progress of reading recorded samples, for passes that take long."""
+"""Reports the progress of reading recorded samples, for passes that take long."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planrunner.instruments.interfaces import Block
 
 
 class RowsRead:
-    """Counts the rows read from several segments whose total number of rows is known, and reports the progress."""
+    """Counts the rows that are read from several segments with a known total number of rows, and reports the progress."""
 
     def __init__(self, what: str, rows: float, notice: Announce | None):
         self._pace = Pace(what, rows, notice)
@@ -27,8 +27,8 @@ class RowsRead:
 
 
 def announced(recording: Sequence[RecordedSegment], what: str, notice: Announce | None) -> tuple[RecordedSegment, ...]:
-    """Returns the given segments, changed so that reading their samples displays the progress. A pass over the samples that takes
-    long is reported to `notice` under the name `what`, with the fraction of all rows that have been read at least once. After all
+    """Returns the given segments, changed so that the progress is reported while their samples are read. If a pass over the samples
+    takes long, `notice` is called with the name `what` and the fraction of all rows that have been read at least once. After all
     rows have been read, the next pass starts again from zero."""
     if notice is None:
         return tuple(recording)

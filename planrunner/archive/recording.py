@@ -28,16 +28,17 @@ class Statistics:
     """Contains the statistics of one segment, computed in one pass over its samples. The arrays describe k = `len(channels)`
     channels, in the units of the channels.
 
-    `count`: number of samples; a row with a NaN in any channel is left out, and `rejected` counts these rows. `mean`, `minimum`,
+    `count`: number of samples, without rows that have a NaN in any channel. `rejected`: number of these rows. `mean`, `minimum`,
     `maximum`: arrays of shape (k,), mean, smallest and largest sample of each channel. `covariance`: array of shape (k, k),
     covariance of the samples of each pair of channels. `standard_error`: array of shape (k,), standard errors of the means,
-    computed from the scatter of `batches` consecutive batch means; this allows for noise that is correlated within a batch. If a
-    known motion changes the output within the segment, a periodic signal (`course`) is fitted to the output, and `covariance` and
-    `standard_error` describe the differences from the fitted signal. `start`, `end`: times of the first and of the last sample, s.
-    `largest_gap`: longest time between consecutive samples, s. `course`: array of shape (p, batches), averages over each batch of
-    the p functions of the periodic signal. They are scaled so that the sum of their squares is the number of degrees of freedom
-    that the fit takes from the scatter of the batch means (for uncorrelated samples). `mean_covariance`: array of shape (k, k),
-    covariance matrix of the channels' means, from the same batch means as `standard_error`; shape (0, 0) if it is unknown.
+    computed from the scatter of `batches` consecutive batch means; so noise that is correlated within a batch is taken into
+    account. If a known motion changes the output within the segment, a periodic signal (`course`) is fitted to the output;
+    `covariance` and `standard_error` then describe the differences from the fitted signal. `start`, `end`: times of the first and
+    of the last sample, s. `largest_gap`: longest time between consecutive samples, s. `course`: array of shape (p, batches),
+    averages over each batch of the p functions of the periodic signal. They are scaled so that, for uncorrelated samples, the sum
+    of their squares is the number of degrees of freedom by which the fit reduces those of the scatter of the batch means.
+    `mean_covariance`: array of shape (k, k), covariance matrix of the channels' means, from the same batch means as
+    `standard_error`; shape (0, 0) if it is unknown.
     """
 
     channels: tuple[str, ...]
@@ -57,12 +58,12 @@ class Statistics:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom of the standard error; 0 if the standard error is unknown."""
+        """Returns the degrees of freedom of the standard error; 0 if the standard error is unknown."""
         return max(self.batches - 1 - float(np.sum(self.course**2)), 0.0)
 
     @property
     def period(self) -> float:
-        """Mean sample interval in seconds, computed without the largest step; NaN for fewer than two samples."""
+        """Returns the mean sample interval [s], computed without the largest step; NaN for fewer than two samples."""
         if self.count < 2:
             return math.nan
         if self.count == 2:
@@ -71,8 +72,8 @@ class Statistics:
 
     @property
     def duration(self) -> float:
-        """Duration in seconds, counting one period for each sample: 12 000 samples at 100 Hz last 120 s. The duration is 0 for
-        fewer than two samples."""
+        """Returns the duration [s], which includes one period for each sample: 12 000 samples at 100 Hz last 120 s. The duration is
+        0 for fewer than two samples."""
         return self.end - self.start + self.period if self.count > 1 else 0.0
 
     def of(self, channel: str) -> int:
@@ -84,7 +85,7 @@ class Statistics:
 
 
 def duration_of(statistics: Iterable[Statistics]) -> float | None:
-    """Time from the first to the last sample [s]; None if nothing was recorded."""
+    """Returns the time [s] from the first to the last sample; None if nothing was recorded."""
     held = [item for item in statistics if item.count]
     return max(item.end for item in held) - min(item.start for item in held) if held else None
 
@@ -131,10 +132,10 @@ class Find:
 class RecordedSegment:
     """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block.
 
-    `expected`: True if the segment was not recorded. The statistics of the segment are then predicted from the schedule: the
-    scatter contains the declared noise, but the means contain no noise. `finds`: findings of the screening; None if the segment has
-    not been screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were
-    recorded, so that there are no samples to read.
+    `expected`: True if the segment was not recorded. Its statistics are then predicted from the schedule: the scatter is that of
+    the declared noise, and the means contain no noise. `finds`: findings of the screening; None if the segment has not been
+    screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were recorded, so
+    that there are no samples to read.
     """
 
     segment: Segment
@@ -154,13 +155,14 @@ class RecordedSegment:
 
     @property
     def in_mode(self) -> float | None:
-        """Time [s] that the sensor had been in its mode when the recording of the segment began; None if it is unknown."""
+        """Returns the time [s] for which the sensor had been in its mode when the recording of the segment began; None if it is
+        unknown."""
         return self.readings.get(IN_MODE)
 
 
 def expected_segment(segment: Segment, units: dict[str, str], statistics: Statistics) -> RecordedSegment:
-    """Returns a segment that is not recorded yet. It has its expected statistics and a few samples with this mean and scatter; the
-    number of these samples does not grow with the dwell."""
+    """Returns a segment that is not recorded yet. It has the expected statistics, and a few samples with their mean and scatter.
+    The number of these samples does not grow with the dwell."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         count = min(statistics.count, _SHOWN)
@@ -192,7 +194,7 @@ class Watcher(Protocol):
         """Processes the next samples. `ranges`: smallest and largest values in these samples, if known."""
 
     def finds(self) -> tuple[Find, ...]:
-        """The findings, after all blocks have been processed."""
+        """Returns the findings, after all blocks have been processed."""
 
 
 WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]

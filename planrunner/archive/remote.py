@@ -1,13 +1,14 @@
-"""Archives on object storage or another remote file system, through fsspec: `s3://bucket/archive`, `gs://…`, `ftp://…`.
+"""Copies runs to and from archives on object storage or on another remote file system. It uses fsspec, with URLs such as
+`s3://bucket/archive`, `gs://…` or `ftp://…`.
 
-Nothing is read from a remote file system directly. A remote folder is first copied to a private folder of this user (`fetched`).
-The copy is then read like any other folder: through `base.guarded_folder`, with every file checked against its digest. Copying
-accepts only plain names and files of limited size. Copying never follows a remote name to a file outside the copied folder. A
-verification copies everything again, so that it does not check an older copy.
+A remote folder is first copied to a private folder of this user (`fetched`). The copy is then read like any other folder: through
+`base.guarded_folder`, and with every file checked against its digest. Only files of limited size with plain names are copied, so
+that no remote name can lead to a file outside the copy. A verification copies everything again, so that it does not check an older
+copy.
 
 Sealed runs are written once (`push_run`): an existing file is never replaced, and every written file is read back and compared. The
-seal is written last, so that an interrupted push leaves a run that is not sealed, and the next push completes it. If a file system
-writes files piece by piece, a file has another name until it is complete, so that no incomplete file has its final name.
+seal is written last. An interrupted push therefore leaves a run that is not sealed, and the next push completes it. On a file
+system that writes files piece by piece, a file has a temporary name until it is complete.
 
 A command that has copied a remote folder holds a lock on the copies of that archive until it ends. Otherwise another command could
 remove an analysis that has not yet been written to the remote run.
@@ -68,8 +69,8 @@ _Place = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Pushed:
-    """The result of `push_run`. `written`: number of files that were written. `present`: number of files that already existed with
-    the same content."""
+    """The result of `push_run`. `written`: number of files that were written. `present`: number of files that already existed in
+    the archive with the same content."""
 
     written: int
     present: int
@@ -137,7 +138,7 @@ def _hold(place: Path, url: str) -> None:
 
 
 class _Copying:
-    """Copies a remote folder. `anew`: True to copy unchanged files too."""
+    """Copies a remote folder. `anew`: True to copy unchanged files again."""
 
     def __init__(self, files: AbstractFileSystem, url: str, anew: bool, notice: Announce | None):
         self.files, self.url, self.anew, self.notice = files, url, anew, notice
@@ -240,8 +241,8 @@ def _copy_file(copying: _Copying, file: _RemoteFile, folder: GuardedFolder, name
 
 
 def _counts(info: Mapping[str, object]) -> bool:
-    """Returns True if an entry belongs to the archive. False for the empty objects that storage consoles make for folders, and for
-    files that are being written."""
+    """Returns True if an entry belongs to the archive. Returns False for the empty objects that storage consoles make for folders,
+    and for files that are being written."""
     name = str(info["name"])
     return not (name.endswith("/") and info["type"] != "directory" and not info["size"]) and not name.endswith(ASIDE)
 
@@ -301,8 +302,8 @@ class Pulled:
 
 
 def pull_runs(copy: Path, folder: Path) -> Pulled:
-    """Copies the runs in the local copy of a remote archive into another folder, after they have been verified. Runs whose name
-    already exists stay as they are. Raises `IntegrityError` for a run that was changed; in this case no run is copied."""
+    """Copies the runs in the local copy of a remote archive into another folder, after they have been verified. Existing runs with
+    the same name stay as they are. Raises `IntegrityError` for a run that was changed; in this case no run is copied."""
     found = [one for one in find_runs(copy) if not one.fault]
     for one in found:
         examine(open_run(one.path), samples="digests").require_whole()
@@ -328,9 +329,9 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
     """Writes a sealed run to a remote archive. If the archive already has the run, only the files that the archive lacks are
     written, such as a new analysis.
 
-    `including`: a folder within the run; it is an error if none of its files is in the remote run afterwards. Raises
-    `IntegrityError` for a run that was changed. Raises `InputError` if the run is not sealed, if `including` is missing, if the
-    archive has another run of this name, or if the archive cannot be written.
+    `including`: a folder within the run of which at least one file must be in the remote run afterwards. Raises `IntegrityError`
+    for a run that was changed. Raises `InputError` if the run is not sealed, if `including` is missing, if the archive has another
+    run of this name, or if the archive cannot be written.
     """
     found = examine(open_run(run), samples="digests")
     found.require_whole()
@@ -355,7 +356,7 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
 
 
 def _content(folder: GuardedFolder) -> Iterator[tuple[str, bytes]]:
-    """The files of a run, each with its path in the remote run. The seal comes last."""
+    """Yields the files of a run, each with its path in the remote run. The seal comes last."""
     entries = folder.entries()
     for name, entry in entries.items():
         if entry.kind == "file" and name in FILES and name not in _LOCAL and name != seals.NAME:
@@ -376,15 +377,15 @@ def _below(folder: GuardedFolder, place: str) -> Iterator[tuple[str, bytes]]:
 
 
 def push_back(run: Path, analysis: Path) -> None:
-    """Writes to a remote run everything that was added to the local copy of it, including this new analysis. Does nothing if the
-    run is not a copy. Raises the same errors as `push_run`."""
+    """Writes everything that was added to the local copy of a remote run, including the given new analysis, to the remote run. Does
+    nothing if the run is not a copy. Raises the same errors as `push_run`."""
     source = source_of_copy(run)
     if source is not None:
         push_run(run, source.rpartition("/")[0], including=f"{ANALYSES}/{analysis.name}")
 
 
 def source_of_copy(run: Path) -> str | None:
-    """URL of the remote folder from which this folder was copied; None if it is not a copy."""
+    """Returns the URL of the remote folder from which this folder was copied; None if it is not a copy."""
     inner, cache = run.resolve(), user_cache(CACHE, "archives").resolve()
     if not inner.is_relative_to(cache) or len(inner.relative_to(cache).parts) < 2:
         return None
@@ -394,7 +395,7 @@ def source_of_copy(run: Path) -> str | None:
 
 
 def _source(name: str) -> str:
-    """Name of the file, next to a copy, that contains the URL from which it was copied."""
+    """Returns the name of the file, next to a copy, that contains the URL from which the copy was made."""
     return f".{name}.url"
 
 

@@ -1,4 +1,4 @@
-"""Determines where an interrupted run continues, and treats the segment in which it was interrupted."""
+"""Determines where an interrupted run continues, and handles the segment during which it was interrupted."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ REASON = "the process ended in this segment"
 
 @dataclass(slots=True)
 class ResumePoint:
-    """Contains the state from which an interrupted run continues. `states`: the states that the executor and the instruments that
-    can be resumed stored together with the last acknowledged segment. `clock`: time at which the states were stored, s.
+    """Contains the state from which an interrupted run continues. `states`: the states of the executor, and of the instruments that
+    can be resumed, which were stored with the last acknowledged segment. `clock`: time at which the states were stored, s.
 
     `instruments`: descriptions that the instruments gave of themselves before the interruption. `files`: maps the name of every
     file recorded so far to its SHA-256, for the seal. `attempts`: how often each segment has been begun.
@@ -36,7 +36,7 @@ class ResumePoint:
 
     @property
     def next_segment(self) -> int:
-        """Index of the first segment that is not acknowledged."""
+        """Returns the index of the first segment that is not acknowledged."""
         index = 0
         while index in self.acknowledged:
             index += 1
@@ -44,7 +44,7 @@ class ResumePoint:
 
 
 def settle_break(folder: GuardedFolder, storage: Storage, journal: Journal, state: JournalState) -> ResumePoint:
-    """Makes the journal and the files of an interrupted run agree; returns the point from which the run continues.
+    """Makes the journal of an interrupted run agree with its files. Returns the point from which the run continues.
 
     Temporary files are removed. The segment in progress keeps its finished parts. If the plan says `on_break: keep`, these parts
     count and are marked as truncated. Otherwise these parts are rejected and the segment is repeated.
@@ -91,7 +91,8 @@ def _append(journal: Journal, state: JournalState, kind: str, data: Mapping[str,
 
 
 def _unknown_files(run: GuardedFolder, storage: Storage, state: JournalState) -> dict[tuple[int, int], list[Part]]:
-    """Complete files of samples that the journal does not list because their event was not written, grouped by segment and attempt."""
+    """Returns the complete files of samples that the journal does not list because their event was not written. They are grouped by
+    segment and attempt."""
     known = {part.file for part in state.files()}
     found: dict[tuple[int, int], list[Part]] = {}
     folder = run.folder(FOLDER)

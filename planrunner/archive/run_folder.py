@@ -1,10 +1,10 @@
-"""Writes a run folder: creates it atomically, extends it event by event and segment by segment, then seals it.
+"""Writes a run folder: creates it atomically, adds events and segments, and finally seals it.
 
     runs/<UTC time>-<plan name>-<short id>/
       run.json  plan.yaml  bench.yaml  approvals.json  journal.jsonl  segments/  seal.json  analyses/
 
 Acknowledged data are never changed or removed. An interrupted segment keeps its finished parts of samples. They count if the plan
-says `on_break: keep`; otherwise they are kept with the reason, and the segment is repeated.
+says `on_break: keep`; otherwise they are only stored with the reason, and the segment is repeated.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """Contains a time stamp of the first `events` events of the journal, to be kept in the run folder.
+    """Contains a time stamp of the first `events` events of the journal, which will be stored in the run folder.
 
     `token`: the reply of the authority in DER; None if there is no time stamp. `why`: the reason why there is no time stamp. `at`:
     the time that the stamp states, UTC.
@@ -66,21 +66,22 @@ class Witnessed:
 
 
 class Witness(Protocol):
-    """Obtains time stamps of the journal while it grows, without making the run wait."""
+    """Obtains time stamps of the journal while it grows. The run does not wait for them."""
 
     def see(self, events: int, line: bytes, *, last: bool = False) -> None:
-        """Informs the witness of the number of acknowledged events in the journal, and of its last line. `last`: True if the
+        """Tells the witness the number of acknowledged events in the journal, and the last line of the journal. `last`: True if the
         journal is finished, so that a stamp is due now."""
         ...
 
     def take(self, *, wait: bool = False) -> Sequence[Witnessed]:
-        """The stamps that have arrived since the last call. `wait`: True to wait for stamps that have been requested but not
-        received."""
+        """Returns the stamps that have arrived since the last call. `wait`: True to wait for stamps that have been requested but
+        not received."""
         ...
 
 
 class RunWriter:
-    """The only writer of a run folder. It is made by `create` or `reopen`, and must be closed by `close` or by leaving its context."""
+    """Writes a run folder; a folder has only one writer at a time. It is made by `create` or `reopen`, and must be closed by
+    `close` or by leaving its context."""
 
     def __init__(
         self,
@@ -128,8 +129,8 @@ class RunWriter:
     ) -> RunWriter:
         """Makes a new run folder in `root`, which is created if it does not exist.
 
-        `identity`: hexadecimal digits for the end of the folder's name; random by default. A caller that gives these digits can
-        find the folder even if this process is killed.
+        `identity`: hexadecimal digits for the end of the folder's name; random by default. With these digits, the caller can find
+        the folder even if this process is killed.
 
         `info`: JSON data given with the run (device serial, operator, ambient …). `approvals`: content of approvals.json, if the
         bench requires approvals. `check_standard`: state of the check standard of the bench, if the bench has one. `parameters`:
@@ -219,8 +220,8 @@ class RunWriter:
     ) -> RunWriter:
         """Continues an interrupted run: removes an incomplete last line and settles the segment in progress.
 
-        `run`: path of the run folder. Instead of the path, `run` may be what `examine` returned for the folder, with samples and
-        under the given lock, so that nothing is verified twice.
+        `run`: path of the run folder. To avoid a second verification, `run` may instead be the result of `examine` for the folder,
+        if the samples were included and the given lock was held.
 
         `reason`: reason for reopening a finished, sealed run; required for such a run. `lock`: lock of the folder, if the caller
         already holds it; the writer then becomes responsible for it. `bench`: a bench file that replaces the one in the folder; the
@@ -279,7 +280,7 @@ class RunWriter:
 
     @property
     def next_segment(self) -> int:
-        """Index of the first segment that had not been acknowledged when the folder was opened; 0 for a new run."""
+        """Returns the index of the first segment that had not been acknowledged when the folder was opened; 0 for a new run."""
         return self._point.next_segment
 
     @property
@@ -308,8 +309,8 @@ class RunWriter:
     def begin(
         self, segment: Segment, clock: float, channels: Mapping[str, str], summary: SummaryChannels | None = None
     ) -> None:
-        """Begins a segment. `channels`: maps each channel to its unit; empty if nothing is recorded. `summary`: what the values of
-        the channels mean, if the segment is recorded as a summary."""
+        """Begins a segment. `channels`: maps each channel to its unit; empty if nothing is recorded. `summary`: if the segment is
+        recorded as a summary, the meaning of the channels' values."""
         index = segment.index
         self._attempt = self._point.attempts[index] = self._point.attempts.get(index, 0) + 1
         self._segment, self._parts, self._samples = segment, [], None
@@ -431,7 +432,7 @@ class RunWriter:
         self._storage.write_whole(self.folder, seals.NAME, seal)
 
     def close(self) -> None:
-        """Releases the folder. A segment in progress stays as it would after a crash."""
+        """Releases the folder. A segment in progress remains in the same state as after a crash."""
         try:
             self._drop_samples()
         finally:
@@ -470,7 +471,7 @@ class RunWriter:
             log.append(event, self._name, events=self._journal.count, head=self._journal.head, seal=seal)
 
     def _account(self, parts: list[Part]) -> None:
-        """Records the end of the segment by an event that names the segment's files."""
+        """Records the end of the segment in the journal, by an event that names the segment's files."""
         self._point.files.update((part.file, part.sha256) for part in parts)
         self._segment = None
 
@@ -481,7 +482,7 @@ class RunWriter:
         return self._parts
 
     def _keep_what_there_is(self) -> list[Part]:
-        """Finishes the file of samples in progress as far as the disk permits; returns all parts of the segment."""
+        """Finishes the file of samples in progress, as far as errors of the disk permit. Returns all parts of the segment."""
         if self._samples is not None and self._samples.rows:
             try:
                 self._close_samples()

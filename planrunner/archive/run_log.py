@@ -1,14 +1,14 @@
-"""Manages the log of an archive: an append-only Merkle tree (RFC 9162) over the runs in a folder, which reveals a removed or
-replaced run.
+"""Manages the log of an archive. The log is an append-only Merkle tree (RFC 9162) over the runs in a folder, and reveals a removed
+or replaced run.
 
     runs/.log/entries.jsonl   one entry per line, only ever appended: a run was begun, sealed, or taken out
     runs/.log/head.json       the tree head: number of entries and root; replaced after each entry
 
-A leaf of the tree is a line without its line feed. An entry counts when its line is complete. A process that is killed after it has
-written an entry leaves a head that is one entry behind; the next entry brings the head up to date. A seal is entered before it is
-written, so that every seal in the archive is in the log. If planrunner ends between these two steps, the run is sealed again when
-it is resumed, and both entries name the same journal. In addition, run.json contains the tree head from the time before the run, so
-that the runs reveal a log that was removed or rewritten.
+A leaf of the tree is a line without its line feed. An entry counts when its line is complete. If a process is killed directly after
+it has written an entry, the head lacks this entry; the next entry brings the head up to date. A seal is entered into the log before
+it is written, so that every seal in the archive is in the log. If planrunner ends between these two steps, the run is sealed again
+when it is resumed; both entries then name the same journal. In addition, run.json contains the tree head from the time before the
+run. The runs therefore reveal a log that was removed or rewritten.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class LogEntry:
 
     @property
     def line(self) -> bytes:
-        """Returns the entry as a leaf of the tree, which is its line in the file without the line feed."""
+        """Returns the leaf of the tree for this entry, which is the line in the file without the line feed."""
         return json.dumps(self.to_json(), separators=(",", ":"), ensure_ascii=False).encode("utf-8", "backslashreplace")
 
     @classmethod
@@ -130,7 +130,7 @@ class LogContent:
 
     @cached_property
     def leaves(self) -> tuple[bytes, ...]:
-        """Hashes of the entries, which are the leaves of the tree."""
+        """Returns the hashes of the entries, which are the leaves of the tree."""
         return tuple(leaf_hash(entry.line) for entry in self.entries)
 
     @cached_property
@@ -138,12 +138,12 @@ class LogContent:
         return complete_nodes(self.leaves)
 
     def root(self, size: int) -> str:
-        """Root of the tree that consists of the first `size` entries."""
+        """Returns the root of the tree that consists of the first `size` entries."""
         return root_of(self._levels, size).hex()
 
     @property
     def origin(self) -> str:
-        """Hash of the first entry, which identifies the log; empty if there is no entry."""
+        """Returns the hash of the first entry, which identifies the log; empty if there is no entry."""
         return self.leaves[0].hex() if self.leaves else ""
 
     def head(self) -> TreeHead:
@@ -276,8 +276,8 @@ def require_growth(content: LogContent, path: Path) -> None:
 
 
 def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tuple[str, str]]:
-    """Contradictions between the log and a tree head that was noted earlier, each as code and message. `named`: the words with
-    which messages refer to this tree head."""
+    """Yields the contradictions between the log and a tree head that was noted earlier, each as a code and a message. `named`: the
+    words with which messages refer to this tree head."""
     if head.size > len(content.entries):
         yield "log-cut", f"the log was cut: {named} counts {head.size} entries, the log has {len(content.entries)}"
     elif content.root(head.size) != head.root:

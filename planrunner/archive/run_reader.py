@@ -1,4 +1,4 @@
-"""Reads a run folder: plan and bench, valid segments, their one-pass statistics, and their samples in blocks.
+"""Reads a run folder: the plan, the bench, the valid segments, their statistics, and their samples in blocks.
 
 While the samples of a file are used, another thread reads the next file and checks its digest. Reading and hashing release the
 interpreter's lock, so both happen at the same time. At most one file is read ahead, so that memory does not grow with the
@@ -34,12 +34,12 @@ from planrunner.plan.selection import spelt_alike
 
 @dataclass(frozen=True)
 class RunReader:
-    """Reads a run folder in the state in which it was opened. Reading changes nothing and needs no lock.
+    """Reads a run folder in the state that it had when it was opened. Reading changes nothing and needs no lock.
 
     `run`: the content of run.json. `torn`: number of bytes in an incomplete last line of the journal. `first`: digest of the
-    journal's first line. `basis`: the state of journal and seal that an analysis of this run is based on. `analyses`: the stored
-    analyses, oldest first. `findings`: warnings, such as that the run is not sealed. `approvals`: content of approvals.json, if the
-    bench required approvals.
+    journal's first line. `basis`: the state of the journal and the seal, on which an analysis of this run is based. `analyses`: the
+    stored analyses, oldest first. `findings`: warnings, such as that the run is not sealed. `approvals`: content of approvals.json,
+    if the bench required approvals.
     """
 
     folder: GuardedFolder
@@ -57,10 +57,11 @@ class RunReader:
 
     @classmethod
     def open(cls, path: Path, *, to_reopen: bool = False) -> RunReader:
-        """Opens a run folder. Digests of everything except samples are checked here; samples are checked when read (see `verifying`).
+        """Opens a run folder. The digests of everything except samples are checked now; the digests of samples are checked when the
+        samples are read (see `verifying`).
 
-        Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. The incomplete
-        last line of a killed run is ignored. `to_reopen`: True to accept faults that reopening the run repairs.
+        Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. If a run was
+        killed, an incomplete last line is ignored. `to_reopen`: True to accept faults that are repaired when the run is reopened.
         """
         return cls.of(examine(open_run(path)), to_reopen=to_reopen)
 
@@ -105,12 +106,12 @@ class RunReader:
         return tuple(self.state.acknowledged[index] for index in sorted(self.state.acknowledged))
 
     def rejected(self) -> tuple[Rejected, ...]:
-        """Data that were kept but do not count, with the reason."""
+        """Returns the data that are stored but do not count, with the reason."""
         return tuple(self.state.rejected)
 
     def warnings(self, planned: int | None = None) -> list[str]:
-        """Warnings about unusual events of the run that a reader of its results must know. `planned`: number of planned segments;
-        by default, the number in the journal."""
+        """Returns warnings about unusual events of the run that a reader of its results must know. `planned`: number of planned
+        segments; by default, the number in the journal."""
         planned = self.state.planned if planned is None else planned
         warnings = [f"Fault during the run: {text}" for text in self.state.failures]
         held = len(self.acknowledged())
@@ -185,8 +186,8 @@ class RunReader:
     # -- integrity -----------------------------------------------------------------------------------------------------
 
     def check_digests(self) -> int:
-        """Checks everything in the folder as it is now, including samples, against its digests; returns the number of recorded
-        files. Raises `IntegrityError` if anything differs from its digest."""
+        """Checks the present content of the folder, including samples, against its digests. Returns the number of recorded files.
+        Raises `IntegrityError` if anything differs from its digest."""
         found = examine(self.folder, samples="contents")
         found.require_whole()
         assert found.state is not None
@@ -194,7 +195,7 @@ class RunReader:
 
 
 def _with_first(first: SegmentData | None, others: Iterator[SegmentData]) -> Iterator[SegmentData]:
-    """Yields all parts of a segment, beginning with a part that is already open. Each part is released after it has been used."""
+    """Yields all parts of a segment. The first part may already be open. Each part is released after it has been used."""
     if first is not None:
         yield first
     first = None
@@ -223,8 +224,8 @@ T = TypeVar("T")
 
 
 def ahead(items: Iterator[T]) -> Iterator[T]:
-    """Yields the given items in their order; another thread makes the next item while the present one is used. An exception in
-    `items` is raised in place of the item that failed."""
+    """Yields the given items in their order. Another thread makes the next item while the present one is used. If `items` raises an
+    exception, it is raised in place of the item that failed."""
     from concurrent.futures import ThreadPoolExecutor
 
     end = object()

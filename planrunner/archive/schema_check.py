@@ -1,9 +1,9 @@
-"""Compiles a JSON Schema into functions. These functions are fast enough to check every event of a journal with hundreds of
-thousands of events.
+"""Compiles a JSON Schema into functions, which are fast enough to check every event of a journal with hundreds of thousands of
+events.
 
 Only the keywords used in the schemas of run folders are supported. Any other keyword makes the compilation fail, so that no keyword
-is ignored. The check is stricter than the standard in three points, to match how these files are written: an integer has no decimal
-point, a number is finite, and `format` (date-time with an offset, date) is checked.
+is ignored. In three points, the check is stricter than the standard, because these files are always written in this way: an integer
+has no decimal point, a number is finite, and `format` (date-time with an offset, date) is checked.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _compiled(schema: Json, whole: Mapping[str, Json], known: dict[str, list[Che
 
 
 def _referred(reference: str, whole: Mapping[str, Json], known: dict[str, list[Check]]) -> Check:
-    """Compiles a definition to which a schema refers, only once. The definition may refer to itself."""
+    """Compiles a definition to which a schema refers. It is compiled only once, and may refer to itself."""
     if reference not in known:
         known[reference] = []
         target: Json = whole

@@ -1,9 +1,9 @@
-"""Stores the samples of one segment on disk, in Parquet files of limited length, each of which is either complete or absent.
+"""Stores the samples of one segment on disk, in Parquet files of limited length. A file is either complete or absent.
 
-Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written as `….partial`, synced and
-renamed; its SHA-256 is computed from the bytes as they are written. A reader loads a part into memory, checks the digest of these bytes and
-decodes them, so data are read once and nothing unchecked is used. Before decoding, the rows, columns and types in the file's footer are
-checked against the journal and against the limits of a part.
+Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written as `….partial`, synced
+and renamed; its SHA-256 is computed from the bytes as they are written. A reader loads the bytes of a part into memory, checks
+their digest and then decodes them. Data are therefore read only once, and unchecked data are never used. Before decoding, the rows,
+columns and types in the file's footer are checked against the journal and against the limits of a part.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ def safe_name(label: str) -> str:
 
 
 def file_stem(index: int, label: str, attempt: int) -> str:
-    """Returns the beginning of a file name, `0001-P1`, or `0001-P1.try2` for a repeated segment; the numbers count from 1."""
+    """Returns the beginning of a file name, such as `0001-P1`, or `0001-P1.try2` for a repeated segment. The numbers count from
+    1."""
     again = f".try{attempt}" if attempt > 1 else ""
     return f"{index + 1:04d}-{safe_name(label)}{again}"
 
@@ -175,7 +176,7 @@ class SegmentWriter:
             self._last_time = float(block.time[-1])
 
     def _until(self, block: Block, start: int) -> int:
-        """Index of the first row of the block that no longer fits into the current part."""
+        """Returns the index of the first row of the block that no longer fits into the current part."""
         stop = min(len(block.time), start + self._part_rows - self._part_filled)
         begin = self._part_start if self._part_start is not None else float(block.time[start])
         limit = begin + self._part_seconds
@@ -325,8 +326,8 @@ def _cut(block: Block, start: int, stop: int) -> Block:
 
 
 class SegmentData:
-    """Contains the samples of one part: the bytes of the file, which have been checked against the digest in the journal, and its
-    footer.
+    """Contains the samples of one part: the bytes of the file, and its footer. The bytes have been checked against the digest in
+    the journal.
 
     `folder`: the run folder. Raises `IntegrityError` if the file is missing, differs from its digest, or does not have the form
     that this version writes.
@@ -420,7 +421,7 @@ class SegmentData:
 
 
 def rows_of(data: bytes) -> int:
-    """Number of rows of a Parquet file according to its footer. Raises ValueError if it is not a Parquet file."""
+    """Returns the number of rows of a Parquet file according to its footer. Raises ValueError if it is not a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -15,7 +15,7 @@ RESERVE = 16 * 2**20  # analyses and reports
 
 
 def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> int:
-    """Maximum number of bytes that a run of `schedule` writes.
+    """Returns the largest number of bytes that a run of `schedule` can write.
 
     `sample_rate`: sample rate of the sensor, Hz, for segments that do not state one. `channels`: number of columns, not counting
     the time. A segment that lasts as long as a recording that is played back counts as zero.

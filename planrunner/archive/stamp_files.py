@@ -1,8 +1,8 @@
-"""Time stamps in a run folder. `stamps/<number>-<what>.tsr` contains the reply of an authority in DER (RFC 3161).
+"""Stores the time stamps in a run folder. `stamps/<number>-<what>.tsr` contains the reply of an authority in DER (RFC 3161).
 
 `0001-after-12.tsr` stamps the journal after 12 events: it contains the digest of line 12. `0004-seal-<digest>.tsr` stamps the seal.
-The journal has ended by then and cannot contain the digest of this stamp; the name therefore contains the first digits of the
-SHA-256 of the stamp's own file.
+At this time, the journal has ended and cannot contain the digest of the stamp. The name of the stamp's file therefore contains the
+first digits of the SHA-256 of this file.
 """
 
 from __future__ import annotations

@@ -1,20 +1,20 @@
 """Computes the statistics of a segment in one pass over its samples.
 
-Valid samples are processed in chunks of fixed size from the beginning of the segment, so the result does not depend on the division
-into blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and LeVeque, "Updating
-formulae and a pairwise algorithm for computing sample variances" (1979). The standard error of the mean is computed from the
-scatter of consecutive batch means (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which allows for noise that is
-correlated over less than a batch.
+Valid samples are processed in chunks of fixed size, counted from the beginning of the segment. The result therefore does not depend
+on the division into blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and
+LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances" (1979). The standard error of the mean is
+computed from the scatter of consecutive batch means (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), so noise
+that is correlated over less than a batch is taken into account.
 
 If the table turns or rocks during a segment, the sensor measures the Earth's rate, gravity and its own motion, which cause a
-periodic signal in the samples. In this module, this signal is called the course of the motion. The scatter is computed from the
-differences from the course. The course is fitted to averages over a few consecutive samples, of which a batch contains many. The
-fitted course is then subtracted from the batch means, and its contribution is subtracted from the covariance.
+periodic signal in the samples. In this module, this signal is called the course of the motion. The scatter is that of the
+differences from the course. The course is fitted to averages over a few consecutive samples; a batch contains many such averages.
+The fitted course is then subtracted from the batch means, and its contribution is subtracted from the covariance.
 
-The course repeats with the period of the motion. An output that is linear in the sensed quantity contains the fundamental; a
-second-order effect adds twice its frequency. The amplitude and phase of the fundamental may change linearly over the segment,
-because a table whose rate is wrong by some ppm drifts away from the planned phase. A rocking table causes more harmonics, because
-the sensed quantity follows sines of an angle that is itself a sine.
+The course repeats with the period of the motion. If an output is linear in the sensed quantity, it contains the fundamental
+frequency; a second-order effect adds twice this frequency. The amplitude and phase of the fundamental may change linearly over the
+segment: if the rate of a table is wrong by some ppm, its phase drifts away from the planned phase. A rocking table causes more
+harmonics, because the sensed quantity is a sine of an angle that is itself a sine of time.
 """
 
 from __future__ import annotations
@@ -46,8 +46,7 @@ class MotionCourse:
     `columns`: array of shape (c, p), values of the p functions that make up the periodic signal, each averaged over c short
     intervals. Weighted by the number of samples in each interval, the columns are orthonormal and have zero mean. `samples`: array
     of shape (c,), number of samples in each interval; zero while the table is not in its steady motion. `products`: array of shape
-    (p, p), inner products of the p functions at single samples; unlike the averages over intervals, single samples do not attenuate
-    the functions."""
+    (p, p), inner products of the p functions at single samples, which averages over intervals would attenuate."""
 
     columns: Array
     samples: Array
@@ -116,8 +115,8 @@ def statistics_of(
     watcher: Watcher | None = None,
     motion: Motion = AT_REST,
 ) -> Statistics:
-    """Statistics of `blocks`, which were recorded during the given motion and have `rows` rows in total. The total is known from
-    the files before they are read.
+    """Computes the statistics of `blocks`, which were recorded during the given motion. `rows`: total number of rows, which is
+    known from the files before they are read.
 
     A row with a non-finite value in any channel is omitted and counted in `rejected`. With one sample, covariance and standard
     error are NaN; without samples, the mean is NaN too. `watcher`: examines the samples while they are read for the statistics.
@@ -156,8 +155,9 @@ class _Gathered:
     """State of one pass over the samples: a chunk of samples, and a few numbers for each channel and batch. Its size does not
     depend on the length of the segment.
 
-    Samples are held as deviations from the first sample of their chunk. Of n samples, none is further than √n standard deviations
-    from their mean. Converting the sums of products to sums about the mean therefore loses at most a factor n in rounding.
+    Samples are stored as deviations from the first sample of their chunk. No sample of n is further than √n standard deviations
+    from the mean of all n samples. Rounding errors therefore grow at most by the factor n when the sums of products are converted
+    to sums about the mean.
     """
 
     def __init__(self, channels: int, rows: int, motion: Motion):
@@ -314,7 +314,7 @@ class _Gathered:
 
 
 def _less(squares: Array, explained: Array) -> Array:
-    """Sums of products (k, k) after subtracting the explained part; zero where only rounding errors remain."""
+    """Returns the sums of products (k, k) after the explained part has been subtracted; zero where only rounding errors remain."""
     left = np.asarray(squares - explained)
     left[:, (gone := np.diagonal(left) <= _ROUNDING * np.diagonal(squares))] = 0.0
     left[gone] = 0.0

@@ -1,8 +1,8 @@
-"""All write operations on a run folder.
+"""Contains all write operations on a run folder.
 
-Every write of the archive uses a `Storage`. A `Storage` knows whether a write must survive a power failure (`durable`: fsync of the
-file and of the folder that names it) or only the end of the process (`flushed`: handed to the operating system). It writes to a
-`GuardedFolder`, so that no link redirects a write.
+Every write of the archive uses a `Storage`. A `Storage` has one of two modes. In the mode `durable`, a write survives a power
+failure, because the file and its folder are synced (fsync). In the mode `flushed`, a write is passed to the operating system, and
+survives only the end of the process. All writes are to a `GuardedFolder`, so that no link can redirect them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Verifies a run folder: checks its contents against all its digests, schemas and chains.
 
-All commands use `examine`, which returns the verified contents together with the faults as findings. An error means that the folder
-differs from what was written. A warning means that the run is not sealed, so that less can be verified.
+All commands use `examine`, which returns the verified contents together with findings about faults. An error means that the folder
+differs from what was written. A warning means that less can be verified, because the run is not sealed.
 """
 
 from __future__ import annotations
@@ -111,9 +111,9 @@ CLOCK_STEP = timedelta(seconds=1)
 class Examined:
     """The verified part of a run folder. `findings`: errors, warnings and notes.
 
-    `seal_digest`: SHA-256 of seal.json. `sealed_before`: True if the contents show that the run was sealed at some time. `state`,
-    `scan`: state and scan of the journal; None if the journal cannot be read. In that case nothing is verified. `unknown`: entries
-    of the folder that planrunner did not write.
+    `seal_digest`: SHA-256 of seal.json. `sealed_before`: True if the contents show that the run was sealed at some earlier time.
+    `state`, `scan`: state and scan of the journal; None if the journal cannot be read. In that case nothing is verified. `unknown`:
+    entries of the folder that planrunner did not write.
     """
 
     folder: GuardedFolder
@@ -179,8 +179,8 @@ def open_run(path: Path) -> GuardedFolder:
 def examine(folder: GuardedFolder, *, samples: SampleCheck = "sizes") -> Examined:
     """Examines a run folder. `samples`: how to check the files of samples.
 
-    A run that is being written can be examined too. The files are listed before the journal is read, so that the journal can name
-    more files than the list, but never fewer.
+    A run that is being written can be examined as well. The files are listed before the journal is read. The journal may therefore
+    name files that are not in the list, but names all files in the list.
     """
     found = Examined(folder)
     standing = _entries(found)
@@ -211,8 +211,8 @@ def _entries(found: Examined) -> RecordedEntries | None:
 
 
 def _recorded(found: Examined, standing: RecordedEntries) -> RecordedEntries:
-    """Lists the entries in the folder of samples, before the journal is read. A listed file that has an event is therefore always
-    named in the journal."""
+    """Lists the entries in the folder of samples. It is called before the journal is read, so that the journal names every listed
+    file that has an event."""
     if SEGMENTS not in standing:
         found.error("run-file-missing", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
         return {}
@@ -235,7 +235,7 @@ def _read_seal(found: Examined, standing: RecordedEntries) -> None:
 
 
 def _read_analyses(found: Examined, standing: RecordedEntries) -> None:
-    """The existing analyses, each together with the faults of its files."""
+    """Reads the existing analyses, and adds the faults of their files to the findings."""
     if stored.FOLDER not in standing:
         return
     path = found.folder.path / stored.FOLDER
@@ -391,7 +391,7 @@ def _follows_seal(found: Examined, basis: Basis) -> bool:
 
 
 def _check_times(found: Examined) -> None:
-    """Checks that no time is earlier than the times of the data before it, and that no time is in the future.
+    """Checks that no time is earlier than the times of the preceding data, and that no time is in the future.
 
     A clock that was set back causes the same findings as an altered time. Therefore only `verify` treats these findings as a
     change; other commands warn, because the data themselves are unchanged.
@@ -431,8 +431,8 @@ def _tell_clock(found: Examined, message: str) -> None:
 
 
 def _check_samples(found: Examined, recorded: RecordedEntries, samples: SampleCheck) -> None:
-    """Checks every file of samples in the journal: that it exists and has the recorded size and, on request, the recorded digest
-    and contents."""
+    """Checks that every file of samples in the journal exists and has the recorded size. On request, also checks its digest and
+    contents."""
     assert found.state is not None
     known: dict[str, Part] = {}
     for part in found.state.files():
@@ -525,7 +525,7 @@ def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
 
 
 def _aside(name: str, entry: Entry, kind: str) -> bool:
-    """Returns True if an entry is left over from an interrupted write; entries of this kind are ignored."""
+    """Returns True if an entry remains from an interrupted write. Such entries are ignored."""
     return name.endswith(ASIDE) and entry.kind == kind
 
 

@@ -1,1 +1,1 @@
-"""Unattended nights: suites of plans, their timetable and their record; also the history of an archive of runs."""
+"""Handles unattended nights: suites of plans, their timetable and their record. Also handles the history of an archive of runs."""

@@ -1,5 +1,5 @@
-"""Makes the tests of a suite: each plan is run on each device and bench, with each combination of its matrix. Also determines for
-which other tests each test waits."""
+"""Makes the tests of a suite. Each plan is run on each device and bench, with each combination of values of its matrix. Also
+determines the other tests for which each test waits."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class PlannedTest:
 
     `name`: unique name of the test, such as `drift/FG-0007/a` or `drift/FG-0007/a/fixture=FX-1,dwell=2 min`. `entry`: name of the
     plan in the suite file. `matrix`: run information from the matrix. `parameters`: values for parameters of the plan.
-    `information`: all run information that the suite gives for the test, whether or not the plan asks for it. `after`: indices of
-    the tests that must have ended before this test begins. `needs`: indices of the tests that must have passed before this test
-    begins. `mark`: position in the suite file that causes the test. `standard`: True if the test measures the check standard of its
-    bench.
+    `information`: all run information that the suite gives for the test, including information that the plan does not request.
+    `after`: indices of the tests that must have ended before this test begins. `needs`: indices of the tests that must have passed
+    before this test begins. `mark`: position in the suite file of the entry from which the test is made. `standard`: True if the
+    test measures the check standard of its bench.
     """
 
     index: int
@@ -66,7 +66,7 @@ class PlannedTest:
 
     @property
     def measurement(self) -> Measurement:
-        """Returns a key that is equal for tests with the same plan file, bench and parameter values, so that the data they share
+        """Returns a key that is equal for tests with the same plan file, bench and parameter values. These tests share data, which
         are checked only once."""
         return self.file, self.bench, tuple(self.parameter_values.items())
 
@@ -89,8 +89,8 @@ def expand_suite(
     suite: Suite, folder: Path, log: Findings, standards: Mapping[str, StandardFirst] = MappingProxyType({})
 ) -> tuple[PlannedTest, ...]:
     """Makes the tests of a suite: first those that measure check standards, then the others in the order of the file. `folder`:
-    folder of the suite. `standards`: maps each bench whose check standard is measured first to this check standard. Unknown names,
-    plans that wait for each other, and plans without a test become findings."""
+    folder of the suite. `standards`: maps each bench whose check standard is measured first to the description of this check
+    standard. Unknown names, plans that wait for each other, and plans without a test become findings."""
     before = log.raised
     _check_names(suite, log)
     _check_cycles(suite, log)
@@ -204,8 +204,8 @@ def _combinations(choices: Mapping[str, Sequence[_Value]]) -> Iterator[dict[str,
 def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
-    """Returns the tests of other plans for which a test waits. For each of these plans, the test waits for the tests with the same
-    device and bench; if there are none, for the tests with the same device; otherwise for all tests of the plan. `groups`: maps
+    """Returns the tests of other plans for which a test waits. For each of these plans, these are the tests with the same device
+    and bench; if there are none, the tests with the same device; if there are none either, all tests of the plan. `groups`: maps
     (plan,), (plan, device) and (plan, device, bench) to the tests with these properties."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
@@ -274,8 +274,9 @@ def _check_cycles(suite: Suite, log: Findings) -> None:
 
 
 def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
-    """Follows the plans for which a plan waits, except those in `done`; returns a cycle of plans that wait for each other, if it
-    finds one. Adds all plans that it reaches to `done`. The search works without recursion, so that a long chain causes no error."""
+    """Searches for a cycle of plans that wait for each other: follows the plans for which a plan waits, except those in `done`.
+    Returns the cycle; empty if there is none. Adds all plans that it reaches to `done`. The search works without recursion, so that
+    a long chain causes no error."""
     path: list[str] = []
     stack: list[tuple[str, bool]] = [(start, False)]
     while stack:
@@ -308,7 +309,7 @@ def known_failure(test: str, failures: Sequence[KnownFailure], kind: str, today:
 
 
 def check_known_failures(suite: Suite, tests: Sequence[PlannedTest], today: date, log: Findings) -> None:
-    """Reports known failures whose pattern matches no test, whose date does not exist, or which have expired."""
+    """Reports known failures that match no test, that state a date which does not exist, or that have expired."""
     names = [test.name for test in tests]
     for entry in suite.known_failures:
         for position, pattern in enumerate(entry.tests):

@@ -1,8 +1,8 @@
 """Writes a night as JUnit XML, in the form that Jenkins and GitLab read: one test suite for each plan, and one test case for each
 test.
 
-A failed limit is a `failure`. A fault, a refused plan and a test that did not run are an `error`, because CI systems count skipped
-tests as harmless. A known failure is `skipped`, with the reason that the suite states.
+A failed limit becomes a `failure`. A fault, a refused plan, and a test that did not run become an `error`, because CI systems
+regard skipped tests as harmless. A known failure becomes `skipped`, with the reason that the suite states.
 """
 
 from __future__ import annotations

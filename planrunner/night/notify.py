@@ -1,4 +1,4 @@
-"""Notifications at the end of a night: JSON to a webhook, or an e-mail. Secrets come from environment variables only."""
+"""Sends notifications at the end of a night: JSON to a webhook, or an e-mail. Secrets come from environment variables only."""
 
 from __future__ import annotations
 

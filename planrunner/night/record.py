@@ -1,11 +1,9 @@
-"""The record of a night: everything that follows from the events of its journal.
+"""Makes the record of a night from the events of its journal.
 
     <archive>/nights/<UTC time>-<suite>-<id>/
-      suite.yaml      the exact bytes
-      night.jsonl     one event a line, each with the SHA-256 of the line before, on the disk before the night goes on
-      night.json      this record (schemas/night.schema.json), replaced as a whole after each event that changes a test
-      junit.xml  summary.md
-      logs/           output of the process of each attempt
+      suite.yaml the exact bytes night.jsonl     one event a line, each with the SHA-256 of the line before, on the disk before the
+      night goes on night.json      this record (schemas/night.schema.json), replaced as a whole after each event that changes a
+      test junit.xml  summary.md logs/           output of the process of each attempt
 
 Everything in `night.json` follows from the journal, so that a killed night can be continued from the journal alone.
 """
@@ -28,8 +26,8 @@ FORMAT = 1
 
 
 def holds_nights(folder: Path) -> bool:
-    """Returns True if a folder is the one in which an archive keeps the records of its nights. An archive keeps this folder next to
-    the run folders, so the pattern `runs/*` matches it too."""
+    """Returns True if a folder is the one that contains the records of the nights of an archive. This folder is next to the run
+    folders, so the pattern `runs/*` also matches it."""
     return folder.name == FOLDER and folder.is_dir() and not (folder / RUN).exists()
 
 
@@ -41,8 +39,8 @@ DONE, LIMIT_FAILED, FAULT, INTERRUPTED = 0, 1, 3, 130
 
 @dataclass(slots=True)
 class Attempt:
-    """Describes one attempt of a test: a process that runs, resumes or estimates. `kind`: run, resume or estimate. `run`: name of
-    the attempt's run folder in the archive."""
+    """Describes one attempt of a test: a process that makes a run, resumes a run, or computes estimates. `kind`: run, resume or
+    estimate. `run`: name of the attempt's run folder in the archive."""
 
     identity: str
     kind: str
@@ -142,7 +140,7 @@ class NightRecord:
         return LIMIT_FAILED if "failed" in states else DONE
 
     def counts(self) -> dict[str, int]:
-        """Number of tests in each state, with the most important state first; states without tests are left out."""
+        """Returns the number of tests in each state, with the most important state first. States without tests are left out."""
         order = ("failed", "fault", "refused", "not_run", "known_failure", "passed", "running", "waiting")
         found = {state: sum(test.state == state for test in self.tests) for state in order}
         return {state: number for state, number in found.items() if number}

@@ -1,10 +1,10 @@
-"""Writes the static site of an archive: runs, devices, benches and coefficients over time, as files that a browser opens without a
-server.
+"""Writes the static site of an archive. It shows runs, devices, benches and coefficients over time, in files that a browser opens
+without a server.
 
 Browsers do not let a page read data files from a file share, but they do load scripts from it. The data are therefore written as
-scripts that pass JSON to the page: `data-<digest>/runs-0.js` and so on in chunks, and one file for each device. The file `data.js`
-names these scripts and is replaced last, so that a reader sees either the old site or the new one. Texts cannot become code: the
-page receives them as JSON strings in ASCII and shows them as text.
+scripts that pass JSON to the page: the runs in chunks (`data-<digest>/runs-0.js` and so on), and one file for each device. The file
+`data.js` names these scripts and is replaced last, so that a reader sees either the old site or the new one. Texts cannot become
+code: the page receives them as JSON strings in ASCII and shows them as text.
 """
 
 from __future__ import annotations
@@ -123,15 +123,16 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
 
 
 def _night(runs: Sequence[RunRow]) -> str:
-    """Returns the moment from which on the wall display shows runs: a fixed time before the newest run. `runs`: all runs, the
-    newest first."""
+    """Returns the earliest moment from which the wall display shows runs, which is a fixed time before the newest run. `runs`: all
+    runs, the newest first."""
     if not runs:
         return ""
     return (datetime.fromisoformat(runs[0].created) - NIGHT).isoformat(timespec="microseconds")
 
 
 def _nights(archive: Path) -> Iterator[Json]:
-    """The newest nights, each with the result of its tests and the reasons. A damaged record is omitted; `verify` reports it."""
+    """Yields the newest nights, each with the results of its tests and the reasons for these. A damaged record is omitted; `verify`
+    reports it."""
     from jsonschema import Draft202012Validator
 
     validator = Draft202012Validator(formats.schema("night"))
@@ -204,7 +205,7 @@ def _reports(archive: Path, run: RunRow) -> Iterator[str]:
 
 def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs: Sequence[RunRow]) -> Json:
     """Returns a coefficient of a device over time, the oldest run first, with the limits of the plans, the control charts and the
-    changes. Missing values and uncertainties are None, as are control limits that do not exist."""
+    changes. Values, uncertainties and control limits that do not exist are None."""
     ordered = list(reversed(found))
     held = trend(device, quantity, [HistoryPoint(runs[point.run], point.row, point.limits) for point in ordered])
     usable = {point.run.folder for point in held.points}
@@ -212,7 +213,7 @@ def _series(device: str, quantity: str, unit: str, found: Sequence[_Point], runs
     charts = held.charts
 
     def spread(values: NDArray[np.float64] | None) -> list[Json]:
-        """Places the values of a chart at the indices of their runs, and None at runs that have no value in the chart."""
+        """Returns a list with one entry for each run: the value of the chart, or None if the run has no value in the chart."""
         placed: list[Json] = [None] * len(ordered)
         for k, value in zip(places, () if values is None else values.tolist(), strict=values is not None):
             placed[k] = value
@@ -255,7 +256,7 @@ def _change(one: ChangePoint, places: Sequence[int]) -> Json:
 
 
 def _standards(index: Index, runs: Sequence[RunRow]) -> Iterator[Json]:
-    """The state of the check standards of those benches whose newest run has a bench file that declares one."""
+    """Yields the states of check standards: one for each bench whose newest run has a bench file that declares a check standard."""
     now = datetime.now(UTC)
     newest: dict[str, RunRow] = {}
     for run in runs:

@@ -44,7 +44,7 @@ _VARIABLE = Text(
 
 
 class NightWindow(Record):
-    """Hours of the day in which tests may run."""
+    """The hours of the day in which tests may run."""
 
     opens: str = key(_TIME, "Local time at which the window opens.", "22:00", name="from")
     closes: str = key(
@@ -62,7 +62,7 @@ class NightWindow(Record):
 
 
 class StandardOverride(Record):
-    """Tests of this bench run although its check standard is not in control."""
+    """Permits tests on this bench to run although its check standard is not in control."""
 
     by: str = key(
         Text(PERSON, "a person's name"), "Who decides this: a name in `may_override` of the bench file.", "anna"

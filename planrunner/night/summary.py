@@ -68,7 +68,7 @@ def summary(night: JsonObject) -> str:
 
 
 def github_annotations(night: JsonObject) -> Iterator[str]:
-    """Workflow commands for GitHub Actions: one annotation for each test that did not pass."""
+    """Yields workflow commands for GitHub Actions: one annotation for each test that did not pass."""
     for test in night["tests"]:
         level = _ANNOTATION.get(test["state"])
         if level is not None:

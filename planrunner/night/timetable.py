@@ -1,12 +1,12 @@
 """Computes the timetable of a night: which test begins when, on which bench, and which tests do not fit.
 
-`NightCourse` holds the state of a night and the rules by which the night continues. It knows no processes and no clock: the caller
-states which tests have ended, and the time. `planrunner check` simulates the night with the planned durations (`foresee`).
+`NightCourse` contains the state of a night and the rules by which the night continues. It uses neither processes nor a clock: the
+caller states the time, and which tests have ended. `planrunner check` simulates the night with the planned durations (`foresee`).
 `planrunner night` updates the state with real events. Both commands therefore follow the same rules. Times are instants, seconds
 since 1970 UTC.
 
-The test that begins next on a bench is the first in the order of the suite that meets three conditions: the tests that it waits for
-have ended, its device is free, and according to its planned duration it ends in time.
+The test that begins next on a bench is the first in the order of the suite that meets three conditions: the tests for which it
+waits have ended, its device is free, and its planned duration lets it end in time.
 """
 
 from __future__ import annotations
@@ -50,10 +50,9 @@ class EndOfTest(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BenchHours:
-    """States the hours in which a bench may work, and the warm-up that it needs.
-
-    `openings`: None if the bench may work at any time. `warm_up`: duration of the warm-up, s. `stays_warm`: time for which the
-    bench stays warm after a warm-up or a test, s; inf if it never cools down.
+    """States the hours in which a bench may work, and the warm-up that it needs. `openings`: the openings of the bench's window;
+    None if the bench may work at any time. `warm_up`: duration of the warm-up, s. `stays_warm`: time for which the bench stays warm
+    after a warm-up or a test, s; inf if it never cools down.
     """
 
     openings: tuple[Opening, ...] | None = None
@@ -63,8 +62,8 @@ class BenchHours:
 
 @dataclass(frozen=True, slots=True)
 class NightHours:
-    """States the hours of a night, as instants. `begins`, `closes`: instants at which the night begins and ends; `closes` is inf
-    without a window and a budget."""
+    """States the hours of a night, as instants. `begins`, `closes`: instants at which the night begins and ends; `closes` is inf if
+    there is neither a window nor a budget."""
 
     begins: float
     closes: float
@@ -93,7 +92,7 @@ class _Test:
     """The state of a test in a night.
 
     `since`: the earliest instant at which the test may begin. `pending`: number of tests that must end before this test begins.
-    `failed`: how the last attempt of the test ended, if the test waits for a repetition.
+    `failed`: for a test that waits for a repetition, how its last attempt ended.
     """
 
     state: Literal["waiting", "running", "ended", "not run"] = "waiting"
@@ -110,9 +109,10 @@ class _Bench:
 
     `warm_at`: instant at which the last warm-up of the bench ended. `last_used`: instant at which the last test on the bench ended.
     `stopped`: the reason why no further test begins on the bench; empty if there is none. `ready`: for each device, the tests that
-    now wait only for the bench, the device and the hours, in the order of the suite. `first`: a heap with the first of these tests
-    of each device. `longest`: two heaps of the waiting tests, one of tests that need a warm-up and one of tests that need none. An
-    entry is the pair (−planned seconds, test). An entry of a heap that is no longer valid is removed when it reaches the top.
+    now wait only for the bench, the device and the hours, in the order of the suite. `first`: a heap that contains, for each
+    device, the first of these tests. `longest`: two heaps of the waiting tests, one of tests that need a warm-up and one of tests
+    that need none. An entry is the pair (−planned seconds, test). An entry that is no longer valid stays in the heap until it
+    reaches the top, and is then removed.
     """
 
     running: int | None = None
@@ -129,8 +129,8 @@ class NightCourse:
     """Contains the state of a night, and the rules by which the night continues. `durations`: planned time of each test, s; None if
     it is unknown. A test of unknown duration counts as short.
 
-    The next action is found without examining every test: the computing time for a night grows in proportion to the number of its
-    tests and dependencies, not with the square of this number.
+    The next action is found without examining every test. The computing time for a night is therefore proportional to the number of
+    its tests and dependencies, not to the square of this number.
     """
 
     tests: Sequence[PlannedTest]
@@ -219,7 +219,7 @@ class NightCourse:
         return state.failed
 
     def _wait(self, index: int, since: float) -> None:
-        """Makes a test wait until an instant, or longer if it also waits for other tests."""
+        """Makes a test wait until an instant. If it also waits for other tests, it may wait longer."""
         test, state = self.tests[index], self._tests[index]
         bench = self._benches[test.bench]
         state.state, state.since = "waiting", since
@@ -240,7 +240,7 @@ class NightCourse:
             self._lost.update(self._dependents[index])
 
     def _resume(self, now: float) -> None:
-        """Makes those tests ready whose waiting time has passed."""
+        """Marks the tests whose waiting time has passed as ready."""
         while self._paused and self._paused[0][0] <= now:
             since, index = heappop(self._paused)
             test, state = self.tests[index], self._tests[index]
@@ -297,7 +297,8 @@ class NightCourse:
         return None
 
     def out_of_reach(self, now: float) -> Iterator[tuple[int, str]]:
-        """The waiting tests that can no longer run, each with the reason. The caller confirms each with `abandon`."""
+        """Yields the waiting tests that can no longer run, each with the reason. The caller confirms each of them with
+        `abandon`."""
         for bench in self._benches.values():
             if bench.running is None:
                 self._lost.update(self._too_late(bench, now))
@@ -324,7 +325,7 @@ class NightCourse:
         return tuple(index for index, state in enumerate(self._tests) if state.state == "waiting")
 
     def attempts(self, test: int) -> int:
-        """Number of attempts of a test. Attempts that failed because the bench was in use do not count."""
+        """Returns the number of attempts of a test. Attempts that failed because the bench was in use do not count."""
         return self._tests[test].attempts
 
     def _open(self, bench: str, now: float) -> bool:
@@ -334,7 +335,7 @@ class NightCourse:
         return within and self.hours.begins <= now < self.hours.closes
 
     def _first(self, bench: _Bench, busy: Collection[str], now: float) -> int | None:
-        """Returns the first ready test of a bench whose device is free and that could begin now and end within the hours."""
+        """Returns the first ready test of a bench that could begin now: its device is free, and it would end within the hours."""
         found: int | None = None
         looked_at: list[int] = []
         too_long: set[tuple[bool, float | None]] = set()
@@ -360,8 +361,9 @@ class NightCourse:
         return found
 
     def _too_late(self, bench: _Bench, now: float) -> Iterator[int]:
-        """Yields the waiting tests of a bench that no longer fit into the hours of the bench. Among tests with the same need for a
-        warm-up, the longest is examined first, because it is the first that does not fit."""
+        """Yields the waiting tests of a bench that no longer fit into the hours of the bench. The tests that need a warm-up, and
+        the tests that need none, are examined in order of decreasing duration, because the longest test is the first that no longer
+        fits."""
         for heap in bench.longest.values():
             while heap:
                 index = heap[0][1]
@@ -401,7 +403,7 @@ class NightCourse:
         )
 
     def _starts(self, index: int, now: float, *, soonest: bool = False) -> float | None:
-        """Returns the first instant, from now on, at which the hours permit a test to begin; None if the test no longer fits.
+        """Returns the earliest instant, now or later, at which the hours permit a test to begin; None if the test no longer fits.
         `soonest`: True to ignore the waiting time before a repetition of the test."""
         test, state = self.tests[index], self._tests[index]
         limits, bench = self.hours.benches[test.bench], self._benches[test.bench]
@@ -414,7 +416,7 @@ class NightCourse:
         return None
 
     def _warm_up(self, test: PlannedTest, bench: _Bench, at: float) -> float:
-        """Time [s] that a bench needs to warm up before a test that begins at an instant."""
+        """Returns the time [s] that a bench needs to warm up before a test that begins at a given instant."""
         hours = self.hours.benches[test.bench]
         if not test.plan.warm:
             return 0.0
@@ -449,7 +451,7 @@ def night_hours(suite: Suite, begins: float, zone: tzinfo | None) -> NightHours:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Describes a period of time in which a bench is occupied by a test; if `test` is None, by a warm-up."""
+    """Describes a period of time in which a test or a warm-up occupies a bench. `test`: index of the test; None for a warm-up."""
 
     bench: str
     begins: float

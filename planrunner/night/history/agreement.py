@@ -1,12 +1,12 @@
-"""Agreement between benches or laboratories: E_n numbers.
+"""Computes the agreement between benches or laboratories as E_n numbers.
 
     E_n = (x − X) / √(U(x)² + U(X)²)
 
-with expanded uncertainties for about 95 %; |E_n| ≤ 1 is agreement (ISO 13528:2022, 9.7; ISO/IEC 17043:2023, B.3.1.3). x is the mean
-of the values of one participant. The standard uncertainty of x is the root mean square of the stated standard uncertainties. It
-does not decrease with the number of runs, because most of what a bench states is the same in all its runs. The reference X is the
-value of a named participant, otherwise the mean of all others, weighted with 1/u². The participant itself is excluded from this
-mean, because the formula requires independent values.
+with expanded uncertainties U for about 95 %. |E_n| ≤ 1 means agreement (ISO 13528:2022, 9.7; ISO/IEC 17043:2023, B.3.1.3). x is the
+mean of the values of one participant. The standard uncertainty of x is the root mean square of the stated standard uncertainties.
+It does not decrease with the number of runs, because most of the errors that a bench's uncertainty covers are the same in all its
+runs. The reference X is the value of a named participant. If none is named, it is the mean of all other participants, weighted with
+1/u². The participant itself is excluded from this mean, because the formula requires independent values.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ COVERAGE = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ParticipantAgreement:
-    """Agreement of one participant.
+    """The agreement of one participant with the reference.
 
     `value`, `standard_uncertainty`: mean of the participant's values and standard uncertainty of this mean. `reference`,
     `reference_uncertainty`: reference value and its standard uncertainty. `runs`: number of the participant's values.

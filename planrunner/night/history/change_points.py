@@ -1,7 +1,7 @@
 """Finds changes in the level of a coefficient, and other circumstances that changed at the same time.
 
-The model is x_i ~ N(μ, σ_i²), where σ_i is known and the mean μ is constant between two changes. For a change between values k and
-k + 1, the likelihood ratio compares two means:
+The model is x_i ~ N(μ, σ_i²), where σ_i is known and the mean μ is constant between two changes. The likelihood ratio T_k for a
+change between the values k and k + 1 compares the means m₁ before and m₂ after the change:
 
     T_k = (m₂ − m₁)² / (1/W₁ + 1/W₂),    W = Σ 1/σ_i²,  m = Σ x_i/σ_i² / W
 
@@ -30,9 +30,9 @@ LEVEL = 0.01
 @dataclass(frozen=True, slots=True)
 class CauseCandidate:
     """A circumstance that changed when the level changed. `before`, `after`: the circumstance in the last run before the change and
-    in the first run after it. `shared`: the fraction of runs that agree with the change: runs before it with the circumstance
-    `before`, and runs after it with the circumstance `after`. A value of 1 means that the circumstance distinguishes the two groups
-    of runs completely."""
+    in the first run after it. `shared`: the fraction of runs that agree with the change. A run before the change agrees if it has
+    the circumstance `before`; a run after it agrees if it has the circumstance `after`. A fraction of 1 means that the circumstance
+    distinguishes the two groups of runs completely."""
 
     kind: CircumstanceKind
     name: str
@@ -50,8 +50,8 @@ class ChangePoint:
     """Describes a change in the level of a coefficient.
 
     `index`: index of the first value after the change. `step`, `standard_uncertainty`: size of the change and its standard
-    uncertainty, in the unit of the values. `p`: p-value of the change. `begin`, `end`: the change divides the stretches [begin,
-    index) and [index, end).
+    uncertainty, in the unit of the values. `p`: p-value of the change. `begin`, `end`: the change separates the values with the
+    indices [begin, index) from those with the indices [index, end).
     """
 
     index: int
@@ -118,15 +118,15 @@ def steps_fit_better(values: Array, sigma: Array, days: Array, changes: Sequence
 
 
 def _misfit(values: Array, weight: Array, design: Array) -> float:
-    """χ² of the weighted least-squares fit of a design to the values."""
+    """Returns the χ² of the weighted least-squares fit of a design to the values."""
     root = np.sqrt(weight)
     fit = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
     return float((weight * (values - design @ fit) ** 2).sum())
 
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
-    """Circumstances that changed when the level changed. Circumstances that best distinguish the runs before the change from those
-    after it come first. `circumstances`: the circumstances of every run, in the order of the values."""
+    """Returns the circumstances that changed when the level changed. The circumstance that best distinguishes the runs before the
+    change from those after it comes first. `circumstances`: the circumstances of every run, in the order of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin
     before, after = known[split - 1], known[split]

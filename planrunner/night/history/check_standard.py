@@ -3,14 +3,16 @@
 A new value x of the check standard with the stated standard uncertainty u is compared with
 
 - a reference value R with the standard uncertainty u_R, if the bench file states one: |x − R| ≤ 3·√(u² + u_R² + τ²);
-- its own first values, if there are enough of them: the charts of `control_charts`, whose mean and τ come from these.
+- its own first values, if there are enough of them, by the charts of `control_charts`; the mean and τ of these charts come from the
+  first values.
 
 τ is the stated repeatability or, if none is stated, the scatter of the first values. A tested value never contributes to its own
-limits. The method is that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2: the values of a check standard are charted
-about an accepted value, in a Shewhart chart and, to detect small changes, as an exponentially weighted moving average; the limits
-come from data taken before. SOP 17 (NISTIR 7383) describes the same, with three standard deviations as limits of action and a test
-against the reference value. Here the stated uncertainty of each value widens its own limits (docs/decisions/0045). The comparison
-with a reference uses no moving average: the uncertainty u_R is common to all values, so averaging would not reduce it.
+limits. The method is that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2. The values of a check standard are charted
+about an accepted value: in a Shewhart chart and, to detect small changes, as an exponentially weighted moving average. The limits
+come from earlier data. SOP 17 (NISTIR 7383) describes the same method, with limits of action at three standard deviations, and with
+a test against the reference value. In this module, the stated uncertainty of each value also widens the limits for this value
+(docs/decisions/0045). The comparison with a reference uses no moving average, because the uncertainty u_R is common to all values
+and averaging would not reduce it.
 """
 
 from __future__ import annotations
@@ -80,9 +82,9 @@ class ControlLimits:
 class CoefficientControl:
     """Contains the state of a coefficient of the check standard.
 
-    `trend`: history of the coefficient, the newest value last. `limits`: limits of the newest value in each comparison that has
-    limits. `charts`: control charts of this history; None if there are too few values. `failed`: comparisons in which the newest
-    value is outside the limits. `missing`: number of earlier values that are still needed for limits.
+    `trend`: history of the coefficient, the newest value last. `limits`: limits of the newest value in each possible comparison.
+    `charts`: control charts of this history; None if there are too few values. `failed`: comparisons in which the newest value is
+    outside the limits. `missing`: number of earlier values that are still needed for limits.
     """
 
     quantity: str
@@ -125,8 +127,8 @@ class ControlState:
     """Contains the state of a bench's check standard at one moment.
 
     `run`: newest run of the check standard; None if there is none. `reasons`: reasons why the check standard is not in control, in
-    words. `damaged`: unreadable runs of the archive that measured the check standard or may have measured it. `left_out`: folders
-    whose bench cannot be determined, and which the bench's rule therefore does not use.
+    words. `damaged`: unreadable runs of the archive that measured the check standard, or may have measured it. `left_out`: folders
+    that are not used, because their bench cannot be determined.
     """
 
     bench: str
@@ -184,7 +186,7 @@ def judge(
     now: datetime,
     damaged: Sequence[FaultRow] = (),
 ) -> ControlState:
-    """Determines the state of the check standard at one moment.
+    """Determines the state of the check standard of a bench at one moment.
 
     `runs`: runs of the check standard on this bench, the newest first. `points`: maps each coefficient to its values in these runs,
     the oldest first. `damaged`: runs of the archive that cannot be read. A damaged run that was recorded on another bench, or with

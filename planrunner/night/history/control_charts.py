@@ -1,8 +1,8 @@
-"""Computes control charts of a coefficient over time; every value has its own standard uncertainty.
+"""Computes control charts of a coefficient over time. Every value has its own standard uncertainty.
 
 The variance of value i about the mean is σ_i² = u_i² + τ², where u_i is the stated standard uncertainty of the value. The scatter τ
-from run to run is the part that the stated uncertainties do not include, for example the scatter of mounting and switch-on. The
-variance is estimated from the mean moving range, so that a shift or a drift of the mean hardly affects it:
+from run to run is the part that the stated uncertainties do not include, for example the scatter of mounting and switch-on. τ² is
+estimated from the mean moving range, so that a shift or a drift of the mean hardly affects it:
 
     τ² = max(0, (mean |x_i − x_{i−1}| / d₂)² − mean u_i²),    d₂ = 2/√π
 
@@ -53,9 +53,9 @@ class Centre:
 class Chart:
     """A control chart of n values.
 
-    `statistic`: array of shape (n,), what the chart shows: the values, their moving averages or their cumulative sums. `lower`,
-    `upper`: arrays of shape (n,), limits of the statistic. `alarms`: array of shape (n,), True where the statistic is outside its
-    limits.
+    `statistic`: array of shape (n,), the quantity that the chart shows: the values, their moving averages or their cumulative sums.
+    `lower`, `upper`: arrays of shape (n,), limits of the statistic. `alarms`: array of shape (n,), True where the statistic is
+    outside its limits.
     """
 
     statistic: Array
@@ -114,8 +114,9 @@ def ewma(
     """Returns the exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. `values`: array of shape (n,
     …), the values in the order of time. `sigma`: array of shape (n,), or of the shape of `values`.
 
-    The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default V_0 = 0, so that the first limits are narrower. `steady`: if
-    True, the recursion starts instead from the limit value for the first σ, V_0 = λ/(2 − λ) σ², as in the handbook.
+    The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default, V_0 = 0, so that the first limits are narrower. `steady`:
+    True if the recursion starts from V_0 = λ/(2 − λ) σ² instead, as in the handbook. This is the final value of the variance for
+    the first σ.
     """
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     average, half = np.empty_like(values), np.empty_like(values)

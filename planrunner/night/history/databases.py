@@ -1,7 +1,7 @@
 """Provides the databases that store an index: SQLite in a file of this user, or PostgreSQL by its URL.
 
-Both use the SQL of `planrunner.night.history.index`. This module contains only their differences: how to open them, how a
-transaction waits for other writers, and what their errors mean for a user.
+Both databases use the SQL of `planrunner.night.history.index`. This module contains only their differences: how to open the
+database, how a transaction waits for other writers, and what the errors mean for a user.
 """
 
 from __future__ import annotations
@@ -50,16 +50,16 @@ class Database(Protocol):
     def write_many(self, statement: str, rows: Iterable[Sequence[SqlValue]]) -> None: ...
 
     def transaction(self) -> contextlib.AbstractContextManager[None]:
-        """A transaction: all statements in it take effect, or none of them. There is one writer at a time."""
+        """Returns a transaction: either all statements in it take effect, or none. There is only one writer at a time."""
         ...
 
     def close(self) -> None: ...
 
 
 def open_database(index: str | None, archive: Path) -> Database:
-    """Opens the database of an archive's index. `index`: a file, or the URL of a PostgreSQL database. If `index` is None, an
-    environment variable may name the index; otherwise it is a file in this user's state folder. Raises `InputError` if the database
-    cannot be opened."""
+    """Opens the database of an archive's index. `index`: a file, or the URL of a PostgreSQL database. If it is None, an environment
+    variable names the index; without this variable, the index is a file in this user's state folder. Raises `InputError` if the
+    database cannot be opened."""
     named = index or os.environ.get(INDEX) or ""
     if re.match(r"postgres(ql)?://", named):
         return Postgres(named)
@@ -72,8 +72,8 @@ def open_database(index: str | None, archive: Path) -> Database:
 
 
 def _own_file(archive: Path) -> Path:
-    """Returns the path of the index as a file next to the user's key, not in the archive. A file that comes with an archive is
-    never trusted, and SQLite must not be shared over a network file system."""
+    """Returns the path of the index as a file next to the user's key. The index is not in the archive for two reasons: a file that
+    comes with an archive is not trusted, and an SQLite file must not be shared over a network file system."""
     try:
         folder = state_folder() / "index"
         make_private(folder)
@@ -93,9 +93,8 @@ _APPLICATION = int.from_bytes(b"plnr", "big")
 class Sqlite:
     """Uses an SQLite file in write-ahead mode: readers never wait, and writers wait for each other.
 
-    `own`: True if planrunner chose the name of the file. Such a file is renamed to `….unreadable` if it is not a database, because
-    an index can always be made again. A file that the user named is never replaced, and the database of another program is never
-    used.
+    `own`: True if planrunner chose the name of the file. If such a file is not a database, it is renamed to `….unreadable`, because
+    an index can always be made again. A file that the user named is never replaced. The database of another program is never used.
     """
 
     identity = "INTEGER PRIMARY KEY"

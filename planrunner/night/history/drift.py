@@ -1,7 +1,7 @@
 """Compares the drift of a coefficient with its uncertainty, and determines the date on which the device should be calibrated again.
 
-The drift is a weighted straight line through the values, x = a + b·(t − t̄), with the covariance of its two parameters. At a later time t
-the value is predicted with the variance
+The drift is described by a straight line x = a + b·(t − t̄), which is fitted to the weighted values. For a later time t, the line
+predicts a value with the variance
 
     u²(t) = u_line²(t) + τ² + ū²,    u_line² = var a + (t − t̄)² var b
 
@@ -10,10 +10,10 @@ the predicted deviation from the last value, together with its expanded uncertai
 
     |b|·(t − t_last) + k·√(u_line²(t) + τ² + ū²) = permissible
 
-This is method 2, the control chart, of ILAC-G24:2022 / OIML D 10:2022 (7.3): the interval follows from the scatter and the drift of
-successive calibrations; NCSLI RP-1 describes the same idea as the variables-data method. Without a permissible deviation, the date
-is given on which the drift alone exceeds the expanded uncertainty of a value, k·√(τ² + ū²): from then on the last calibration no
-longer describes the device.
+This is method 2, the control chart, of ILAC-G24:2022 / OIML D 10:2022 (7.3), in which the interval follows from the scatter and the
+drift of successive calibrations. NCSLI RP-1 describes the same idea as the variables-data method. If no permissible deviation is
+stated, the calibration is due when the drift alone exceeds the expanded uncertainty of a value, k·√(τ² + ū²), because the last
+calibration then no longer describes the device.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class DriftLine:
 
     `slope`, `slope_uncertainty`: slope and its standard uncertainty, in units of the values per day. `level`: value of the line at
     the mean time `middle`. `between`: τ, the scatter from run to run. `stated`: ū, the root mean square of the stated
-    uncertainties. The times to which these values refer are in days.
+    uncertainties. All times are in days.
     """
 
     slope: float
@@ -60,7 +60,7 @@ class DriftLine:
         return abs(self.slope) > COVERAGE * self.slope_uncertainty
 
     def uncertainty(self, time: float) -> float:
-        """Standard uncertainty of the value that the line predicts for a given time [days]."""
+        """Returns the standard uncertainty of the value that the line predicts for a given time [days]."""
         line = self.level_uncertainty**2 + ((time - self.middle) * self.slope_uncertainty) ** 2
         return math.sqrt(line + self.between**2 + self.stated**2)
 
@@ -86,8 +86,8 @@ def drift_line(days: Array, values: Array, u: Array, between: float) -> DriftLin
 
 
 def days_left(line: DriftLine, permissible: float | None = None) -> float:
-    """Days from the last value to the next calibration; 0 if the calibration is due at once, `HORIZON` if it is due after more days
-    than that. `permissible`: largest permissible deviation."""
+    """Returns the time [days] from the last value to the next calibration; 0 if the calibration is due at once, and at most
+    `HORIZON`. `permissible`: largest permissible deviation."""
 
     def due(later: float) -> bool:
         change = abs(line.slope) * later

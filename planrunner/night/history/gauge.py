@@ -1,16 +1,16 @@
-"""Computes gauge repeatability and reproducibility: how much device, operator, bench and repetition contribute to the variance of a
-measurement.
+"""Computes gauge repeatability and reproducibility: the contributions of device, operator, bench and repetition to the variance of
+a measurement.
 
 The model is a balanced, fully crossed random-effects model with all interactions, for one to three factors. Each mean square has
 the expectation
 
     E(MS_S) = σ² + r·Σ_{T ⊇ S} σ_T²·∏_{f ∉ T} a_f
 
-with r repetitions and a_f levels of factor f. The variance components follow from these expectations; a negative component counts
-as zero, also in sums of components. Reproducibility is all variance that is attributed neither to the device nor to repeatability.
-Confidence intervals come from the modified large-sample method: Graybill and Wang (Journal of the American Statistical Association
-75, 1980) for sums of mean squares, and Ting et al. (Journal of Statistical Computation and Simulation 35, 1990) for differences, as
-Burdick, Borror and Montgomery (Design and Analysis of Gauge R&R Studies, 2005) apply them.
+with r repetitions and a_f levels of factor f. The variance components follow from these expectations. A negative component is
+replaced by zero, also in sums of components. Reproducibility is the variance that is attributed neither to the device nor to
+repeatability. Confidence intervals come from the modified large-sample method: Graybill and Wang (Journal of the American
+Statistical Association 75, 1980) for sums of mean squares, and Ting et al. (Journal of Statistical Computation and Simulation 35,
+1990) for differences, as Burdick, Borror and Montgomery (Design and Analysis of Gauge R&R Studies, 2005) apply them.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class GaugeStudy:
 
     `components`: repeatability, every factor and interaction, reproducibility, gauge (repeatability and reproducibility together),
     and total. `levels`: maps each factor to its number of levels. `repetitions`: number of values used in each cell. `unused`:
-    number of further values that are not used.
+    number of values that are not used, because other cells have fewer values.
     """
 
     anova: tuple[MeanSquare, ...]
@@ -143,7 +143,7 @@ def gauge_study(
 
 
 def _anova(data: Array, names: tuple[str, ...]) -> list[MeanSquare]:
-    """Returns the sums of squares of all effects, for a full table of values with shape (a₁, …, a_m, r)."""
+    """Returns the mean squares of all effects, for a complete table of values, shape (a₁, …, a_m, r)."""
     m = len(names)
     effects: dict[tuple[int, ...], Array] = {}
     found = []
@@ -214,8 +214,8 @@ def _estimated(
 
 
 def _interval(terms: Sequence[tuple[float, float, int]], estimate: float) -> tuple[float, float]:
-    """Two-sided limits of Σ c·E(MS) by the modified large-sample method. `terms`: for each term of the sum, the coefficient c, the
-    mean square MS and the degrees of freedom of MS."""
+    """Returns the two-sided confidence limits of Σ c·E(MS) by the modified large-sample method. `terms`: for each term of the sum,
+    the coefficient c, the mean square MS and the degrees of freedom of MS."""
     a = (1 - CONFIDENCE) / 2
     plus, minus = [t for t in terms if t[0] > 0], [t for t in terms if t[0] < 0]
     below = sum((_g(a, n) * c * ms) ** 2 for c, ms, n in plus) + sum((_h(a, n) * c * ms) ** 2 for c, ms, n in minus)

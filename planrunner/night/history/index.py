@@ -1,9 +1,9 @@
-"""Indexes the run folders in an archive: the runs with their coefficients and verdicts.
+"""Maintains an index of the run folders in an archive. It contains the runs with their coefficients and verdicts.
 
-The run folders are the record; the index is a copy for quick answers. It can be made again from the folders at any time. Each run
-is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is refreshed or rebuilt.
-Several processes may refresh an index at the same time; each of them writes the runs that it has read. If a folder changed in the
-meantime, the next refresh reads it again.
+The run folders are the original data; the index is a copy for quick answers. It can be made again from the folders at any time.
+Each run is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is refreshed or
+rebuilt. Several processes may refresh an index at the same time; each of them writes the runs that it has read. If a folder changed
+in the meantime, the next refresh reads it again.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ _SCHEMA = (
 class Refreshed:
     """Result of refreshing an index.
 
-    `read`: number of runs that were read again. `removed`: number of runs that no longer exist. `faults`: folders that could not be
-    read and are therefore not in the index.
+    `read`: number of runs that were read. `removed`: number of runs that no longer exist. `faults`: folders that could not be read
+    and are therefore not in the index.
     """
 
     read: int
@@ -100,7 +100,7 @@ class Index:
     """An open index. Close it, or use it as a context manager.
 
     All methods raise `InputError` if the database cannot be used, for example because a server stopped, a disk is full, or another
-    process keeps a lock. Data written before the error stay in the index, and the next refresh continues from there.
+    process keeps a lock. The index keeps the data that were written before the error, and the next refresh continues from there.
     """
 
     def __init__(self, archive: Path, database: Database):
@@ -131,7 +131,7 @@ class Index:
 
     @property
     def database(self) -> str:
-        """Name of the database, for messages; it contains no password."""
+        """Returns the name of the database for messages. It contains no password."""
         return self._database.name
 
     def _make_tables(self) -> None:
@@ -156,8 +156,8 @@ class Index:
     ) -> Refreshed:
         """Reads the runs that are new or changed, and removes those that no longer exist.
 
-        `rebuild`: True to read all runs again. `notice`: receives the progress. `workers`: the processes that read; by default, as
-        many processes on this machine as the work justifies.
+        `rebuild`: True to read all runs again. `notice`: receives the progress. `workers`: the processes that read the runs; by
+        default, processes on this machine, whose number depends on the amount of work.
         """
         query = self._database.query
         rows = query("SELECT folder, fingerprint FROM runs WHERE archive = ?", (self._name,))
@@ -239,7 +239,7 @@ class Index:
                 )
 
     def _remove(self, folders: Sequence[str]) -> None:
-        """Removes a run within a transaction."""
+        """Removes runs within a transaction."""
         keys = [(self._name, folder) for folder in folders]
         for table in ("coefficients", "limits"):
             self._database.write_many(
@@ -259,7 +259,7 @@ class Index:
         return [_run_row(row) for row in found]
 
     def count(self, wanted: RunFilter = RunFilter()) -> int:  # noqa: B008 - frozen
-        """Number of runs that pass a filter, ignoring the limit of the filter."""
+        """Returns the number of runs that pass a filter. The filter's limit of the number of runs is ignored."""
         where, values = self._where(wanted)
         return cast(int, self._database.query(f"SELECT count(*) FROM runs WHERE {where}", values)[0][0])
 
@@ -305,8 +305,8 @@ class Index:
         return [(str(folder), _limit_row(tuple(row))) for folder, *row in found]
 
     def devices(self) -> list[DeviceSummary]:
-        """Returns the devices, sorted by serial number; runs without a serial number belong to a device whose serial number is
-        empty."""
+        """Returns the devices, sorted by serial number. Runs without a serial number belong to one device with an empty serial
+        number."""
         found = self._database.query(
             "SELECT device, count(*), max(created) FROM runs WHERE archive = ? GROUP BY device ORDER BY device",
             (self._name,),
@@ -349,7 +349,7 @@ class Index:
         return self.points(quantity, RunFilter(device=literal(device), since=since))
 
     def faults(self) -> list[FaultRow]:
-        """Folders that could not be read and are therefore not in the index, sorted by name."""
+        """Returns the folders that could not be read and are therefore not in the index, sorted by name."""
         found = self._database.query(
             "SELECT folder, message, bench, plan, device FROM faults WHERE archive = ? ORDER BY folder", (self._name,)
         )
@@ -386,8 +386,8 @@ def _read(item: tuple[Path, str]) -> IndexedRun:
 
 
 def _pattern(text: str) -> tuple[str, str | None]:
-    """Removes the escapes from the text of a filter. If the text contains `*` or `?`, the function also returns the pattern for
-    LIKE; otherwise it returns None as the pattern. A backslash makes the next character literal."""
+    """Interprets the text of a filter, in which a backslash makes the next character literal. Returns the text without these
+    backslashes, and a pattern for LIKE if the text contains `*` or `?`; otherwise the pattern is None."""
     plain, like, wild = [], [], False
     letters: Iterator[str] = iter(text)
     for letter in letters:
@@ -408,8 +408,8 @@ def literal(text: str) -> str:
 
 
 def _moment(text: str) -> datetime:
-    """Converts a text to a moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`, so earlier and later moments are
-    moved to just outside this range. Adding days to the moment then stays within the calendar."""
+    """Converts a text to a moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`. A moment outside this range is
+    therefore moved to just outside the range, so that adding days to it does not leave the calendar."""
     try:
         moment = datetime.fromisoformat(text)
         if not FIRST_YEAR <= moment.year <= LAST_YEAR:
@@ -427,7 +427,8 @@ _RUN_COLUMNS = len(_RUN.split(","))
 
 
 def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
-    """Converts values to the form in which the database stores them. nan becomes NULL, as SQLite would convert it anyway."""
+    """Converts values to the form in which the database stores them. nan becomes NULL, because SQLite would do this conversion
+    anyway."""
     found = []
     for item in fields(row):
         value = getattr(row, item.name)
@@ -437,8 +438,8 @@ def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
 
 
 def _apart(row: _Row, parameters: Mapping[str, str]) -> _Row:
-    """Returns the row of a run for which values of plan parameters were given. The results must not enter the history with other
-    parameter values, so their quantities get another name."""
+    """Returns the row of a run for which values of plan parameters were given. Its quantities get other names, because its results
+    must not be mixed with the history for other parameter values."""
     return replace(row, quantity=variant_name(row.quantity, parameters)) if parameters else row
 
 

@@ -1,5 +1,5 @@
-"""Reads a run folder for the index. The folder may come from another person. It is therefore opened with the same precautions as in
-all other commands, and its faults do not affect other folders."""
+"""Reads a run folder for the index. As the folder may come from another person, it is opened with the same precautions as in all
+other commands, and its faults do not affect other folders."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ _MOST_TEXT = 2000
 
 
 def fingerprint(entries: Mapping[str, Entry]) -> str:
-    """Returns a value that changes whenever planrunner writes to a run folder. `entries`: entries of the run folder, by name. If
-    the last change is so recent that a further change might give the same value, the value is empty."""
+    """Returns a value that changes whenever planrunner writes to a run folder. `entries`: entries of the run folder, by name. The
+    value is empty if the last change is so recent that a further change might give the same value."""
     known = [(name, entries[name]) for name in _READ if name in entries]
     if known and abs(time.time() - max(entry.modified for _, entry in known) / 1e9) < _SETTLED:
         return ""
@@ -79,7 +79,7 @@ def read_run(archive: Path, place: str) -> IndexedRun:
 
 
 def _recorded(found: Examined | None) -> RecordedAs | None:
-    """Returns the identity of a damaged run, as far as it can be trusted. None if the chain of its journal is broken, or if
+    """Returns the identity of a damaged run if it can be trusted. Returns None if the chain of its journal is broken, or if
     run.json or the bench file differ from their digests in the journal."""
     if found is None or found.state is None or not found.run or BENCH not in found.given:
         return None
@@ -175,7 +175,8 @@ def _circumstances(
 
 @lru_cache(maxsize=256)
 def _bench_facts(data: bytes) -> JsonObject:
-    """Facts from a bench file. The drivers named in the file need not be installed, and the file need not pass the present checks."""
+    """Returns facts from a bench file. The drivers that the file names need not be installed, and the file need not pass the
+    present checks."""
     root = _parsed(data, BENCH)
     return {
         "name": _scalar(root, "name") or "unknown",

@@ -1,5 +1,5 @@
-"""Describes the rows of the index: runs, their coefficients and verdicts, and folders that could not be read. All times are UTC,
-ISO 8601."""
+"""Describes the rows of the index: runs, their coefficients and verdicts, and folders that could not be read. All times are in UTC,
+in the format ISO 8601."""
 
 from __future__ import annotations
 
@@ -158,8 +158,9 @@ class IndexedRun:
 
 @dataclass(frozen=True, slots=True)
 class RunFilter:
-    """Selects runs; a criterion that is empty matches all runs. A text matches values that are equal to it; a text with `*` or `?`
-    is a pattern. `since`, `until`: first and last moment, ISO 8601 in UTC. If `until` is a day, the whole day is included."""
+    """Selects runs by several criteria. An empty criterion matches all runs. A text matches values that are equal to it; a text
+    with `*` or `?` is a pattern. `since`, `until`: first and last moment, ISO 8601 in UTC. If `until` is a day, the whole day is
+    included."""
 
     device: str = ""
     plan: str = ""

@@ -1,5 +1,5 @@
-"""Computes the history of one coefficient of one device: control charts, changes of level and candidates for their causes, drift
-and the next calibration, and the agreement of benches and laboratories."""
+"""Computes the history of one coefficient of one device. The history contains control charts, changes of level with candidates for
+their causes, the drift and the date of the next calibration, and the agreement of benches and laboratories."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ DAY = 86400.0
 class Trend:
     """The history of a coefficient.
 
-    `points`: the runs whose value can be used, the oldest first. `values`, `standard_uncertainties`: arrays of shape (n,), values
-    and standard uncertainties in `unit`, which is the unit of the newest run. `left_out`: folders of runs whose value cannot be
-    used, because it has another dimension, is missing, or has no finite uncertainty. `charts`, `drift`: control charts and drift
-    line; None if there are too few values. `tolerance`: permissible deviation from which the next calibration is computed; None if
-    it is not stated.
+    `points`: the points of the runs whose value can be used, the oldest first. `values`, `standard_uncertainties`: arrays of shape
+    (n,), values and standard uncertainties in `unit`, which is the unit of the newest run. `left_out`: folders of runs whose value
+    cannot be used, because it has another dimension, is missing, or has no finite uncertainty. `charts`, `drift`: control charts
+    and drift line; None if there are too few values. `tolerance`: the permissible deviation, which determines when the next
+    calibration is due; None if it is not stated.
     """
 
     device: str
