@@ -1,9 +1,9 @@
-"""The command line: one module for each command. The module of a command contains only its arguments, its progress display and the
-printing of its results.
+"""The command line, with one module for each command. The module of a command contains only its arguments, its progress display and
+the printing of its results.
 
-A command's module is imported when the command is used, so that `check` stays quick. Every failure becomes a message and an exit
-code here. The exit codes are: 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during
-execution, 4 a file was changed or damaged, 130 ended by a signal.
+A command's module is imported when the command is used, so that `check` stays quick. This package converts every failure to a
+message and an exit code. The exit codes are: 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3
+a fault during execution, 4 a file was changed or damaged, 130 ended by a signal.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ COMMANDS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Returns the `planrunner` command. Returns the exit code."""
+    """Runs the `planrunner` command. Returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     _print_anything()
     with printable_streams(), COMMAND:
@@ -142,8 +142,8 @@ def _let_go_of_output() -> None:
 
 
 def _print_anything() -> None:
-    """Makes the output streams accept all characters. Characters that the terminal's encoding lacks, such as °, are then shown as
-    codes; without this, they would end the command."""
+    """Makes the output streams accept all characters. A character that the encoding of the terminal lacks, such as °, is then shown
+    as a code; otherwise it would end the command with an error."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

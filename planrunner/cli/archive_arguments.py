@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def folder_argument(text: str, *, anew: bool = False) -> Path:
-    """Reads a command-line argument that names a folder of runs, or a run; returns the path of the folder. If the argument is a
-    URL, the folder is copied to this computer at once (`archive.remote`), because commands read only local folders. `anew`: True to
+    """Reads a command-line argument that names a run or a folder of runs. Returns the path of the folder. If the argument is a URL,
+    the folder is copied to this computer immediately (`archive.remote`), because commands read only local folders. `anew`: True to
     copy even files that have not changed since an earlier copy."""
     if "://" not in text:
         return Path(text)
@@ -32,8 +32,8 @@ def folder_argument(text: str, *, anew: bool = False) -> Path:
 
 
 def folder_to_verify(text: str) -> Path:
-    """Does the same as `folder_argument`, except that all files of a URL are always copied again, because an older copy does not
-    show the present state."""
+    """Does the same as `folder_argument`, except that all files of a URL are copied again, because an older copy does not show the
+    present state."""
     return folder_argument(text, anew=True)
 
 
@@ -91,7 +91,7 @@ def opened_index(args: argparse.Namespace, archive: Path) -> Iterator[Index]:
 
 
 def report_left_out(faults: Sequence[FaultRow]) -> int:
-    """Prints on stderr which damaged runs a command omits. Returns the exit code that these runs cause."""
+    """Prints on stderr the damaged runs that a command omits. Returns the exit code that these runs cause."""
 
     for fault in faults:
         print_line(f"not in the index: {fault.folder}: {fault.message}", sys.stderr)

@@ -138,7 +138,7 @@ def sound_plan(plan: str, bench: str | None, parameters: Sequence[str] = ()) -> 
 
 
 def summary(checked: Checked, looked_over: bool = True) -> str:
-    """Returns a summary for the terminal: whether the plan is sound, how long it takes, and the expected uncertainties.
+    """Returns a summary for the terminal: whether the plan is sound, the time that it takes, and the expected uncertainties.
     `looked_over`: True if the check also examined a recording that the bench plays back."""
     errors, warnings = (
         sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")
@@ -179,7 +179,7 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
 
 
 def _columns(pairs: list[tuple[str, str]]) -> str:
-    """Prints pairs of texts in columns: three pairs on a line, or as many as fit the terminal."""
+    """Writes pairs of texts in columns, with three pairs on a line, or fewer if the terminal is too narrow."""
     wide = [max(len(name) for name, _ in pairs), max(len(text) for _, text in pairs)]
     cells = [f"{name:<{wide[0]}} {text:<{wide[1]}}" for name, text in pairs]
     across = max(1, min(3, (columns(sys.stdout) - 1) // (sum(wide) + 4)))

@@ -1,5 +1,5 @@
-"""`planrunner close`: repeats four steps until none of the remaining differences can be attributed to a named effect: it diagnoses,
-enters the effects found into the simulation, simulates, and compares."""
+"""`planrunner close`: repeats four steps until no remaining difference can be attributed to a named effect. The steps are to
+diagnose, to enter the effects found into the simulation, to simulate, and to compare."""
 
 from __future__ import annotations
 

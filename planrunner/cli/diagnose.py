@@ -190,7 +190,8 @@ def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
 
 
 def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
-    """Returns the options of the diagnosis from the command line; None if there are none, so that the options in the plan apply."""
+    """Returns the options of the diagnosis from the command line; None if there are none, in which case the options in the plan
+    apply."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.gap.hypotheses.candidates import FULL
 

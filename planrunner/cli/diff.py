@@ -70,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _textconv(path: Path) -> int:
-    """Prints the meaning of a file, for `git diff`. If the file is not a sound plan or bench, its text is printed instead, because
-    git needs some text for every version."""
+    """Prints the meaning of a file, for `git diff`. If the file is not a valid plan or bench, prints its text instead, because git
+    needs a text for every version."""
     from planrunner.plan import source
     from planrunner.tasks.diff import meaning_of_file
 

@@ -48,8 +48,8 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
 
 
 def runs_of(args: argparse.Namespace) -> list[Path]:
-    """Returns the run folders to work on: those given as arguments or, with --all, those in the archive. Raises `InputError` if
-    --all is used with several folders."""
+    """Returns the run folders that the command processes: those given as arguments or, with --all, those in the archive. Raises
+    `InputError` if --all is used with several folders."""
     runs: list[Path] = args.runs
     if not args.all:
         return run_folders(runs)
@@ -66,8 +66,8 @@ def archive_of(runs: Sequence[Path]) -> Path:
 
 
 def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:
-    """Does the work on every run, even after it has failed for some of them. A failure is printed; with `--json`, it is in
-    `findings` of the run's entry.
+    """Does the work for every run; if it fails for one run, it continues with the next. A failure is printed; with `--json`, it is
+    in `findings` of the run's entry.
 
     With several runs, the name of each run precedes its output. The exit code is the highest of all runs.
     """
@@ -91,11 +91,11 @@ def each_result(
     as_json: bool,
     last: Callable[[], Done | None] | None = None,
 ) -> int:
-    """Does the same as `each_run`, for work that prints nothing itself, so that several workers can share the runs. `work` must be
-    a function defined at module level, or a `partial` of such a function, because it is sent to workers.
+    """Does the same as `each_run`, but several workers can share the runs, because the work itself prints nothing. `work` must be a
+    function defined at module level, or a `partial` of such a function, because it is sent to workers.
 
     `show`: prints one result; it is called in the order of the runs. `what`: text that describes the work in the progress. `last`:
-    computes a further result from all runs together, which becomes the last entry.
+    a function that computes a further result from all runs together; this result becomes the last entry.
     """
     alone = len(runs) == 1 and not as_json
     with reading_progress(as_json) as notice:

@@ -1,4 +1,5 @@
-"""`planrunner estimate`: makes estimates from stored recordings only: as a new analysis of each run, or to prove a stored analysis."""
+"""`planrunner estimate`: makes estimates from stored recordings. The result is a new analysis of each run, or a proof that a stored
+analysis can be reproduced."""
 
 from __future__ import annotations
 

@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _told(words: list[Path]) -> tuple[list[Path], str]:
-    """Splits the arguments into the run folders and the name of an estimate. The last argument is the name of an estimate if it is
-    not a folder. The first argument is always a run."""
+    """Splits the arguments into the run folders and the name of an estimate. The first argument is always a run. The last of
+    several arguments is the name of an estimate if it is not a folder."""
     *others, last = words
     return (others, str(last)) if others and not last.is_dir() else (words, "")
 

@@ -14,8 +14,8 @@ from planrunner.cli.printing import print_findings
 
 @dataclass(frozen=True, slots=True)
 class CommandFailure:
-    """A failure of a command. `text`: text for the terminal, if it contains more than the findings; it is printed instead of the
-    findings. `trace`: traceback of an unexpected exception, kept until it has been saved (see `saved`)."""
+    """A failure of a command. `text`: text that is printed on the terminal instead of the findings, if it contains more than these.
+    `trace`: traceback of an unexpected exception, until it has been saved (see `saved`)."""
 
     code: int
     findings: tuple[Finding, ...]
@@ -64,7 +64,7 @@ _INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
 def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailure:
-    """Makes the failure that reports an exception. `where`: file or folder that the command works on, for findings without a
+    """Makes the failure that reports an exception. `where`: file or folder that the command processes, for findings without a
     position.
 
     The traceback of an unexpected exception is saved in a temporary file, which the message names.

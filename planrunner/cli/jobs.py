@@ -1,4 +1,5 @@
-"""Options for where a command computes: `--jobs` for processes on this computer, `--scheduler` for a Dask cluster."""
+"""Defines the options that determine where a command computes: `--jobs` for processes on this computer, and `--scheduler` for a
+Dask cluster."""
 
 from __future__ import annotations
 

@@ -124,7 +124,8 @@ def _add(args: argparse.Namespace) -> int:
 
 
 def _require_ring(text: str, path: Path, name: str) -> None:
-    """Raises `InputError` if `text`, which is the file with the new entry appended, is not a key ring that contains `name`."""
+    """Checks `text`, which is the file of a key ring with a new entry. Raises `InputError` if it is not a key ring that contains
+    `name`."""
     from planrunner.signing.key_ring import parse_ring
 
     try:

@@ -1,4 +1,5 @@
-"""`planrunner log`: manages the log of an archive, which shows removed and replaced runs, and makes its tree heads and proofs."""
+"""`planrunner log`: manages the log of an archive, which reveals removed and replaced runs. Also makes the tree heads and proofs of
+the log."""
 
 from __future__ import annotations
 

@@ -28,9 +28,9 @@ def add_live_page(parser: argparse.ArgumentParser) -> None:
 
 
 class TerminalOperator:
-    """The operator at the terminal. `notify`: function that shows a line of text to the operator. A separate thread reads the
+    """The operator at the terminal. `notify`: a function that shows a line of text to the operator. A separate thread reads the
     answers, so that the run continues to supervise the bench and reacts to Ctrl-C. This thread reads directly from the file
-    descriptor: if it still waits when the program exits, it would otherwise keep the buffer of stdin locked."""
+    descriptor. Otherwise, if it still waits when the program exits, it would keep the buffer of stdin locked."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify
@@ -49,7 +49,7 @@ class TerminalOperator:
         self._notify(text)
 
     def _read(self) -> None:
-        """Counts the lines that the operator enters; each line answers one question. A closed terminal gives no answer."""
+        """Counts the lines that the operator enters. Each line answers one question. A closed terminal gives no answer."""
         try:
             while piece := os.read(sys.stdin.fileno(), 1024):
                 self._answers += piece.count(b"\n")
@@ -58,8 +58,8 @@ class TerminalOperator:
 
 
 class PageOperator:
-    """An operator who uses the live page, and whose answers come through the run folder. `notify`: function that shows a line of
-    text to the operator."""
+    """An operator who uses the live page. The answers arrive in the run folder. `notify`: a function that shows a line of text to
+    the operator."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify

@@ -1,4 +1,4 @@
-"""Prints the output of commands at the end of a run or an analysis, and determines the exit codes that follow."""
+"""Prints the output of commands at the end of a run or an analysis, and determines the exit codes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 
 def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
-    """Reports on stderr how an unfinished run ended, what was kept, and how to continue; with JSON output, also prints JSON."""
+    """Reports on stderr how an unfinished run ended, which data are stored, and how to continue. With JSON output, also prints
+    JSON."""
     for failure in outcome.failures:
         print(f"error: {failure}", file=sys.stderr)
     for unsafe in outcome.unsafe:
@@ -56,8 +57,8 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
 
 
 def conclude(analysis: Analysis, *, as_json: bool) -> Done:
-    """Prints the results, unless JSON output is requested. The last line is the path of the first report, or of the analysis if
-    there are no reports. Returns the exit code that follows from the results, and the results as JSON."""
+    """Prints the results, unless JSON output is requested. The last line is the path of the first report or, if there are no
+    reports, of the analysis. Returns the exit code that follows from the results, and the results as JSON."""
     if not as_json:
         print_results(analysis.results, analysis.headline)
         for path in reversed(analysis.reports or (analysis.folder,)):
@@ -70,9 +71,9 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
 
 
 def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | None = None) -> int:
-    """Ends a command that made one run: prints its results and returns the exit code. It counts as a fault if the bench should have
-    signed the run but did not, unless the results already cause another exit code. If the run measured the check standard of the
-    bench, it also reports whether the standard is in control. `run`: the run folder; None if the results come from no run on a
+    """Ends a command that made one run: prints its results and returns the exit code. A missing signature of the bench counts as a
+    fault, unless the results already cause another exit code. If the run measured the check standard of the bench, the function
+    also reports whether the standard is in control. `run`: the run folder; None if the results do not come from a run on a
     bench."""
     done = conclude(analysis, as_json=as_json)
     unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
@@ -83,9 +84,9 @@ def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | N
 
 
 def _check_standard(run: Path) -> tuple[JsonObject, bool]:
-    """Reports on stderr the state of the check standard that a run measured. Returns this state as JSON data, and whether the
-    standard is in control. The state is null if it cannot be determined, which does not affect the run. For a run that did not
-    measure a check standard, the JSON data are empty."""
+    """Reports on stderr the state of the check standard that a run measured. Returns this state as JSON data, and True if the
+    standard is in control. If the state cannot be determined, it is null; the run is not affected. If the run did not measure a
+    check standard, the JSON data are empty."""
     from planrunner.tasks.check_standard import state_after
 
     try:

@@ -3,8 +3,8 @@
     12 |     dwell: 30
        |            ^^
 
-The source line is shown as it was read, even if the file has changed or was removed since then, or was a pipe. Before columns are
-counted, control characters are replaced by codes, and characters that the encoding lacks are replaced by escape sequences.
+The source line is shown as it was read, even if the file was changed or removed later, or was a pipe. Before columns are counted,
+control characters are replaced by codes, and characters that the encoding lacks are replaced by escape sequences.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ def _cell(char: str, encoding: str) -> tuple[str, int]:
 
 
 def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> tuple[str, int, int]:
-    """Returns the part of a line that fits into `room` columns and contains the cells from `first` to `last`. The function also
-    returns the number of columns before these cells, and the number of columns that the cells take."""
+    """Returns the part of a line that fits into `room` columns and contains the cells from `first` to `last`. Also returns the
+    number of columns before these cells, and the number of columns of the cells."""
     widths = [width for _, width in cells]
     begin, end = 0, len(cells)
     if sum(widths) > room:
@@ -154,7 +154,8 @@ def print_line(text: str, file: TextIO | None = None) -> None:
 
 
 def name_file(path: Path, as_json: bool) -> None:
-    """Prints the name of a file that was written. With `--json` the name goes to stderr, because stdout contains the JSON."""
+    """Prints the name of a file that was written. With `--json`, the name is printed on stderr, because stdout contains the
+    JSON."""
     print(path, file=sys.stderr if as_json else sys.stdout)
 
 

@@ -1,5 +1,5 @@
-"""Shows the progress and the remaining time of runs and of reading long recordings. On a terminal this is a bar, elsewhere a line
-from time to time; nothing is shown if the user asks for quiet.
+"""Shows the progress and the remaining time of runs, and of reading long recordings. On a terminal, it shows a bar; elsewhere, it
+prints a line from time to time. With the option for quiet output, it shows nothing.
 """
 
 from __future__ import annotations

@@ -126,8 +126,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _admission(args: argparse.Namespace, sound: Sound, info: Mapping[str, Json]) -> Admission | None:
-    """Returns the permission for a run to begin, as far as it depends on the check standard of the bench; None if the bench has no
-    check standard and no override is given. Prints the warnings that arise in this check."""
+    """Checks whether the check standard of the bench permits a run to begin, and prints the warnings of this check. Returns the
+    permission; None if the bench has no check standard and no override is given."""
     override = override_of(args)
     if sound.bench.check_standard is None and override is None:
         return None

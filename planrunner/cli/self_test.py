@@ -1,4 +1,4 @@
-"""`planrunner self-test`: tests this installation with reference data whose answers are known."""
+"""`planrunner self-test`: tests this installation with reference data whose correct results are known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner verify`: shows what has been changed in run folders since they were written; the exit code is 4 if anything has been
+"""`planrunner verify`: shows what was changed in run folders after they were written. The exit code is 4 if anything was
 changed."""
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def _log(monitor: Monitor, *, until_idle: bool) -> None:
 
 
 def _kind(run: RunningRun) -> object:
-    """Returns the part of a run's state whose change makes a new line worth printing."""
+    """Returns the part of a run's state that causes a new line to be printed when it changes."""
     return run.state.paused, run.state.question, run.asked_to_pause, len(run.state.notices)
 
 

@@ -1,1 +1,1 @@
-"""Runs in progress: observing them in an archive, serving the live page, and showing them on a terminal."""
+"""Observes the runs in progress in an archive, serves the live page, and shows runs in progress on a terminal."""

@@ -1,8 +1,7 @@
-"""Finds the runs of an archive that are in progress, from their run folders, and carries out what a person asks for: pause,
-continue, confirm a prompt.
+"""Finds the runs of an archive that are in progress, and executes what a person requests: pause, continue, or confirm a prompt.
 
-Runs are executed by other processes. A run that has a live state counts as running if the live state changes or if the run folder
-is locked. Whether a folder is locked is tested as rarely as possible, because each test holds the lock for a moment.
+Runs are executed by other processes. A run with a live state counts as running if the live state changes, or if the run folder is
+locked. The lock is tested as rarely as possible, because each test holds the lock for a moment.
 """
 
 from __future__ import annotations
@@ -101,8 +100,8 @@ class Activity:
 class _Pulse:
     """The last live state of a run.
 
-    `at`: the time that this live state contains. `seen`: time at which this live state was first seen, s. `alive`: True if the
-    folder of the run was locked; None if this has not been tested for this live state.
+    `at`: the time in this live state. `seen`: time at which this live state was first read, s. `alive`: True if the folder of the
+    run was locked; None if this has not been tested for this live state.
     """
 
     at: str
@@ -235,7 +234,7 @@ class Monitor:
             raise self._refused(run, f"the run folder cannot be written: {error.strerror or error}") from None
 
     def _written(self, run: str) -> GuardedFolder:
-        """Opens the folder of a run; the run must be one that a process is writing."""
+        """Opens the folder of a run that a process is writing."""
         try:
             folder = self._archive.folder(run)
             if read_live(folder) is not None and pausing.is_written(folder):

@@ -1,10 +1,10 @@
 """The server of the live page. It listens only on the loopback interface, requires a token, and makes no external request.
 
-The page and its script contain no data and need no token. All data and actions need the token in the `Authorization` header; the
-page takes it from the fragment of its address, which browsers do not send. A cookie would not be secret, because browsers send it
-to every other server on this computer too. Requests whose `Host` is not this server, and actions whose `Origin` is not this page,
-are refused. Another site can therefore not reach the server through the browser, even if the name of that site resolves to
-127.0.0.1.
+The page and its script contain no data and need no token. All data and actions need the token in the `Authorization` header. The
+page takes the token from the fragment of its address, which browsers do not send. A cookie would not be secret, because browsers
+would send it to every other server on this computer as well. Requests with another `Host` than this server, and actions with
+another `Origin` than this page, are refused. Therefore another site cannot reach the server through the browser, even if the name
+of this site resolves to 127.0.0.1.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Describes each effect that a diagnosis names: its plain name, its physics, who must act, and what to do, with the fitted
-parameters."""
+"""Describes each effect that a diagnosis names: its plain name, its physics, who must act, and what to do. The text contains the
+fitted parameters."""
 
 from __future__ import annotations
 

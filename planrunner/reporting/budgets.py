@@ -1,5 +1,5 @@
-"""Prepares uncertainty budgets for templates: the columns of JCGM 100:2008, table H.1, and in addition the share and the source of
-each input."""
+"""Prepares uncertainty budgets for templates. They have the columns of JCGM 100:2008, table H.1, and also show the share and the
+source of each input."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def two_digits(uncertainty: float) -> str:
 
 
 def freedom(value: float) -> str:
-    """Degrees of freedom as text; effective degrees of freedom below a hundred have one decimal. Numbers above ten thousand no
-    longer affect the coverage factor."""
+    """Returns degrees of freedom as text. Effective degrees of freedom below a hundred have one decimal. Numbers above ten thousand
+    are not distinguished, because they no longer affect the coverage factor."""
     if not math.isfinite(value):
         return "∞"
     if value > 1e4:

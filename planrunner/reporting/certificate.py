@@ -1,5 +1,5 @@
-"""Data for the template of a certificate, in addition to the data of the report. These data are plain text, in parts that
-catalogues can translate.
+"""Makes the data for the template of a certificate that the data of the report do not contain. They are plain texts, divided into
+parts that catalogues can translate.
 
 The wording is in the template; names, figures and dates are prepared here. A missing value is an empty text, which the page shows
 as not stated.
@@ -127,9 +127,8 @@ def _factor(item: Coefficient, probability: float) -> str:
 def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
     """Returns the decision rules that were used, each listed once.
 
-    Each rule has the keys factor, percent and risk. `factor` is the factor r of the guard band r·U, `percent` is the coverage
-    probability of U, and `risk` is, for r ≥ 1, an upper bound, in percent, of the probability that an accepted value lies beyond
-    one limit."""
+    Each rule has three keys. `factor`: factor r of the guard band r·U. `percent`: coverage probability of U. `risk`: for r ≥ 1, an
+    upper bound, in percent, of the probability that the true value is beyond a limit although the measured value was accepted."""
     used = sorted({(limit.rule, limit.guard_factor, limit.coverage) for limit in limits})
     return [
         {

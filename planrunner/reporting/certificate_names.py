@@ -1,8 +1,7 @@
-"""Names that certificates show in their own language: names of conditions, of estimators, and of references that are named after
-their role.
+"""Provides names that certificates show in their own language: names of conditions, of estimators, and of references that are named
+after their role.
 
-In English, an estimator has the name that plans use. An estimator of a plug-in package has, in every language, the name that plans
-use.
+In English, an estimator has the name that plans use. An estimator of a plug-in package has this name in every language.
 """
 
 from __future__ import annotations

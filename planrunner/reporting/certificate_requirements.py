@@ -2,7 +2,7 @@
 
 `ASKED` lists the run information that certificates use by name. docs/certificates.md shows where each item appears on the page.
 
-The module also collects the references to which the results of a bench are traceable: its instruments and its site, with their
+The module also lists the references to which the results of a bench are traceable: its instruments and its site, with their
 calibrations.
 """
 
@@ -117,7 +117,7 @@ def room_condition(information: str) -> str | None:
 
 def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
     """Returns the required information that the bench file lacks. `known`: names of the run information that is given, or that the
-    plan asks for. `holds_temperature`: True if the plan holds a temperature."""
+    plan requests. `holds_temperature`: True if the plan holds a temperature."""
     found = []
     if bench.laboratory is None:
         remedy = "add laboratory: {name: …, address: …} to the bench file"

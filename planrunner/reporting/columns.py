@@ -1,4 +1,4 @@
-"""Tables made of declared columns. Each column states its heading, its role, and the cell for a row."""
+"""Makes tables from declared columns. Each column states its heading, its role, and how to make its cell for a row."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The input of reports: plain records that depend on no instrument and no estimator."""
+"""Defines the input of reports: plain records that do not depend on instruments or estimators."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class PrintedSignature:
     `meaning`: for a person, `reviewed`, `approved` or `released`; for a bench, `recorded` or `evaluated`. `name`: name of the
     signer. `at`: time of signing according to the signer's clock, UTC. `key`: fingerprint of the signing key. `analyses`: numbers
     of the analyses that the signature covers. `standing`: valid (made with a key in the key ring), unknown (made with a key that
-    nobody has confirmed), or invalid. `owner`: name of the key in the key ring. `why`: the reason why the signature is not valid.
+    nobody has confirmed), or invalid. `owner`: name of the key in the key ring. `why`: if the signature is not valid, the reason.
     """
 
     meaning: str
@@ -54,7 +54,7 @@ class PrintedSignature:
 class CertificateFacts:
     """The data that only certificates show. Dates are ISO 8601.
 
-    `laboratory`: the entry `laboratory` of the bench file. `told`: run information that was given with the run and when the
+    `laboratory`: the entry `laboratory` of the bench file. `told`: run information that was given with the run or when the
     certificate was issued. `corrected`: for each item that was changed when the certificate was issued, the value that was recorded
     with the run. `performed`: first and last day of the run. `conditions`: pairs of the name of a condition and its value as text.
     `events`: deviations from the method, each as (kind, segment, reason); the kinds are truncated, rejected and fault. `approvals`:
@@ -104,7 +104,7 @@ class ReportContext:
     facts about the bench (name, description …). `instruments`: maps each role to the instrument's description of itself.
     `failures`: maps each estimate that could not be made to the reason. `provenance`: versions, hashes of plan, bench, journal head
     and seal, number of the analysis, UTC times. `probability`: coverage probability of the expanded uncertainties. `certificate`:
-    additional data for certificates. `on_top`: the facts that the page shows first: item, operator, date, duration, analysis.
+    additional data for certificates. `on_top`: the facts at the top of the page: item, operator, date, duration, analysis.
     `origin`: whether the samples are measured, simulated or played back, if known. `seal`: SHA-256 of seal.json, if the run is
     sealed. `signatures`: signatures that the run had when the page was made.
     """

@@ -1,4 +1,5 @@
-"""Makes the output of a design study of a rotation cycle: residuals and moves of the cycles, the searches, and plots over time."""
+"""Makes the output of a design study of a rotation cycle: the residuals and moves of the cycles, a summary of the searches, and
+plots over time."""
 
 from __future__ import annotations
 
@@ -93,8 +94,8 @@ def _rounds(found: FoundCycles) -> Table:
 
 
 def vector(left: complex) -> str:
-    """Returns the residual of a sensor error as text, in seconds: its component along the sensor error and, if not zero, its
-    component perpendicular to the sensor error."""
+    """Returns the residual of a sensor error as text, in seconds: the component along the sensor error and, if it is not zero, the
+    perpendicular component."""
     along, across = (f"{part:+.2f}" if abs(part) >= 5e-3 else "0" for part in (left.real, left.imag))
     return f"{along} s" if across == "0" else f"{along} s, {across} s across"
 
@@ -125,7 +126,8 @@ def notes(found: FoundCycles) -> tuple[str, ...]:
 
 
 def plots(found: FoundCycles) -> tuple[Plot, ...]:
-    """Plots of the table's angle over one period of the longest cycle, and of the accumulated sensor error over several periods."""
+    """Makes plots of the table's angle over one period of the longest cycle, and of the accumulated sensor error over several
+    periods."""
     longest = max(one.cycle.period for one in found.cycles.values())
     times = np.linspace(0, longest, POINTS)
     angles = {

@@ -112,7 +112,8 @@ def _capital(text: str) -> str:
 
 
 def verdict(found: Data) -> str:
-    """States the answer of the diagnosis in one sentence, and in a second one if the noise differs much from its declaration."""
+    """States the answer of the diagnosis in one sentence. If the noise differs much from its declaration, a second sentence states
+    this."""
     return " ".join(filter(None, (_cause(found), *_noise_beside(found), *_noise_declared_wrongly(found))))
 
 
@@ -183,15 +184,14 @@ def _cause(found: Data) -> str:
 
 
 def _open(found: Data) -> bool:
-    """Returns True if something acts in addition to the named effects; this is judged from the pattern or the size of the residual
-    gap."""
+    """Returns True if, judged from the pattern or the size of the residual gap, something acts in addition to the named effects."""
     rest = found.get("rest")
     visible = rest is not None and not rest["passes"] and float(rest["share"]) >= SMALL_REST
     return visible or (found["verdict"].get("something_else") is True and not _form(found))
 
 
 def _form(found: Data) -> bool:
-    """Returns True if the residual gap may arise because the model of a strong effect is idealised."""
+    """Returns True if the residual gap may exist only because the model of a strong effect is idealised."""
     residue: str | None = found["verdict"].get("form_residue")
     return residue == "unknown"
 
@@ -205,7 +205,7 @@ def _something_else(found: Data) -> str:
 
 
 def _much(found: Data, nearly: bool) -> str:
-    """How much of the gap the named effects explain, in words. If the residual gap is only noise, they explain all of it."""
+    """States in words how much of the gap the named effects explain. If the residual gap is only noise, they explain all of it."""
     rest = found.get("rest")
     if rest is not None and not rest["passes"]:
         return "nearly all of the gap"
@@ -225,8 +225,8 @@ def _rest(found: Data) -> str:
 
 
 def _remainder(residue: str | None, named: list[str]) -> str:
-    """Returns a sentence about a cause in addition to the named effects, or about how certain the weaker of two effects is; empty
-    if neither applies."""
+    """Returns a sentence about an additional cause, or about the certainty of the weaker of two effects; empty if neither is
+    needed."""
     if residue is None:
         return ""
     if residue in named:
@@ -379,7 +379,7 @@ def _gap(found: Data) -> Table:
 
 
 def _closure(found: Data) -> Table:
-    """Returns a table of the gap without and with the effect, with one row for each channel whose data determine it."""
+    """Returns a table of the gap without and with the effect. It has one row for each channel whose data determine the gap."""
     columns: tuple[Shown[Data], ...] = (
         Shown(TableColumn("Channel"), lambda one: one["channel"]),
         Shown(TableColumn("before [σ]", Role.VALUE), lambda one: _short(one["before"])),
@@ -520,8 +520,8 @@ def _change(shrinks_by: float) -> str:
 
 
 def _interval(low: float, high: float) -> str:
-    """Returns the interval of the relative change of a gap as text, with the smaller value first. If the interval includes both
-    reduction and growth, it is in words."""
+    """Returns the interval of the relative change of a gap as text, with the smaller value first. Words are used if the interval
+    includes both reduction and growth."""
     if low >= 0:
         return f"{_percent(low)} to {_percent(high)}"
     if high <= 0:

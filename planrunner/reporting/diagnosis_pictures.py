@@ -1,4 +1,4 @@
-"""Draws the pictures of a diagnosis: heat map over segments and channels, spectra, means of segments, probabilities, and
+"""Draws the pictures of a diagnosis: the heat map over segments and channels, spectra, means of segments, probabilities, and the
 confusability of effects."""
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ large, and so on."""
 
 
 def pictures(found: Data) -> list[JsonObject]:
-    """Title, description and SVG of each picture for which the diagnosis has data, and True if the picture spans the full width of
-    the page."""
+    """Returns the pictures for which the diagnosis has data: for each, the title, a description, the SVG, and True if the picture
+    spans the full width of the page."""
     from markupsafe import Markup
 
     made = []
@@ -167,7 +167,7 @@ def heat_svg(heat: Data, key: str) -> str:
 
 
 def _legend(axes: Axes, colours: Colormap, hottest: float) -> None:
-    """The legend of the colours, as labelled squares above the map."""
+    """Draws the legend of the colours, as labelled squares above the map."""
     for step in range(5):
         times = hottest ** (step / 4)
         label = f"{float(f'{times:.1g}'):g} ×" if step < 4 else f"{times:g} × and more"

@@ -1,8 +1,8 @@
 """Shows the difference between two plans, benches or runs as a page, and as a comment in Markdown for a review.
 
 On the page and in the comment, texts from files are treated as data. On the page, they are escaped, and the content security policy
-prevents loading and running anything. In the comment, every text from a file is in a code element, and all characters that Markdown
-could interpret are written as entities.
+does not permit any loading or execution. In the comment, every text from a file is in a code element, and all characters that
+Markdown could interpret are written as entities.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def render_difference(compared: Compared) -> str:
 
 
 def difference_view(compared: Compared) -> JsonObject:
-    """Data for the template: headline, sides (name, digest, totals, timeline), tables, pictures, notes."""
+    """Returns the data for the template: headline, sides (name, digest, totals, timeline), tables, pictures, notes."""
     pictures = list(_pictures(compared))
     hidden = len(pictures) - MAX_PICTURES
     return {
@@ -144,7 +144,8 @@ _PLAIN = frozenset(" ,+-=()%°±→–−")
 
 
 def code(text: str) -> str:
-    """Returns a text as a code element in Markdown, in which nothing is markup, a link, a mention or the end of a table cell."""
+    """Returns a text as a code element in Markdown. No part of the text then acts as markup, as a link, as a mention or as the end
+    of a table cell."""
     one_line = printable(" ".join(text.split()), keep="")
     dots = "" if "www." in one_line.lower() else "."
     signs = [char if char.isalnum() or char in _PLAIN or char in dots else f"&#{ord(char)};" for char in one_line]

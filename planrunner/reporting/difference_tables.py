@@ -1,5 +1,5 @@
-"""The difference between two plans, benches or runs as tables and as JSON; the terminal, the page and the comment in Markdown show
-the same tables.
+"""Presents the difference between two plans, benches or runs as tables and as JSON. The terminal, the page and the comment in
+Markdown show the same tables.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ def difference_tables(compared: Compared) -> list[Table]:
 
 
 def notes(compared: Compared) -> list[str]:
-    """Notes on differences that do not change the meaning but may interest a reader, and on results that could not be computed."""
+    """Returns notes on differences that do not change the meaning but may interest a reader, and on results that could not be
+    computed."""
     found = compared.meaning
     lines = [
         f"The {change.place[-1]} differs. It is a text for readers, so this is not a difference in meaning."

@@ -1,6 +1,6 @@
 """Writes coefficients as files for other tools: CSV, MATLAB, YAML and C header, in full precision with units and covariance.
 
-The text of a name, unit or description cannot leave its field, comment or string.
+Texts of names, units and descriptions are escaped, so that they cannot end the field, comment or string that contains them.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ def _cell(text: str) -> str:
 
 
 def _matlab(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """Returns a MATLAB script that sets a struct: value, unit, u and nu of every coefficient, the period of circular quantities,
-    the names, and the covariance matrix."""
+    """Returns a MATLAB script that sets a struct. The struct contains value, unit, u and nu of every coefficient, the period of
+    circular quantities, the names, and the covariance matrix."""
     root = identifiers([estimate.name], M_WORDS)[0]
     fields = identifiers([item.name for item in estimate.coefficients], M_WORDS)
     lines = [f"% {line}" for line in _opening(estimate, provenance)]

@@ -54,7 +54,7 @@ def statements(found: Data) -> list[str]:
 
 
 def news(found: Data) -> list[str]:
-    """Returns the sentences about changes and their times, and about properties that the devices of a lot have in common."""
+    """Returns only the sentences about changes and their times, and about properties that the devices of a lot have in common."""
     changed = [_of_change(one, change) for one in found["amplitudes"] for change in one["changes"]]
     return [*changed, *map(_of_lot, found["shared"])]
 
@@ -113,8 +113,8 @@ def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
 
 
 def _clear(part: Data) -> float:
-    """Ratio of a part's difference from the other parts to the expanded uncertainty of the difference. If there are no other parts,
-    ratio of the part's own value to its expanded uncertainty."""
+    """Returns how clear a part is: its difference from the other parts, divided by the expanded uncertainty of this difference. If
+    there are no other parts, returns the value of the part divided by its expanded uncertainty."""
     one = part["difference"] or part["part"]
     return abs(float(one["value"])) / float(one["expanded_uncertainty"])
 
@@ -125,8 +125,8 @@ def _with_u(one: Data, unit: str) -> str:
 
 
 def _who(found: Data, sources: Sequence[str], part: Data) -> str:
-    """Names a source, such as `bench bench-2`, `bench bench-2 since 2026-03-03 22:14 UTC`, or `bench bench-2, or what all runs have
-    in common`."""
+    """Returns the name of a source, such as `bench bench-2`, `bench bench-2 since 2026-03-03 22:14 UTC`, or `bench bench-2, or what
+    all runs have in common`."""
     if list(sources) == ["common"]:
         return "all runs"
     run = next(run for run in found["runs"] if run[sources[0]] == part["label"])
@@ -237,7 +237,8 @@ def _runs(found: Data) -> Table:
 
 
 def plots(found: Data) -> list[Plot]:
-    """Plots of the estimated effects, without the nominal terms, and of amplitudes that a device, bench or occasion changes."""
+    """Makes plots of the estimated effects, without the nominal terms, and of the amplitudes that a device, bench or occasion
+    changes."""
     fitted = set(found["effects"])
     chosen = [
         one

@@ -1,4 +1,4 @@
-"""Tables, sentences and a plot drawn with text characters, for the commands `runs`, `history` and `compare`."""
+"""Makes tables, sentences and a plot of text characters for the commands `runs`, `history` and `compare`."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def alarms(found: Trend, k: int) -> list[str]:
 
 
 def control_table(state: ControlState) -> Table:
-    """Returns a table of the control of a check standard: for each coefficient, one row for each comparison of the newest value
+    """Returns a table about the control of a check standard. Each coefficient has one row for each comparison of its newest value
     with limits, or a single row if there are no limits."""
     titles = (
         "coefficient", "unit", "newest value", "u", "values", "compared with", "centre", "lower limit", "upper limit", "outside"

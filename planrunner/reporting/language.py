@@ -1,12 +1,12 @@
-"""The languages of pages: English as in the templates, and other languages through the catalogues of translations in `locales/`.
+"""Provides the languages of pages: English from the templates, and other languages by the catalogues of translations in `locales/`.
 
 Catalogues are read as gettext PO text. Pages therefore show exactly the texts that reviewers read, and nothing has to be compiled.
 A placeholder of a page template can only have the form `%(name)s`, so that no template can request a width that would fill the
 memory.
 
-Texts of estimators are `planrunner.base.said.Said`: "{output}: offset at zero rate" with its values is a message of the catalogue,
-in which the translation has the same names. A number is formatted as in the English template, with the decimal sign of the
-language.
+Texts of estimators are objects `planrunner.base.said.Said`. Their template, such as "{output}: offset at zero rate", is a message
+of the catalogue; the translation contains the same names in braces. A number is formatted as in the English template, with the
+decimal sign of the language.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def languages() -> tuple[str, ...]:
 @lru_cache(maxsize=8)
 def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
     """Maps each English message to its translation, or to the plural forms of its translation. Doubtful (fuzzy) and empty entries
-    are omitted. The English plural form is also a key, because in earlier versions a text could have only this form, and stored
-    results contain it."""
+    are omitted. The English plural form is a further key, because stored results of earlier versions may contain only this form of
+    a text."""
     if language == ENGLISH:
         return {}
     from babel.messages.pofile import read_po
@@ -56,9 +56,9 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
 
 
 def spoken(language: str) -> dict[str, Callable[..., str]]:
-    """Returns the functions that Jinja's i18n extension calls, and the function `term` for texts with a template in the data, such
-    as the description of a coefficient. Text without a template or without a translation stays as it is. The result is escaped like
-    other text."""
+    """Returns the functions that Jinja's i18n extension calls, and the function `term`, which translates texts that have a template
+    in the data, such as the description of a coefficient. Text without a template or without a translation stays as it is. The
+    result is escaped like other text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Json) -> str:

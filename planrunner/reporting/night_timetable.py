@@ -69,7 +69,7 @@ def headline(table: Timetable) -> str:
 
 
 def timetable_lines(table: Timetable, width: int = 100) -> list[str]:
-    """Returns one line for each test and warm-up, with a bar, grouped by bench; then the tests that will not run."""
+    """Returns one line with a bar for each test and warm-up, grouped by bench, followed by the tests that will not run."""
     night = table.forecast
     lines = [f"  {headline(table)}"]
     names = [table.name(slot) for slot in night.slots]

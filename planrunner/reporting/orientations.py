@@ -1,7 +1,8 @@
-"""Pictures of orientations: the sensor's axes in the site's East-North-Up frame, as inline SVG drawn from the attitude.
+"""Draws pictures of orientations: the sensor's axes in the site's East-North-Up frame, as inline SVG.
 
 The viewpoint is south-south-east of the sensor and above it, so that east points right, north points away from the viewer, and up
-points upwards. No two of the six cardinal directions coincide. Axes towards the viewer are drawn over axes pointing away.
+points upwards. In this view, no two of the six cardinal directions coincide. Axes towards the viewer are drawn over axes pointing
+away.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Charts as inline SVG: values for labels or over x, curves, correlations, and the timeline of a schedule.
+"""Draws charts as inline SVG: values for labels or over x, curves, correlations, and the timeline of a schedule.
 
-They are drawn by matplotlib at the width of a phone and scaled by the page, so that text is legible on phones and large screens.
-Text in a chart stays text, and equal data give equal bytes.
+Matplotlib draws the charts at the width of a phone, and the page scales them, so that text is legible on phones and on large
+screens. Text in a chart is stored as text. Equal data give equal bytes.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _STYLE: dict[RcKeyType, object] = {
 def plot_svg(plot: Plot, key: str) -> str:
     """Returns one chart: points with error bars (±1 standard uncertainty) over labels, points and lines over numbers, or curves.
 
-    `key`: a name unique in the page, of letters, digits and hyphens, with which the ids in the picture begin.
+    `key`: a name of letters, digits and hyphens that is unique in the page. All ids in the picture begin with it.
     """
     labels = _labels(plot.x)
     with drawing(WIDTH, 3.1) as (figure, save):
@@ -81,8 +81,8 @@ def plot_svg(plot: Plot, key: str) -> str:
 
 
 def _plain_ticks(axes: Axes) -> None:
-    """Formats the numbers at logarithmic axes as plain text, because formulas are not drawn. An axis of less than two decades also
-    shows 2 and 5."""
+    """Formats the numbers at logarithmic axes as plain text, because formulas are not drawn in these charts. An axis of less than
+    two decades also shows 2 and 5."""
 
     def between(value: float, _: float) -> str:
         leading = round(value / 10 ** math.floor(math.log10(value)), 6)
@@ -135,9 +135,9 @@ def _draw_courses(axes: Axes, plot: Plot) -> None:
 
 
 def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Indices of those values (n,) of a curve that are drawn. A curve of up to `most` values is drawn completely. Of a longer
-    curve, the first and the last value are drawn, and from each of many equal intervals the lowest, the highest and the first
-    non-finite value. No peak and no gap is lost in this way."""
+    """Returns the indices of those values (n,) of a curve that are drawn. A curve of up to `most` values is drawn completely. A
+    longer curve is divided into many equal intervals. Its first and last value are drawn, and the lowest, the highest and the first
+    non-finite value of each interval, so that no peak and no gap is lost."""
     if len(values) <= most:
         return np.arange(len(values))
     kept = {0, len(values) - 1}
@@ -271,7 +271,7 @@ def drawing(width: float, height: float) -> Iterator[tuple[Figure, Callable[[str
 
 
 def _make_room(figure: Figure) -> None:
-    """Sets the margins so that the text around the axes, which stand in one column, lies within the figure.
+    """Sets the margins of a figure with one column of axes, so that the text around the axes is within the figure.
 
     The text is measured only once: matplotlib's constrained layout measures it twice, and measuring takes as long as drawing.
     """
@@ -296,7 +296,7 @@ def _make_room(figure: Figure) -> None:
 
 
 def _bounded(margins: Array) -> Array:
-    """Reduces the margins, which are fractions of the figure, so that at least a tenth of the figure is left to the axes even if
+    """Reduces the margins, which are fractions of the figure, so that at least a tenth of the figure remains for the axes, even if
     the text is long."""
     return margins * min(1.0, 0.9 / float(margins.sum()))
 

@@ -113,7 +113,7 @@ def _positions(found: FoundPositions) -> Table:
 
 
 def _predicted(found: FoundPositions, one: PositionSet) -> tuple[Coefficient, ...]:
-    """Standard uncertainties that the coefficients of the estimate have with a set of positions."""
+    """Returns the coefficients of the estimate with the standard uncertainties that a set of positions gives."""
     design = one.designs.get(found.sight.name)
     return design.predicted if design is not None else ()
 

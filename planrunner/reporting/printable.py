@@ -1,8 +1,8 @@
 """Converts text from files to a form that cannot control the terminal.
 
-Labels, paths and answers of instruments may hold control characters that erase lines, set a window's title or reverse the reading
-order. Text streams show these characters as codes, whatever part of the program prints them. planrunner's own control sequences,
-such as colours, go to the stream `beneath`.
+Labels, paths and replies of instruments may contain control characters that erase lines, set a window's title or reverse the
+reading order. The text streams of this module show these characters as codes, so no part of the program can print them directly.
+planrunner's own control sequences, such as colours, go to the underlying stream (`beneath`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A picture of a recording whose motion is not described yet: levels over time, with the intervals at rest shaded."""
+"""Draws a recording whose motion is not described yet: levels over time, with the intervals at rest shaded."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Rounds numbers for readers: a value as its uncertainty requires, and the uncertainty to two significant digits (JCGM 100:2008,
-7.2.6).
+"""Rounds numbers for readers. An uncertainty is rounded to two significant digits, and its value to the same last digit (JCGM
+100:2008, 7.2.6).
 
 -1.2346 ± 0.0021        (1.5000 ± 0.0012)e-07        12400 ± 1300
 """
@@ -18,8 +18,8 @@ _PLAIN_FROM, _PLAIN_TO = -5, 6  # decimal exponents of the leading digit that ar
 class Rounded:
     """A rounded value.
 
-    `value`, `uncertainty`: texts with the same number of decimals. `exponent`: the power of ten by which both numbers are to be
-    multiplied, or 0."""
+    `value`, `uncertainty`: texts with the same number of decimals. `exponent`: exponent of the power of ten by which both numbers
+    must be multiplied; 0 if there is none."""
 
     value: str
     uncertainty: str
@@ -35,7 +35,7 @@ class Rounded:
 def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Rounded:
     """Rounds a value to the last one of `digits` significant digits of its uncertainty; ties are rounded to even.
 
-    If the uncertainty is zero, the value has seven significant digits; a non-finite value is shown as such.
+    If the uncertainty is zero, the value has seven significant digits. A non-finite value is written as such.
     """
     if not math.isfinite(value):
         return Rounded(_word(value), "" if standard_uncertainty == 0 else _alone(standard_uncertainty))
@@ -51,16 +51,16 @@ def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Round
 
 
 def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
-    """Value and uncertainty as texts with the same last decimal and the same power of ten; the uncertainty has two significant
-    digits."""
+    """Returns value and uncertainty as texts with the same last decimal and the same power of ten. The uncertainty has two
+    significant digits."""
     pair = rounded(value, uncertainty)
     power = f"e{pair.exponent}" if pair.exponent else ""
     return pair.value + power, pair.uncertainty + power if pair.uncertainty else ""
 
 
 def in_parentheses(value: float, standard_uncertainty: float) -> str:
-    """Returns a value with its standard uncertainty in parentheses, which is in units of the value's last digit: `-1.2346(21)`
-    (JCGM 100:2008, 7.2.2). The sign ± is thus used for expanded uncertainties only.
+    """Returns a value with its standard uncertainty in parentheses, such as `-1.2346(21)`. The number in parentheses is in units of
+    the value's last digit (JCGM 100:2008, 7.2.2). In this way, the sign ± is used only for expanded uncertainties.
 
     An uncertainty of one or more is written with its decimals: `12.4(1.3)`.
     """
@@ -74,7 +74,7 @@ def in_parentheses(value: float, standard_uncertainty: float) -> str:
 
 
 def _decimal(number: float) -> Decimal:
-    """Returns the number as the shortest decimal that stands for it: 0.1 becomes 0.1, not the nearest binary fraction."""
+    """Returns the shortest decimal number that stands for a float: 0.1 becomes 0.1, not the nearest binary fraction."""
     return Decimal(repr(float(number)))
 
 

@@ -1,4 +1,4 @@
-"""A Jinja environment in which a template can only arrange its data.
+"""Renders templates in a Jinja environment in which a template can only arrange its data.
 
 The environment is sandboxed. Text is escaped unless it was made by this program. An undefined name is an error. Templates are read
 from the user's folder, if one is named, and then from the shipped folder. Every failure is a `ReportError` that names the template,
@@ -40,8 +40,8 @@ class ReportError(Exception):
 
 
 def available(folder: Path | None = None) -> tuple[str, ...]:
-    """Names of the available reports. A name is that of a template in one of the folders, without extension, or
-    `name.LANGUAGE.html` for a translated report."""
+    """Returns the names of the available reports. The name of a report is that of a template in one of the folders, without the
+    extension `.j2`, or `name.LANGUAGE.html` for a translated report."""
     found = {path.name.removesuffix(ENDING) for root in _roots(folder) for path in root.glob("*" + ENDING)}
     for name in TRANSLATED:
         stem, _, ending = name.partition(".")
@@ -101,7 +101,7 @@ def _reason(error: Exception) -> str:
 
 
 def _place(error: Exception, name: str) -> str:
-    """Returns the position, as `template:line`, of the innermost template line through which the error passed."""
+    """Returns the position, as `template:line`, of the innermost template line that caused the error."""
     place, trace = name, error.__traceback__
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
@@ -128,7 +128,7 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
     from markupsafe import Markup
 
     class Closed(ImmutableSandboxedEnvironment):
-        """The sandboxed environment. Only permitted methods can be called, and no arithmetic in a template can fill the memory."""
+        """The sandboxed environment. A template can call only permitted methods, and cannot fill the memory by arithmetic."""
 
         intercepted_binops = frozenset(("*", "**", "%"))
 

@@ -1,4 +1,4 @@
-"""Tables of segments, with one row for each segment: its planned state and the statistics of its channels.
+"""Makes tables of segments. Each segment has a row with its planned state and the statistics of its channels.
 
 Because paper and screens have a limited width, many channels are distributed over several tables.
 """

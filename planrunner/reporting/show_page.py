@@ -30,9 +30,8 @@ _IDLE = ("–", "0")
 
 @dataclass(frozen=True, slots=True)
 class ShowContext:
-    """A schedule and its expected results.
-
-    `designs`: maps each estimate to its design, whose `predicted` coefficients have the expected standard uncertainties.
+    """Contains a schedule and its expected results. `designs`: maps each estimate to its design, whose `predicted` coefficients
+    have the expected standard uncertainties.
     """
 
     title: str
@@ -185,8 +184,8 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
     """Returns a table with one row for each segment: start, transition, state, duration. Columns without information are omitted.
 
-    `brief`: True to make the table fit a terminal: soaking and settling share a column, the end time is left out, and so is the
-    orientation if there is only one.
+    `brief`: True to make the table narrow enough for a terminal. Soaking and settling then share a column, and the end time is left
+    out; if there is only one orientation, it is left out as well.
     """
     segments = schedule.segments
     ends = {span.segment.index: words.clock(span.end) for span in spans(schedule) if span.segment.dwell is not None}

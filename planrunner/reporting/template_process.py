@@ -1,10 +1,10 @@
-"""The child process that renders a user's template: it reads a request from standard input, limits its own resources, and answers
-with JSON.
+"""Is the child process that renders a user's template. It reads a request from standard input, limits its own resources, and
+answers with JSON.
 
-A thread limits the computing time and knows which line of the template is being rendered. In addition, limits of the operating
-system are set where they exist (Linux, partly macOS): they limit time and memory, and prevent writing files and starting processes.
-Windows has no such limits. There the thread and the time-out of the parent limit the time, and only the sandbox limits what a
-template can do.
+A thread limits the computing time, and finds which line of the template is being rendered. In addition, limits of the operating
+system are set where they exist (Linux, partly macOS). They limit time and memory, and prevent writing files and starting processes.
+Windows has no such limits. There, the thread and the time-out of the parent process limit the time, and only the sandbox limits
+what a template can do.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _answer(answer: dict[str, str]) -> None:
 
 
 def _import_what_is_needed() -> None:
-    """Imports the modules that rendering needs before the limits are set, so that an import cannot exhaust the limits."""
+    """Imports the modules that rendering needs. It is called before the limits are set, so that an import cannot exceed them."""
     import jinja2.ext
     import jinja2.sandbox
     import markupsafe
@@ -82,7 +82,8 @@ def _watch(name: str, seconds: float) -> None:
 
 
 def _place(frame: FrameType | None) -> str | None:
-    """Returns the position, as `template:line`, in the innermost template in the call stack of a frame, found as in jinja2.debug."""
+    """Returns the position, as `template:line`, in the innermost template in the call stack of a frame. It is found in the same way
+    as in jinja2.debug."""
     while frame is not None:
         template = frame.f_globals.get("__jinja_template__")
         if template is not None:
@@ -93,8 +94,8 @@ def _place(frame: FrameType | None) -> str | None:
 
 
 def _line(frame: FrameType) -> int:
-    """Returns the line of a frame that is executed at present. At the end of a loop, where the jump has no line, it is the line
-    before."""
+    """Returns the line of a frame that is executed at present. At the end of a loop, the jump has no line; the result is then the
+    line before it."""
     passed = [line for start, _, line in frame.f_code.co_lines() if line is not None and start <= frame.f_lasti]
     return passed[-1] if passed else frame.f_code.co_firstlineno
 

@@ -1,9 +1,10 @@
-"""Makes pages from templates: shipped templates are rendered in this process, templates of users in a child process with limits on
-time and memory.
+"""Makes pages from templates. Shipped templates are rendered in this process; templates of users are rendered in a child process
+with limits on time and memory.
 
-Templates of both kinds are rendered in the sandbox. Shipped templates are part of the program and are tested with it. Other
-templates may loop for ever or fill the memory even within the sandbox, and this must not make a long run fail. Therefore a child
-process receives the data as JSON and returns the page or the error. Any failure of the child is a `ReportError`.
+Templates of both kinds are rendered in the sandbox. Shipped templates are part of the program and are tested with it. Even within
+the sandbox, a user's template may loop for ever or fill the memory, and this must not make a long run fail. Therefore a child
+process renders it: the process receives the data as JSON, and returns the page or the error. Any failure of the child process is a
+`ReportError`.
 """
 
 from __future__ import annotations

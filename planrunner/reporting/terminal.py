@@ -1,4 +1,4 @@
-"""Tables for the terminal, made with the library rich. If the output is not a terminal, rich prints plain text.
+"""Makes tables for the terminal with the library rich. If the output is not a terminal, rich prints plain text.
 
 Text from files is not interpreted as markup, and control characters are shown as codes.
 """
@@ -40,7 +40,7 @@ def console(width: int | None = None, file: TextIO | None = None) -> Console:
     from rich.segment import Segment
 
     class Piped(Console):
-        """Leaves a closed pipe, as after `head`, to the caller instead of ending the process."""
+        """A console that lets the caller handle a closed pipe, as after `head`, instead of ending the process."""
 
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError

@@ -1,4 +1,4 @@
-"""The panels of a schedule's timeline: bars for the segments, and the temperature and the rate over time."""
+"""Draws the panels of a schedule's timeline: bars for the segments, and the temperature and the rate over time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PHASES = (("reaching", "#c9d1d9"), ("soaking, settling", "#f0c48a"), ("recording
 
 @dataclass(frozen=True, slots=True)
 class SegmentTimes:
-    """Times [s] since the run began at which one segment is begun, reached, recorded and ended."""
+    """The times [s] since the run began at which a segment begins, its state is reached, its recording begins, and it ends."""
 
     segment: Segment
     leave: float

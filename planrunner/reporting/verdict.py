@@ -21,7 +21,7 @@ class Headline:
 
 
 def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> Headline:
-    """Makes the headline: whether the limits are met, and the number of warnings that may invalidate the verdict."""
+    """Makes the headline, which states whether the limits are met, and the number of warnings that may invalidate the verdict."""
     kind = verdict_kind(limits, failures, warnings)
     failed = [limit.quantity for limit in limits if limit.verdict != "pass"]
     total = len(limits)
@@ -67,5 +67,5 @@ _STAMPS = {
 
 
 def stamp(origin: DataOrigin | None) -> Stamp | None:
-    """Returns the stamp for a kind of samples; None for measured samples, and for results that do not state the kind."""
+    """Returns the stamp for the origin of samples; None for measured samples, and for results that do not state the origin."""
     return None if origin is None else _STAMPS.get(origin)

@@ -198,8 +198,8 @@ def table_view(table: Table) -> JsonObject:
 
 
 def _guide(roles: Sequence[Role], index: int) -> int | None:
-    """Returns the index of the column that determines the rounding of column `index`: the column itself if it contains
-    uncertainties, or the next such column to the right; None if there is none."""
+    """Returns the index of the column that determines the rounding of the column with the number `index`. This is the column itself
+    if it contains uncertainties, otherwise the next column of uncertainties to the right; None if there is none."""
     if not (roles[index] is Role.VALUE or roles[index].uncertain):
         return None
     return next((place for place in range(index, len(roles)) if roles[place].uncertain), None)
@@ -257,7 +257,7 @@ def readable(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """SVG that this program made and that is not escaped again. It is drawn only when a template shows it."""
+    """Contains SVG that this program makes, and that is therefore not escaped. It is drawn only when a template shows it."""
 
     draw: Callable[[], str]
 
@@ -281,8 +281,8 @@ MODULE = 2
 
 
 def seal_code(digest: str) -> str:
-    """Returns a QR code of a digest as inline SVG, black on white in every colour scheme. It has no alternative text; the page
-    gives it."""
+    """Returns a QR code of a digest as inline SVG. It is black on white in every colour scheme. The alternative text is in the
+    page, not in the SVG."""
     import segno
 
     code = segno.make(PREFIX + digest, error="m", micro=False)

@@ -1,4 +1,4 @@
-"""The wording of states and times that reports, the show page and the terminal have in common."""
+"""Provides the wording of states and times that reports, the show page and the terminal share."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def behind_number(unit: str) -> str:
 
 
 def rule(name: str, factor: float, coverage: float) -> str:
-    """Returns a decision rule in words. Deviations from the usual rule are added: a guard band other than U, or a coverage
-    probability other than 95 %."""
+    """Returns a decision rule in words. If the guard band is not U, or the coverage probability is not 95 %, the text also states
+    this."""
     if name != "guarded" or math.isnan(factor):
         return name
     band = [] if factor == 1 else [f"w = {number(factor)}·U"]

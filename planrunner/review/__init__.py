@@ -1,1 +1,1 @@
-"""Review of plans, benches and runs: computes the meaning of each, and the difference between two of them."""
+"""Computes the meaning of plans, benches and runs, and the difference between two of them, for reviews."""

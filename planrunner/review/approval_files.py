@@ -1,4 +1,4 @@
-"""Approvals stored as files: next to a plan, and in the folder of a run.
+"""Stores approvals as files: next to a plan, and in the folder of a run.
 
     calibration.yaml
     calibration.yaml.approvals/
@@ -7,7 +7,7 @@
 
 Each approval has its own file, so that several reviewers can work in separate branches of a repository. A file is written under
 another name, synced and renamed, so that it exists completely or not at all. The name of a file is made only from the time and the
-digest, never from a text that the approval states.
+digest, never from texts in the approval.
 
 The file `approvals.json` of a run folder contains the approvals that counted when the run began, with the canonical meanings that
 they cover.
@@ -80,8 +80,8 @@ def _read(folder: GuardedFolder, name: str) -> ApprovalRecord:
 
 
 def approved_text(folder: Path, approval: StatedApproval) -> bytes | None:
-    """Returns the text of the plan as it was approved; None if it is not available. The caller must compare the digest of its
-    meaning with the digest in the approval."""
+    """Returns the text of the plan as it was approved; None if it is not available. The caller must compare the digest of the
+    text's meaning with the digest in the approval."""
     name = approval.file.removesuffix(_ENVELOPE) + _PLAN
     try:
         return GuardedFolder.open(folder).read(name, MOST_GIVEN)
@@ -147,7 +147,8 @@ class KeptApprovals:
 
     def to_bytes(self, runs: Path) -> bytes:
         """Returns the content of `approvals.json`. `runs`: the folder that contains the run folders. Paths in `approvals.json` are
-        relative to this folder. They therefore name no folder above the lowest one that contains both the runs and the approvals."""
+        relative to this folder, so that they do not contain the names of folders above the lowest common folder of the runs and the
+        approvals."""
         given = [entry_of(one) for one in self.approvals]
         return to_bytes(
             {

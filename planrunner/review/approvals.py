@@ -1,12 +1,12 @@
-"""Approvals of plans: signed statements that bind a reviewer's key to the meaning of a plan and of the benches that it may run on.
+"""Makes and checks approvals of plans. An approval is a signed statement that connects a reviewer's key with the meaning of a plan
+and of the benches on which it may run.
 
 An approval is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest
 of the canonical meaning of the plan without its bench (`procedure_of`). Its predicate names each bench by the digest of the bench's
-meaning, in which the required approvals are left out (`equipment_of`). A withdrawal is a statement of the same form that names
-earlier approvals.
+meaning without the required approvals (`equipment_of`). A withdrawal is a statement of the same form that names earlier approvals.
 
-`judged` determines for every approval whether it counts under the rule of a bench, and why it does not. It reads no file and needs
-no private key.
+For every approval, `judged` determines whether it counts under the rule of a bench and, if it does not, the reason. It reads no
+files and needs no private key.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Approved:
     """The plan and the benches that an approval covers.
 
     `plan`: digest of the meaning of the plan without its bench. `title`, `author`: as the plan states them. `until`: last day on
-    which the approval is valid; None if the approval has no last day.
+    which the approval is valid; None if its validity is not limited.
     """
 
     plan: str
@@ -313,7 +313,7 @@ class ApprovalRequest:
 def judged(
     stated: Iterable[ApprovalRecord], rule: ApprovalRule, ring: KeyRing, asked: ApprovalRequest
 ) -> tuple[tuple[JudgedApproval, ...], bool]:
-    """Checks every approval in the order of signing; returns the results, and True if the rule of the bench is met.
+    """Checks every approval in the order of signing. Returns the results, and True if the rule of the bench is met.
 
     The rule is met if as many persons approved as it requires. If the rule excludes approvals by the author, the plan must state
     every author, and every author must be in the key ring.
@@ -339,8 +339,8 @@ def judged(
 
 
 def unknown_authors(author: Sequence[str], ring: KeyRing) -> tuple[str, ...]:
-    """Returns the authors that are not in the key ring. For these it cannot be determined whether they approved the plan. If the
-    plan states no author, the result is one empty name."""
+    """Returns the authors that are not in the key ring. For these authors, it cannot be determined whether they approved the plan
+    themselves. If the plan states no author, the result is one empty name."""
     return tuple(name for name in author if ring.person(name) is None) if author else ("",)
 
 
@@ -364,8 +364,8 @@ def _standing(
     asked: ApprovalRequest,
     gone: set[str],
 ) -> tuple[ApprovalStanding, str]:
-    """Whether an approval counts, and the reason if it does not. Faults of the key and of the signature are checked first, because
-    without a valid signature all other values are only claims."""
+    """Determines whether an approval counts, and the reason if it does not. The key and the signature are checked first, because
+    without a valid signature, all other values are only claims."""
     what, day = one.what, asked.day
     if known is None:
         return "unknown key", f"its key {one.envelope.key} is not in the key ring"

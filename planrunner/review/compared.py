@@ -53,8 +53,8 @@ class Compared:
 
     @property
     def different(self) -> bool:
-        """Returns True if the two sides differ in their meanings. Two runs differ if their coefficients or their plans differ, so
-        two recordings always differ because of noise."""
+        """Returns True if the two sides differ. Plans and benches differ if their meanings differ. Runs differ if their
+        coefficients or their plans differ; because of noise, two recordings therefore always differ."""
         if self.runs is not None:
             apart = any(item.difference for item in self.runs.coefficients) or any(self.runs.only)
             return apart or not self.meaning.empty

@@ -1,7 +1,7 @@
-"""Consequences of a change of a plan, before anything runs: changes of time, of predicted uncertainties, of the terms that can be
-determined, of the use of the bench, of limits and of findings.
+"""Determines the consequences of a change of a plan before anything runs. These are changes of the time, of predicted
+uncertainties, of the terms that can be determined, of the demands on the bench, of limits, and of findings.
 
-Everything comes from two checks, one for each plan on its bench; nothing is estimated again here.
+All data come from two checks, one for each plan on its bench. Nothing is estimated again in this module.
 """
 
 from __future__ import annotations
@@ -201,8 +201,8 @@ _EXTREMES = {"rate": _rate, "hottest": _hottest, "coldest": _coldest}
 
 
 def _findings(before: Sequence[Finding], after: Sequence[Finding]) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
-    """Findings that are only in `after`, and findings that are only in `before`, compared by severity, code and message. Positions
-    are ignored, because an edit elsewhere in a file moves them."""
+    """Returns the findings that are only in `after`, and those that are only in `before`. They are compared by severity, code and
+    message. Positions are ignored, because an edit elsewhere in a file moves them."""
     old, new = (
         Counter[tuple[str, str, str]]((one.severity, one.code, one.message) for one in findings)
         for findings in (before, after)

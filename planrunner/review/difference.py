@@ -1,9 +1,9 @@
 """Computes the difference in meaning between two plans or two benches, as data.
 
-Segments are matched by their labels. Segments without a match are matched by their content (renamed segments). Segments that still
-have no match are matched by their position between matched neighbours, if little of their content differs. Matched segments that
-are outside the longest common order count as moved. The computing time is proportional to the number of segments n, except for the
-longest increasing subsequence, which takes a time proportional to n·log n.
+Segments are matched in three steps: first by their labels; then the remaining ones by their content (renamed segments); then the
+remaining ones by their position between matched neighbours, if little of their content differs. Matched segments that are not part
+of the longest common order count as moved. The computing time is proportional to the number of segments n, except for the longest
+increasing subsequence, which takes a time proportional to n·log n.
 """
 
 from __future__ import annotations
@@ -236,7 +236,7 @@ def _segment_changes(
 
 
 def _stated(segment: Segment_, removed: bool) -> Iterator[PartChange]:
-    """Yields each key of an added or removed segment that has a value, as a change."""
+    """Yields a change for each key with a value in an added or removed segment."""
     for name, part in segment.items():
         text = in_words(part)
         if name != "label" and plain(part) not in (None, [], False) and text:
@@ -271,8 +271,8 @@ def _moved(order: Sequence[int]) -> set[int]:
 
 
 def _renamed(content: dict[str, Branch], names: Mapping[str, str], all_labels: Sequence[str]) -> dict[str, Branch]:
-    """Returns the content of a plan in which estimates and diagnosis select renamed segments by their new names. If all segments
-    are selected, this is stated as a selection of all segments."""
+    """Returns the content of a plan after renamed segments have been replaced by their new names in the selections of estimates and
+    of the diagnosis. A selection that contains all segments becomes a selection of all segments."""
     made = dict(content)
     estimates = content["estimates"]
     assert isinstance(estimates, dict)
@@ -304,7 +304,7 @@ def _relabelled(chosen: Branch, names: Mapping[str, str], all_labels: Sequence[s
 
 
 def _limits(a: Sequence[Branch], b: Sequence[Branch], rounded: list[PartChange]) -> Iterator[PartChange]:
-    """The changes of limits. Limits are matched by their quantity; if several limits have the same quantity, they are matched in
+    """Yields the changes of limits. Limits are matched by their quantity. Several limits on the same quantity are matched in their
     order."""
     old, new = _by_quantity(a), _by_quantity(b)
     for name in dict.fromkeys([*old, *new]):
@@ -356,8 +356,8 @@ _RULE = ("rule", "guard_band", "coverage", "prior")
 
 
 def tendency(before: Mapping[str, Branch] | None, after: Mapping[str, Branch] | None) -> Tendency:
-    """Whether a change of a limit tightens it, so that fewer values pass, or loosens it. An added limit counts as tightened, a
-    removed limit as loosened.
+    """Determines whether a change of a limit tightens it, so that fewer values pass, or loosens it. An added limit counts as
+    tightened, and a removed limit counts as loosened.
 
     Bounds, rule, guard band and coverage are compared. A guarded limit accepts fewer values than a simple one. A wider guard band
     or a higher coverage also accepts fewer values (JCGM 106:2012, 8.3).
@@ -394,8 +394,8 @@ def _bound(branch: Branch, absent: float) -> float:
 
 
 def _changes(place: KeyPath, a: Branch, b: Branch, rounded: list[PartChange]) -> Iterator[PartChange]:
-    """Yields the parts in which two branches of a meaning differ. The comparison descends as long as the two branches have the same
-    form."""
+    """Yields the parts in which two branches of a meaning differ. The comparison continues in their parts as long as the two
+    branches have the same form."""
     if isinstance(a, StatedValue) and isinstance(b, StatedValue):
         if a.content == b.content:
             return
@@ -459,7 +459,7 @@ def equal_to_rounding(a: Quantity | None, b: Quantity | None) -> bool:
 
 
 def _half_digit(quantity: Quantity) -> float:
-    """Half a unit of the last written digit of a quantity, in SI units."""
+    """Returns half a unit of the last written digit of a quantity, in SI units."""
     mantissa, _, exponent = f"{quantity.unit.from_si(quantity.value):.9g}".partition("e")
     decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
     return float(0.5 * 10.0**-decimals * quantity.unit.factor)

@@ -47,8 +47,8 @@ DIGITS = 12
 class StatedValue:
     """One value in a meaning.
 
-    `content`: its canonical form, for digests. `shown`: the value as the file writes it, for readers. `quantity`: the quantity with
-    its unit as written, if the value is a quantity; otherwise None.
+    `content`: the canonical form of the value, for digests. `shown`: the value as the file writes it, for readers. `quantity`: if
+    the value is a quantity, the quantity with its unit as written; otherwise None.
     """
 
     content: Json
@@ -85,8 +85,8 @@ class Meaning:
         return hashlib.sha256(self.canonical()).hexdigest()
 
     def lines(self) -> Iterator[str]:
-        """The meaning as lines of text, for programs that compare texts line by line. Each line contains the path of a value and
-        the value."""
+        """Yields the meaning as lines of text, for programs that compare texts line by line. Each line contains the path of a
+        value, and the value."""
         yield f"{self.kind} {VERSION}"
         yield from _lines("", self.content)
 
@@ -101,8 +101,8 @@ def canonical_json(value: Json) -> bytes:
 def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
     """SHA-256 of the meaning of a plan, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
 
-    `bench`: the bench on which the plan runs; if it is given, its meaning enters the digest too. Without a bench, the digest covers
-    only the name of the plan's bench.
+    `bench`: the bench on which the plan runs. If it is given, the digest also covers its meaning; otherwise, it covers only the
+    name of the bench in the plan.
     """
     return meaning_of_plan(plan, bench).digest()
 
@@ -159,8 +159,8 @@ def procedure_of(plan: Plan) -> Meaning:
 
 
 def equipment_of(bench: Bench) -> Meaning:
-    """Returns the meaning of a bench, in which the approvals that it requires are left out. An approval therefore stays valid if
-    only these requirements change."""
+    """Returns the meaning of a bench without the approvals that it requires. An approval therefore remains valid if only these
+    requirements change."""
     meaning = meaning_of_bench(bench)
     return replace(meaning, content={name: part for name, part in meaning.content.items() if name != "approvals"})
 
@@ -326,8 +326,8 @@ _NOTHING = StatedValue(None, "none")
 
 
 def _of(value: object) -> Branch:
-    """Returns the meaning of a value that a kind of the language has read. Raises `InputError` for a value of a plug-in if the
-    value has no JSON form."""
+    """Returns the meaning of a value that was read from a plan or bench. Raises `InputError` for a value of a plug-in that has no
+    JSON form."""
     match value:
         case None:
             return _NOTHING
@@ -362,8 +362,8 @@ def _of(value: object) -> Branch:
 
 
 def _record(record: Record) -> dict[str, Branch]:
-    """Returns the meaning of a record: every key with its value. The keys of a plug-in stand at the same level as the common keys,
-    as they do in the file."""
+    """Returns the meaning of a record: every key with its value. The keys of a plug-in are at the same level as the common keys, as
+    in the file."""
     parts: dict[str, Branch] = {}
     for name, item in keys_of(type(record)).items():
         value = getattr(record, item.name)

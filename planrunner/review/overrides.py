@@ -1,9 +1,9 @@
-"""Overrides of a check standard: signed statements by which a person allows runs to begin on a bench although its check standard is
-not in control.
+"""Makes and checks overrides of a check standard. An override is a signed statement by which a person permits runs to begin on a
+bench although its check standard is not in control.
 
 An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest
-of the canonical meaning of the bench, in which the approvals that it requires are left out. Any other change of the bench therefore
-ends an override.
+of the canonical meaning of the bench, without the approvals that it requires. Any other change of the bench therefore ends an
+override.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def objection(
     """Returns the reason why an override does not count; empty if it counts.
 
     `by`: the person who should have given the override, named as in the key ring. `what`: the present bench, check standard and
-    reason, which the override must state too; its `until` is ignored. `moment`: time for which the override is checked, with a time
-    zone. `day`: date in the time zone of the bench; by default, the date of `moment`.
+    reason, with which the override must agree; its `until` is ignored. `moment`: time for which the override is checked, with a
+    time zone. `day`: date in the time zone of the bench; by default, the date of `moment`.
     """
     known, day = ring.find(one.envelope.key), day or moment.date()
     if known is None:
@@ -112,7 +112,7 @@ def kept_objection(
     given: JsonObject, ring: KeyRing, bench: str | None, device: str, moment: datetime, day: date
 ) -> str:
     """Does the same as `objection`, for an override that a run folder keeps with its signature. `bench`: digest of the meaning of
-    the bench when the override was used; None if it is not to be compared. `moment`, `day`: time and date at which the override was
+    the bench when the override was used; None to omit this comparison. `moment`, `day`: time and date at which the override was
     used."""
     stated = read_override(to_bytes(given["signature"]))
     if stated is None:

@@ -1,15 +1,15 @@
 """Computes the difference between the results of two runs: for every coefficient, the difference and its significance.
 
 The two results of a coefficient have independent random errors. On the same bench, they also have common errors, which do not
-change between the runs. For example, an azimuth of the site that is wrong by an arc minute is wrong in both runs. A common input
-contributes to the difference in proportion to the difference between its two sensitivity coefficients. Let c₁ᵢuᵢ and c₂ᵢuᵢ be the
-contributions of the common input i in runs 1 and 2. The standard uncertainty of the difference is then
+change between the runs. For example, if the azimuth of the site is wrong by an arc minute, it is wrong in both runs. The effect of
+a common input on the difference is proportional to the difference between its two sensitivity coefficients. Let c₁ᵢuᵢ and c₂ᵢuᵢ be
+the contributions of the common input i in runs 1 and 2. The standard uncertainty of the difference is then
 
     u² = u₁² + u₂² − 2·Σ (c₁ᵢuᵢ)(c₂ᵢuᵢ)                 (JCGM 100:2008, 5.2.2, equation 16, with r = 1)
 
-An input is common if both budgets state the same quantity with the same value, uncertainty and source, as type B. p is the
-two-sided probability of a larger difference if the sensor has not changed; it follows from Student's t with the effective degrees
-of freedom of the contributions that are not common (Welch-Satterthwaite, G.4). Holm's correction (Scandinavian Journal of
+An input is common if both budgets state, as type B, the same quantity with the same value, uncertainty and source. p is the
+two-sided probability of a larger difference if the sensor has not changed. It is computed from Student's t with the effective
+degrees of freedom of the contributions that are not common (Welch-Satterthwaite, G.4). Holm's correction (Scandinavian Journal of
 Statistics 6, 1979) allows for the number of coefficients compared.
 """
 
@@ -82,8 +82,8 @@ Lines = Mapping[tuple[object, ...], BudgetLine]
 
 
 def _lines(estimate: Estimate, coefficient: str) -> Lines:
-    """Returns the type B lines of a coefficient's budget that stand for a single input each. A line has the same key in two runs if
-    its input is the same."""
+    """Returns those type B lines of a coefficient's budget that each stand for a single input. Lines of two runs with the same
+    input have the same key."""
     return {
         (line.quantity, line.value, line.unit, line.standard_uncertainty, line.distribution, line.source): line
         for budget in estimate.budgets

@@ -1,1 +1,1 @@
-"""Keys, key rings and signatures (Ed25519, DSSE, in-toto statements)."""
+"""Handles keys, key rings and signatures (Ed25519, DSSE, in-toto statements)."""

@@ -1,8 +1,9 @@
 """Finds the private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent
 holds.
 
-Runs may end when nobody is present, so the program never asks for the passphrase of such a key. Therefore the key file either has
-no passphrase and can be read only by its owner (like the host keys of SSH), or its passphrase is in an environment variable.
+Runs may end when nobody is present, so the program never asks for the passphrase of such a key. There are two possibilities: the
+key file has no passphrase, and only its owner can read it (like the host keys of SSH); or the passphrase is in an environment
+variable.
 """
 
 from __future__ import annotations
@@ -44,8 +45,9 @@ def keys_folder() -> Path:
 
 
 def bench_signer(public: PublicKey) -> Signer:
-    """Returns the private key that belongs to a public key: from the folder of signing keys or, if it is not there, from the
-    ssh-agent. Nothing is signed, and the user is not asked. Raises `BenchKeyError` if neither the folder nor the agent has the key."""
+    """Returns the private key that belongs to a public key. It comes from the folder of signing keys or, if it is not there, from
+    the ssh-agent. Nothing is signed, and the user is not asked for anything. Raises `BenchKeyError` if neither the folder nor the
+    agent has the key."""
     found, why = _of_files(public)
     if found is not None:
         return found

@@ -1,4 +1,4 @@
-"""DSSE envelopes: signed payloads with a type (https://github.com/secure-systems-lab/dsse, v1).
+"""Makes and reads DSSE envelopes, which are signed payloads with a type (https://github.com/secure-systems-lab/dsse, v1).
 
 The signature covers the pre-authentication encoding (PAE) of the type and the payload, so that nobody can present the payload as
 having another type. One envelope has exactly one signature.
@@ -27,8 +27,8 @@ def pae(kind: str, payload: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """An envelope with its payload and its signature. `key`: fingerprint of the key that is said to have signed; `signed_by` checks
-    the signature."""
+    """An envelope with its payload and its signature. `key`: fingerprint of the key that, according to the envelope, made the
+    signature; `signed_by` checks this."""
 
     kind: str
     payload: bytes

@@ -81,8 +81,8 @@ class KnownKey:
     def objection(self, day: date) -> str:
         """Returns the reason why a signature of this date does not count; empty if it counts.
 
-        The date of a signature comes from the signer's clock. This date cannot prove that a signature was made before the key was
-        revoked, so no signature of a revoked key counts.
+        No signature of a revoked key counts. The date of a signature comes from the signer's clock, so it cannot prove that the
+        signature was made before the key was revoked.
         """
         if self.revoked is not None:
             return f"the key was revoked on {self.revoked}"

@@ -163,8 +163,8 @@ def read_private(path: Path, passphrase: bytes | None) -> PrivateKey:
 
 
 def _load(data: bytes, passphrase: bytes | None) -> object:
-    """Loads a private key. Raises TypeError if a passphrase is missing or superfluous, and ValueError or UnsupportedAlgorithm for
-    any other unusable data."""
+    """Loads a private key. Raises TypeError if a passphrase is missing, or is given although none is needed. Raises ValueError or
+    UnsupportedAlgorithm for other data that cannot be used."""
     if data.startswith(b"-----BEGIN OPENSSH PRIVATE KEY-----"):
         return serialization.load_ssh_private_key(data, passphrase)
     return serialization.load_pem_private_key(data, passphrase)

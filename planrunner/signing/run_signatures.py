@@ -5,8 +5,9 @@ A signature is a DSSE envelope with an in-toto Statement v1 whose predicate is a
 run began, the journal, the lists of digests of analyses, and the earlier signatures. The seal and the lists contain the digests of
 all other files.
 
-Persons sign what they have examined (`PersonMeaning`); their signatures cover all files that exist at that time. A bench signs with
-its own key what it has made (`BenchMeaning`): the seal when it has recorded a run, and each analysis when it has evaluated the run.
+Persons sign what they have examined (`PersonMeaning`); their signatures cover all files that exist at that time. A bench signs,
+with its own key, what it has made (`BenchMeaning`): the seal after it has recorded a run, and each analysis after it has evaluated
+a run.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ _FILE = re.compile(rf"([0-9]{{4}})-({'|'.join((*MEANINGS, *BENCH_MEANINGS))})\.d
 
 @dataclass(frozen=True, slots=True)
 class BenchSigning:
-    """What the files of a run state about the signatures of its bench.
+    """Contains what the files of a run state about the signatures of its bench.
 
     `key`: public key in the bench file; None if the bench file names none. `name`: name of the bench. `earlier_seals`: SHA-256 of
     the seals that existed before the run was opened again, according to its journal.
@@ -90,11 +91,12 @@ def signing_of(found: Examined) -> BenchSigning:
 class RunSignature:
     """One signature of a run.
 
-    `file`: name of the file in `signatures/`. `standing`: `unknown key` if no key ring was given or if the ring lacks the key; all
-    other values are then claims only. `why`: the reason why the signature is not valid; empty if it is valid. `owner`: the name of
-    the key in the ring. `name`, `signed`, `comment`, `result`: what the signer states. `signed` is the time of signing in UTC, ISO
+    `file`: name of the file in `signatures/`. `standing`: the result of the check. It is `unknown key` if no key ring was given or
+    if the ring lacks the key; all other values are then only claims. `why`: the reason why the signature is not valid; empty if it
+    is valid. `owner`: the name of the key in the ring. `name`, `signed`, `comment`, `result`: what the signer states. `signed` is
+    the time of signing in UTC, ISO
     8601. `analyses`: numbers of the analyses that the signature covers. `current`: True if the signature covers the present seal;
-    False if a bench made it for a seal from before the run was reopened.
+          False if a bench made it for a seal that the run had before it was reopened.
     """
 
     file: str
@@ -147,8 +149,8 @@ def sign_run(
     analyses: Iterable[int] | None = None,
     storage: Storage | None = None,
 ) -> str:
-    """Signs a run that was verified as sealed and unchanged; returns the name of the new file. The caller must hold the lock of the
-    folder.
+    """Signs a run, which must have been verified as sealed and unchanged. Returns the name of the new file. The caller must hold
+    the lock of the folder.
 
     `run`: name of the run. `analyses`: numbers of the analyses that the signature covers; by default, all analyses. Raises
     `InputError` if the name or the comment cannot be printed or if the key cannot sign, and `OSError` if the signature cannot be
@@ -236,8 +238,8 @@ def _examined(folder: GuardedFolder, file: str, ring: KeyRing | None, bench: Ben
 
 
 def _other_signer(claimed: RunSignature, known: KnownKey | None, *, own: bool) -> str:
-    """Returns the reason why this key is not permitted to make a signature of this meaning; empty if it is permitted. `own`: True
-    if the key is the one in the bench file."""
+    """Returns the reason why a key must not make a signature of this meaning; empty if it may do so. `own`: True if the key is the
+    one in the bench file."""
     bench = known is not None and BENCH_ROLE in known.roles
     if not claimed.by_bench:
         return "a person must sign it, but the key is that of a bench" if own or bench else ""
@@ -259,12 +261,12 @@ def lacking_signatures(
     analyses: Iterable[int],
     ring: KeyRing | None,
 ) -> Iterator[tuple[str, str]]:
-    """The signatures of a sealed run that its bench must make but that are missing, each as a code and a message.
+    """Yields the signatures that the bench of a sealed run must have made but that are missing, each as a code and a message.
 
     The bench file requires signatures if it names a key. The key ring also requires them if it contains a key of the bench that is
     valid on the day of the run. The requirement therefore remains even if the bench file is changed or the key is revoked. `made`:
-    time when the run began. `analyses`: numbers of the analyses of the run. A person's signature of an analysis can replace the
-    bench's signature, because a person may evaluate a run elsewhere; if a key ring is given, it must contain the person's key.
+    time when the run began. `analyses`: numbers of the analyses of the run. A person may evaluate a run elsewhere. Therefore a
+    person's signature of an analysis can replace that of the bench; if a key ring is given, it must contain the person's key.
     """
     day = made.date()
     expected = [one for one in ([] if ring is None else _benches(ring)) if one.person == bench.name]
@@ -326,8 +328,8 @@ def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], r
     """Describes the first difference between the signed digests and the present files in words; empty if there is none. Analyses
     and signatures that were added later are not a difference.
 
-    `earlier`: True if the signature covers a seal from before the run was reopened. The journal contains the digest of that seal,
-    so the present seal and journal may then differ from the signed ones.
+    `earlier`: True if the signature covers a seal that the run had before it was reopened. In this case, the present seal and
+    journal may differ from the signed ones, because the journal contains the digest of the earlier seal.
     """
     try:
         present = _subjects(folder, before=file)

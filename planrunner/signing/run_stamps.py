@@ -1,8 +1,8 @@
-"""Verifies the time stamps of a run: which data they stamp, which certificate verifies them, and whether the times in the journal
-agree with them.
+"""Verifies the time stamps of a run. Determines the data that each stamp covers and the certificate that verifies it, and checks
+that the times in the journal agree with the stamps.
 
-A time stamp proves that the stamped events existed at the time of the stamp. The following event `stamped` contains the digest of
-the stamp. This event and all later ones were therefore written after the stamp. The times of events between two stamps thus have a
+A time stamp proves that the stamped events existed at the time of the stamp. A later event `stamped` contains the digest of the
+stamp, so this event and all following events were written after the stamp. The times of events between two stamps therefore have a
 lower and an upper bound.
 """
 
@@ -36,8 +36,8 @@ class RunStamp:
     """One time stamp of a run.
 
     `events`: number of events in the stamped part of the journal; None for a stamp of the seal. `time`: the time that the authority
-    states, UTC, ISO 8601; empty if it cannot be read. `standing`: `unknown authority` if only the certificate in the bench file of
-    the run verifies the stamp. `why`: the reason why the stamp is not valid; empty if it is valid.
+    states, UTC, ISO 8601; empty if it cannot be read. `standing`: the result of the check. It is `unknown authority` if only the
+    certificate in the bench file of the run verifies the stamp. `why`: the reason why the stamp is not valid; empty if it is valid.
     """
 
     file: str
@@ -161,7 +161,7 @@ def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str,
 
 
 def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str, str]:
-    """Returns the fault of a stamp whose data state a later time than the stamp itself, as a code and a message. The code and the
+    """Returns the fault of a stamp that is earlier than a time in the stamped data, as a code and a message. The code and the
     message are empty if there is no fault."""
     if found.scan is None:
         return "", ""
@@ -174,8 +174,8 @@ def _time_fault(found: Examined, name: StampName, moment: datetime) -> tuple[str
 
 
 def _check_record(found: Examined, stamps: Mapping[str, RunStamp]) -> None:
-    """Checks that the stamps that the journal names exist unchanged, and that no event that records a stamp has an earlier time
-    than the stamp."""
+    """Checks that all stamps that the journal names exist and are unchanged. Also checks that an event that records a stamp is not
+    earlier than the stamp."""
     assert found.state is not None
     for event in found.state.stamped:
         path, place = found.folder.path / FOLDER / event["file"], f"{found.folder.path / JOURNAL}:{event['seq']}"
@@ -197,7 +197,7 @@ def _check_record(found: Examined, stamps: Mapping[str, RunStamp]) -> None:
 
 
 def _check_seal(found: Examined, stamps: tuple[RunStamp, ...]) -> None:
-    """Checks that the present seal has a time stamp that was not obtained late."""
+    """Checks that the present seal has a time stamp, and that this stamp was obtained in time."""
     assert found.state is not None
     mark = Mark(str(found.folder.path))
     if found.seal is None or not found.state.finished:

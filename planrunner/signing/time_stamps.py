@@ -38,8 +38,9 @@ class StampError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class StampAuthority:
-    """Contains the certificates that verify time stamps: those of the authority itself, or those of the root and intermediate
-    authorities above it. `revocations`: lists of revoked certificates; each list is signed with one of these certificates."""
+    """Contains the certificates that verify time stamps: the certificate of the authority itself, or those of the root and
+    intermediate authorities above it. `revocations`: lists of revoked certificates; each list is signed with one of these
+    certificates."""
 
     certificates: tuple[x509.Certificate, ...]
     revocations: tuple[x509.CertificateRevocationList, ...] = ()
@@ -94,8 +95,8 @@ _NOT_COMPROMISED = (
 
 
 def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: StampAuthority) -> None:
-    """Raises `StampError` if the certificate of the signer, or one above it in the chain, was revoked in a way that invalidates a
-    stamp made at this time."""
+    """Raises `StampError` if the certificate of the signer, or a certificate above it in the chain, was revoked so that a stamp of
+    this time is invalid."""
     known = {*authority.certificates, *map(x509.load_der_x509_certificate, reply.signed_data.certificates)}
     signers = {(one.issuer, one.serial_number) for one in reply.signed_data.signer_infos}
     chain = [one for one in known if (one.issuer, one.serial_number) in signers]

@@ -1,4 +1,5 @@
-"""Signed tree heads of the log of an archive: `.log/head.dsse.json`, a DSSE envelope with the tree head in canonical JSON."""
+"""Makes and reads the signed tree head of the log of an archive: `.log/head.dsse.json`, a DSSE envelope with the tree head in
+canonical JSON."""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ SIGNED = "head.dsse.json"
 class RememberedHead:
     """A tree head of a log, as read from a file.
 
-    `key`: fingerprint of the key that is said to have signed the head; empty if it is not signed. `owner`: the name that the key
-    ring gives this key, if the signature is valid. `why`: the fault of the signature; empty if none is known.
+    `key`: fingerprint of the key that, according to the file, signed the head; empty if the head is not signed. `owner`: the name
+    that the key ring gives this key, if the signature is valid. `why`: the fault of the signature; empty if none is known.
     """
 
     head: TreeHead
