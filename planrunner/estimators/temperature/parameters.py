@@ -79,7 +79,7 @@ class TemperatureModelParameters(Record):
     drift: str | None = optional(
         Choice((NONE, *ORDERS)),
         "Drift in time that is fitted together with the curve; each word includes the lower orders. `none` states that there is no drift. "
-        "By default none is fitted, and a warning is given if the order of the temperatures would hide one.",
+        "By default, no drift is fitted; a warning is given if the order of the temperatures would hide a drift.",
         "linear",
     )
     drift_span: Quantity = drift_span()
