@@ -127,7 +127,7 @@ def seconds_in(texts: pa.Array, where: PlaceOfText, dates: DateOrder) -> Array:
         index = int(np.flatnonzero(wrong)[0])
         message = f"{where(index)}: {_quoted(texts, index)} is not a date with a time, or a time of day"
         if not (present & ~wrong).any():
-            raise NoTimesError(message)
+            raise NoTimesError(f"{message}; write times such as 2026-03-04 12:00:00.5 or 12:00:00.5")
         other = _quoted(texts, int(np.flatnonzero(present & ~wrong)[0]))
         raise InstrumentError(f"{message}; write it like the other times, such as {other}, or remove the row")
     if dated[present].any() and not dated[present].all():
