@@ -118,7 +118,7 @@ def test_a_time_unlike_the_others_is_named(texts: list[str | None], said: str) -
 
 
 def test_texts_without_any_time() -> None:
-    with pytest.raises(NoTimesError, match="text 1: 'on' is not a date.*write times such as 2026-03-04 12:00:00.5"):
+    with pytest.raises(NoTimesError, match=r"text 1: 'on' is not a date.*; write times such as 2026-03-04 12"):
         seconds_in(pa.array([None, "on", "off"]), place, DateOrder())
 
 
