@@ -1,5 +1,5 @@
-"""Type aliases for arrays of real numbers and of integers. A function that takes or returns an array states the shape and unit of
-the array in its docstring."""
+"""Defines type aliases for arrays of real numbers and of integers. A function that takes or returns an array states the shape and
+unit of the array in its docstring."""
 
 from __future__ import annotations
 

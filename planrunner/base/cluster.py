@@ -1,12 +1,12 @@
 """Distributes work on many items over a Dask cluster (https://distributed.dask.org).
 
-A task consists of one item, or of several if each takes very little time. A worker computes one item at a time. It uses a single
-thread for linear algebra, and the working directory of this process. If a worker is lost, Dask computes its items again on another
-worker. Only a limited number of items is on the cluster at a time, so that neither the scheduler nor this process keeps all of
-them.
+A task consists of one item, or of several items if each of them takes very little time. A worker computes one item at a time. It
+uses a single thread for linear algebra, and has the same working directory as this process. If a worker is lost, Dask computes its
+items again on another worker. Only a limited number of items is on the cluster at a time, so that neither the scheduler nor this
+process keeps all of them.
 
 Before computing, a worker checks that it has the same program and libraries as this process, because otherwise the last digits may
-differ. The check is part of each item, because workers may join at any time.
+differ. The check is part of each task, because workers may join the cluster at any time.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class _Terms:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """The answer to a task: the results of its items up to the first item that failed, and the exception of that item; or the
-    reason why the worker cannot compute.
+    """The answer to a task. It contains the results of its items up to the first item that failed, and the exception of this item.
+    If the worker cannot compute, it contains the reason instead.
 
     `seconds`: the time that computing took, s. `unfit`: maps each library whose versions differ to the pair (version here, version
     on the worker)."""
@@ -86,8 +86,8 @@ class _Answer:
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Everything that can change the digits of a result: the program (as a digest of its source), Python, and the numerical
-    libraries with their versions."""
+    """Returns everything that can change the digits of a result: the program (as a digest of its source), Python, and the numerical
+    libraries, with their versions."""
     import platform
     from importlib import metadata
 
@@ -107,9 +107,9 @@ def computed_on_cluster(
     address: str,
     tell: Callable[[float], None] | None = None,
 ) -> Iterator[R]:
-    """The results of `work` for all items, in their order; see `workers.results_in_order`. `address`: the address of the cluster's
-    scheduler. Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a path among the
-    items, and `ProcessEndedError` if the cluster ends."""
+    """Yields the results of `work` for all items, in the order of the items; see `workers.results_in_order`. `address`: the address
+    of the cluster's scheduler. Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a
+    path among the items, and `ProcessEndedError` if the cluster ends."""
     if not items:
         return
     terms = _Terms(versions(), os.getcwd())
@@ -138,19 +138,19 @@ def computed_on_cluster(
 
 
 def _shared(size: int, left: int, threads: int) -> int:
-    """Number of items in the next task: at most `size`, and few enough that the remaining items still make several tasks for each
-    thread of the cluster."""
+    """Returns the number of items in the next task. It is at most `size`, and so small that the remaining items are enough for
+    several tasks for each thread of the cluster."""
     return min(size, math.ceil(left / (_SHARES_LEFT * max(1, threads))))
 
 
 def _size(answer: _Answer) -> int:
-    """Number of items that makes a task of suitable length, estimated from the computing time of an earlier answer."""
+    """Returns the number of items for a task of suitable duration, estimated from the computing time of an earlier answer."""
     each = answer.seconds / max(1, len(answer.results))
     return max(1, min(_MOST_OF_A_TASK, int(_TASK_LASTS / each))) if each > 0 else _MOST_OF_A_TASK
 
 
 def _packed(work: Callable[[T], R]) -> bytes:
-    """Packs the work so that only the workers unpack it. Otherwise the scheduler would import the modules of the work and keep its
+    """Packs the work so that only the workers unpack it. Otherwise the scheduler would also import its modules and keep its
     data."""
     import cloudpickle
 
@@ -199,8 +199,8 @@ def _unpacked(packed: bytes) -> Callable[[object], object]:
 
 @contextlib.contextmanager
 def _in_directory(path: str) -> Iterator[bool]:
-    """Changes to the working directory of the command, so that relative paths have the same meaning, also in messages. Yields True
-    if the worker has this directory."""
+    """Changes to the working directory of the command, so that relative paths have the same meaning on the worker, also in
+    messages. Yields True if the worker has this directory."""
     before, there = os.getcwd(), False
     with contextlib.suppress(OSError):
         os.chdir(path)
@@ -236,7 +236,7 @@ def _connected(address: str) -> Iterator[Client]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its reports of lost connections are messages below
 
     class Closed(Client):  # type: ignore[misc,unused-ignore]
-        """A client that does not close itself when it is deleted, because `_connected` closes it. Otherwise a client that was never
+        """A client that does not close itself when it is deleted; `_connected` closes it. Otherwise, a client that was never
         connected would try to close itself for 20 s."""
 
         def __del__(self) -> None:

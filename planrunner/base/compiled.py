@@ -1,10 +1,10 @@
 """Compiles functions with numba and keeps their machine code in a folder that no other user can change.
 
-Importing numba takes longer than checking a plan, so only modules with kernels import this module, and they are imported only where
-a kernel is needed. Reading the cache executes code, because numba's index and data files are pickles. The cache is therefore used
-only if every folder of its path, and everything in it, belongs to the user or the administrator and is writable by no one else.
-Otherwise each process compiles the functions again. On Windows only the system's folder for the user's data qualifies. Nothing is
-ever cached next to the source.
+Importing numba takes longer than checking a plan. Therefore only modules with kernels import this module, and such modules are
+imported only where a kernel is needed. Reading the cache executes code, because numba's index and data files are pickles. The cache
+is therefore used only under one condition: every folder of its path, and everything in it, belongs to the user or the
+administrator, and nobody else can write there. Otherwise, each process compiles the functions again. On Windows, only the system's
+folder for the user's data meets this condition. Nothing is ever cached next to the source.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ KEPT = Path("planrunner") / "compiled"
 
 
 def cache_folder(environment: Mapping[str, str], user: int | None = None) -> Path | None:
-    """Returns the folder for compiled code; None if no folder can be made or written.
+    """Returns the folder for compiled code; None if no folder can be made or written to.
 
     `environment`: the variables of the process; except on Windows, `NUMBA_CACHE_DIR` or `XDG_CACHE_HOME` may replace the user's
     `~/.cache`. `user`: user number, by default the current user. Raises `UntrustedFolderError` if another user could write code

@@ -1,4 +1,4 @@
-"""Types of the values in JSON documents: the contents of files, journals, replies of other processes, and templates.
+"""Defines the types of values in JSON documents: contents of files, journals, replies of other processes, and data of templates.
 
 A value is None, a boolean, a number, a text, a list of values, or an object that maps names to values. A schema in `schemas/`
 states the type of each value in a document. This type is checked when the document is read, not by mypy.
@@ -14,5 +14,5 @@ JsonObject = dict[str, Json]
 
 
 def finite(value: float) -> float | None:
-    """Makes a number that JSON can represent: NaN and infinities become null."""
+    """Converts a number to a value that JSON can represent: NaN and infinities become null."""
     return value if math.isfinite(value) else None

@@ -1,10 +1,11 @@
-"""Findings: faults of a file, with their positions and remedies.
+"""Represents findings, which are faults of a file with their positions and remedies.
 
 Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all findings in one run. The codes are
 documented in `docs/findings.md`; a test checks that no code is missing in this file.
 
-A check that depends on other parts of the file names them with `Findings.resting_on`. If one of these parts already has an error, the
-findings of the check are consequences: the list keeps them with their cause and shows only the cause.
+A check that depends on other parts of the file names these parts with `Findings.resting_on`. If one of them already has an error,
+the findings of the check are consequences of this error: the list contains them together with their cause, but shows only the
+cause.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ COMMAND_LINE = Mark("<command line>")
 class Finding:
     """One finding. `str()` gives the finding as a line for the terminal, without the hint.
 
-    `cause`: the error from which this finding follows; a finding with a cause is kept but not shown.
+    `cause`: the error from which this finding follows. A finding with a cause is stored, but not shown.
     """
 
     mark: Mark
@@ -84,7 +85,8 @@ class Finding:
 class Findings:
     """A growing list of findings. Identical findings are kept once.
 
-    Iteration yields the findings to show in the order of the file, without those that follow from another error in the list.
+    Iteration yields the findings that are shown, in the order of the file. Findings that follow from another error in the list are
+    omitted.
     """
 
     items: list[Finding] = field(default_factory=list)
@@ -113,8 +115,9 @@ class Findings:
 
     @contextmanager
     def resting_on(self, *parts: Mark) -> Iterator[None]:
-        """Context manager for checks that assume the given parts of the file to be correct. If one of the parts has an error on
-        entry, the findings that are added inside the context are recorded as consequences of the first such error.
+        """Is a context manager for checks that assume that the given parts of the file are correct. If one of the parts has an
+        error when the context is entered, the findings that are added within the context are recorded as consequences of the first
+        such error.
 
         A check must therefore run after the checks of the parts on which it depends. A part may also be the mark of a known error.
         """
@@ -180,8 +183,8 @@ def count_of(number: int, one: str, several: str = "") -> str:
 
 
 def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
-    """Names the other lines that a finding concerns, for its message, such as ' (also on lines 12 and 13)'; empty if the finding
-    concerns only the line of `first`."""
+    """Returns a text for the message of a finding that names the other lines concerned, such as ' (also on lines 12 and 13)'. It is
+    empty if the finding concerns only the line of `first`."""
     lines = sorted({mark.line for mark in marks} - {first.line})
     if not lines:
         return ""

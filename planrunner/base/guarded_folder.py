@@ -1,12 +1,12 @@
-"""A folder that is opened once. All access is relative to the open folder, and no entry can lead out of the folder.
+"""Provides access to a folder that is opened once. All access is relative to the open folder, and no entry can lead out of it.
 
-A run folder may come from an untrusted source and may change while it is read. Therefore links in it are not followed. Only regular files
-with exactly one name are opened, no pipes or devices, and nothing larger than the caller allows. A name is a single path component, so no
-path leads out of the folder.
+A run folder may come from an untrusted source and may change while it is read. Therefore links in it are not followed. Only regular
+files with exactly one name are opened, not pipes or devices, and no file larger than the caller permits. A name is a single path
+component, so no path leads out of the folder.
 
-On Linux and macOS names are opened relative to the open folder, so the file that was checked is the file that is used. Windows cannot do
-this. There the folder and the name are checked before and after a file is opened, and both checks must show the same file. This is the
-strictest method available; a change that lasts only between the two checks remains undetected.
+On Linux and macOS, names are opened relative to the open folder, so the file that was checked is the file that is used. Windows
+cannot do this. There, the folder and the name are checked before and after a file is opened, and both checks must find the same
+file. This is the strictest method available, but it does not detect a change that is undone before the second check.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class NotOrdinaryError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What is known about an entry of a folder: its kind and, for a file, its size in bytes.
+    """Describes an entry of a folder: its kind and, for a file, its size in bytes.
 
     The kind `other` stands for a link, a pipe, a device, or a file with two names. `modified`: time of the last change of the
     file's content, in ns since 1970 by the clock of the file system."""
@@ -142,7 +142,7 @@ class GuardedFolder:
         return self.folder(name)
 
     def remove_folder(self, name: str) -> None:
-        """Removes a folder with its contents as far as possible; links in it are removed, not followed."""
+        """Removes a folder with its contents, as far as possible. Links in it are removed, but not followed."""
         self._check_place()
         shutil.rmtree(self._at(_plain(name)), ignore_errors=True, dir_fd=self._descriptor)
 
@@ -165,7 +165,8 @@ class GuardedFolder:
         return FileIO(self._open(name, _WRITE, None), "r+")
 
     def open_new(self, name: str) -> FileIO:
-        """Opens a new file for writing, unbuffered. A previous entry of that name is removed, not followed."""
+        """Opens a new file for writing, unbuffered. An existing entry with this name is removed; if it is a link, it is not
+        followed."""
         self._check_place()
         where = self._at(_plain(name))
         flags = _WRITE | os.O_CREAT | os.O_EXCL | _NEVER
@@ -218,15 +219,16 @@ class GuardedFolder:
             os.unlink(self._at(_plain(name)), dir_fd=self._descriptor)
 
     def sync(self) -> None:
-        """Waits until the names in the folder are on the disk. Windows writes the names itself and offers no call for it."""
+        """Waits until the names in the folder are on the disk. On Windows, it does nothing, because Windows writes the names itself
+        and has no call for this."""
         if self._descriptor is not None:
             os.fsync(self._descriptor)
 
     # -- how it is guarded -------------------------------------------------------------------------------------------
 
     def _at(self, name: str) -> str:
-        """Returns the name in the form that system calls need: relative to the open folder, or with the folder's path on a system
-        that cannot keep a folder open."""
+        """Returns the name in the form that system calls need: relative to the open folder or, on a system that cannot keep a
+        folder open, with the path of the folder."""
         return name if self._descriptor is not None else str(self.path / name)
 
     def _status(self, name: str) -> os.stat_result:

@@ -2,8 +2,8 @@
 
 Ctrl-C, SIGTERM and a closed terminal raise a `KeyboardInterrupt`, so that files being written stay complete. During a run the
 executor handles signals itself (`execution.stopping`). While modules are imported or objects are released, Python may print the
-`KeyboardInterrupt` and continue; the interrupt is then raised again. Libraries may replace the `KeyboardInterrupt` by another
-exception; `reason` then shows that a signal was the cause.
+`KeyboardInterrupt` and continue; in this case, it is raised again. Libraries may replace the `KeyboardInterrupt` by another
+exception; in this case, `reason` shows that a signal was the cause.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ AGAIN_AFTER = 0.01
 
 
 class EndedError(KeyboardInterrupt):
-    """A signal ended the command. This is a separate class because after a plain `KeyboardInterrupt` within `exec`, which creates
-    dataclasses, Python ends the process by SIGINT and ignores the exit code."""
+    """Reports that a signal ended the command. The class exists because of `exec`, which creates dataclasses: after a plain
+    `KeyboardInterrupt` within `exec`, Python ends the process by SIGINT and ignores the exit code."""
 
 
 class Interruption:
     """A context manager that handles the signals that end a command. It has an effect only in the main thread. Signals that are
-    ignored on purpose, as by `nohup`, stay ignored. `reason`: the signal in words; empty as long as none has arrived."""
+    ignored on purpose, as by `nohup`, remain ignored. `reason`: the name of the signal in words; empty before a signal arrives."""
 
     def __init__(self) -> None:
         self.reason = ""
@@ -91,7 +91,7 @@ class Interruption:
             self._within_hook = False
 
     def _interrupt(self, raised: int) -> None:
-        """Repeats the interruption until it has been raised in the main thread, that is, until the count of raised interruptions
+        """Repeats the interruption until it has been raised in the main thread. This is so when the number of raised interruptions
         exceeds `raised`."""
         while True:
             time.sleep(AGAIN_AFTER)
@@ -104,15 +104,15 @@ class Interruption:
 
 
 def leave_with(code: int) -> None:
-    """Marks the command as finished: a signal that arrives while the interpreter shuts down then ends the process at once, with the
-    exit code of the command."""
+    """Marks the command as finished. If a signal arrives later, while the interpreter shuts down, it ends the process at once with
+    the exit code of the command."""
     for number in signals(ENDING):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, lambda number, frame: os._exit(code))
 
 
 def be_deaf() -> None:
-    """Ignores the signals that end planrunner, for a process that must outlive them."""
+    """Ignores the signals that end planrunner. It is used in a process that must continue in spite of them."""
     for number in signals(ENDING):
         signal.signal(number, signal.SIG_IGN)
 

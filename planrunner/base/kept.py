@@ -1,8 +1,8 @@
 """Caches results of pure functions for later calls with the same content.
 
-Plans of a laboratory share bench, site and positions, and a plan uses the same positions in several estimates. A result that
-depends only on such shared data is computed once per process. Arrays are compared by their bytes, so a cached result is returned
-only for an equal input.
+Plans of a laboratory often have the same bench, site and positions, and a plan uses the same positions in several estimates. A
+result that depends only on such data is computed once per process. Arrays are compared by their bytes, so a cached result is
+returned only for an equal input.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _LARGEST = 50_000  # bytes of the arrays in one call and its result; larger ones
 
 
 def kept(most: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Caches the last `most` results of a function. The arguments of the function are arrays, hashable values and tuples of these,
-    and the result depends on nothing else.
+    """Caches the last `most` results of a function. The arguments of the function must be arrays, hashable values and tuples of
+    these, and its result must depend on nothing else.
 
     Arrays in a result (an array, a record of arrays, or a tuple of these) are made read-only, because callers share them.
     """

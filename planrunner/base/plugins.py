@@ -1,8 +1,8 @@
 """Finds plug-ins by name through entry points: instruments and their simulators, estimators, and terms and effects of the error
 model.
 
-Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. Names are known
-without importing anything; the module of a plug-in is imported when its name is used.
+Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. The names
+of plug-ins are found without importing their modules; a module is imported when the name of its plug-in is used.
 
 The project's own entry points are read from the file in which its installation lists them. `importlib.metadata` is used only for
 other names, because it reads the entry points of all distributions and imports 28 further modules.
@@ -53,7 +53,8 @@ def _own(group: str) -> dict[str, str]:
 
 @cache
 def _entries() -> tuple[tuple[str, str, str], ...]:
-    """Group, name and location (`module:attribute`) of each of the project's own plug-ins; empty if the project is not installed."""
+    """Returns the group, name and location (`module:attribute`) of each of the project's own plug-ins; empty if the project is not
+    installed."""
     for folder in sys.path:
         try:
             for name in filter(_INFO.fullmatch, os.listdir(folder or ".")):

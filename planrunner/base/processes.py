@@ -2,10 +2,11 @@
 
 The items are distributed before the processes start, and each process sends all its results together when it has finished.
 Therefore no process waits for another. If the first process is killed, the others end when they have computed their part. If
-another process is killed, its pipe closes. This is an error in the first process, never an endless wait.
+another process is killed, its pipe closes; the first process then raises an error instead of waiting for ever.
 
-A process is a fork where that is safe: on Linux, while this process has a single thread. A fork has everything that this process
-has imported and computed. Elsewhere the process is a new interpreter, whose start takes as long as the work on many items.
+A process is a fork of this process if this is safe, that is, on Linux and if this process has a single thread. A fork already has
+everything that this process has imported and computed. Otherwise, the process is a new interpreter, whose start takes as long as
+the work on many items.
 """
 
 from __future__ import annotations
@@ -52,10 +53,10 @@ def shared_out(
     """Returns the results of `work` for all items, in their order.
 
     `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `jobs`: number
-    of processes including this one; if it is None, the number depends on the processors and on the number of items. `tell`: called
-    in this process after each item that it computes, with the completed fraction (0 to 1) of its own items. If `work` raises an
-    exception, it is raised here too; if several items fail, the exception of the first one in the order of the items. Raises
-    `ProcessEndedError` if another process ends early.
+    of processes including this one; if it is None, the number depends on the processors and on the number of items. `tell`: a
+    function that is called in this process after each item that it computes, with the completed fraction (0 to 1) of its own items.
+    If `work` raises an exception, this function raises it as well; if several items fail, it raises the exception of the first of
+    them, in the order of the items. Raises `ProcessEndedError` if another process ends early.
     """
     tell = tell or _untold
     method = "fork" if _may_fork() else "spawn"
@@ -80,7 +81,7 @@ def shared_out(
 
 
 def _untold(_: float) -> None:
-    """Does nothing; used if nobody wants to know the progress."""
+    """Does nothing. It is used if no function for the progress is given."""
 
 
 def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[[float], None] = _untold) -> list[R]:
@@ -94,14 +95,16 @@ def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[
 
 
 def _is_worker() -> bool:
-    """Returns True if this process is itself a worker, of this module or of Dask. Such a process must not start others."""
+    """Returns True if this process is itself a worker of this module or of Dask. Such a process must not start further
+    processes."""
     from multiprocessing import current_process
 
     return current_process().daemon
 
 
 def _may_fork() -> bool:
-    """Returns True if this process has only one thread. In a fork, a lock that another thread holds would stay locked."""
+    """Returns True if a fork is safe, because this process has only one thread. In a fork, a lock that another thread holds would
+    stay locked for ever."""
     if sys.platform != "linux":
         return False
     try:
@@ -111,7 +114,7 @@ def _may_fork() -> bool:
 
 
 class _Started(Generic[T, R]):
-    """A process that was started to compute a part of the items. It is ended when the context is left."""
+    """A process that was started to compute a part of the items. It is ended when its context is left."""
 
     def __init__(self, method: str, work: Callable[[T], R], share: Sequence[T]):
         from multiprocessing import get_context
@@ -161,7 +164,8 @@ def _do(end: Connection, work: Callable[[T], R], share: Sequence[T]) -> None:
 
 @contextlib.contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Blocks the signals that end a command while a process starts, so that the handlers of this process do not run in the new one."""
+    """Blocks the signals that end a command while a process is started, so that the handlers of this process do not run in the new
+    process."""
     if sys.platform == "win32":
         yield
         return
@@ -173,7 +177,7 @@ def _signals_held_back() -> Iterator[None]:
 
 
 def _leave_ctrl_c_to_the_first_process() -> None:
-    """Ignores Ctrl-C. In a terminal it reaches all processes, and the first process ends the others."""
+    """Ignores Ctrl-C. In a terminal, Ctrl-C reaches all processes; only the first process handles it, and ends the others."""
     for number in signals(ENDING):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.SIG_IGN if number == signal.SIGINT else signal.SIG_DFL)

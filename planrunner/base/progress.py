@@ -1,4 +1,4 @@
-"""Progress of a long pass over data: the work, the completed fraction, and the time left at the present pace."""
+"""Reports the progress of a long pass over data: the work, the completed fraction, and the time left at the present speed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ class Pace:
         self._began = self._shown = now()
 
     def reached(self, amount: float) -> None:
-        """Sets the amount of data that has been processed, and reports the progress if a report is due. It can be called often."""
+        """States the amount of data that has been processed so far, and reports the progress if a report is due. It can be called
+        often."""
         if self._notice is None or amount <= 0 or self._amount <= 0:
             return
         time = now()

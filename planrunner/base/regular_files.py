@@ -1,9 +1,10 @@
-"""Opens files that the user names: a regular file within a size limit, or a refusal with the reason.
+"""Opens files that the user names. Only regular files within a size limit are opened; any other file is refused, with the reason.
 
 Everything that planrunner reads (plans, benches, templates, recordings, run folders) is opened here. A pipe without a writer would
 block the program for ever, `/dev/zero` would fill the memory, and opening a device can move an instrument. The kind of a file is
-therefore checked before it is opened and again afterwards. Windows can neither open without waiting nor refuse a link while
-opening. There, the check before opening protects, and the check afterwards applies the same rule to the open file.
+therefore checked before it is opened and again afterwards. On Windows, a file cannot be opened without waiting, and a link cannot
+be refused while it is opened. There, only the check before opening gives protection; the check afterwards applies the same rule to
+the open file.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ def open_flags(*names: str) -> int:
 
 
 def file_kind(status: os.stat_result) -> FileKind:
-    """Returns the kind of a file from the result of `os.stat` or `os.lstat`; "a link" only if the result describes the link itself."""
+    """Returns the kind of a file from the result of `os.stat` or `os.lstat`. The kind is "a link" only if the result describes the
+    link itself."""
     kind = stat.S_IFMT(status.st_mode)
     return next((word for number, word in _KINDS if number == kind), "something else")
 

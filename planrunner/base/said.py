@@ -1,8 +1,9 @@
 """Makes text for readers that can be translated: an English template together with the values that it inserts.
 
-`said("{output}: {count} samples are missing.", output="gyro_x", count=3)` is the text "gyro_x: 3 samples are missing." that also keeps its
-template and its values. The template is the message id of the catalogues in `locales/`, as for gettext; `make catalogues` finds it in the
-call. A page in another language looks up the template and inserts the values with the format that the template states.
+`said("{output}: {count} samples are missing.", output="gyro_x", count=3)` is the text "gyro_x: 3 samples are missing.", together
+with its template and its values. The template is the message id of the catalogues in `locales/`, as for gettext; `make catalogues`
+finds it in the call. A page in another language looks up the template and inserts the values with the format that the template
+states.
 
 A `Said` is a `str`: where nothing is translated (the terminal, a page in English, a comparison) it is the English text.
 """
@@ -25,8 +26,8 @@ _FORMAT = re.compile(r"\+?(\.\d{1,2})?[dgef%]?")
 
 
 class Said(str):
-    """Contains an English text with its template and the inserted values; a text without a template is not translated. `plural`:
-    the template for a `count` other than 1, if there is one."""
+    """Contains an English text with its template and the inserted values. A text without a template is not translated. `plural`:
+    the template that is used if `count` is not 1; empty if there is none."""
 
     template: str
     values: Mapping[str, Inserted]
@@ -77,8 +78,8 @@ class Said(str):
 
 
 def said(template: str, /, **values: Inserted) -> Said:
-    """Returns the template with the values inserted. `{name}` inserts a value, `{name:.3g}` a number with this format; `{{` is a
-    brace.
+    """Returns the template with the values inserted. `{name}` inserts a value; `{name:.3g}` inserts a number in this format; `{{`
+    is a brace.
 
     Raises ValueError for a template that uses other features, and KeyError for a name without a value."""
     return _made(template, "", values)

@@ -3,7 +3,7 @@
 planrunner keeps compiled code and locks outside the folders that it is given. Other users must not be able to place files there,
 because cached code is executed when it is read, and a link in place of a lock file would redirect writes. Therefore every folder
 from the root down, and every link on the way, must belong to the user or the administrator and must not be writable by others. A
-folder that all users may write to is accepted if it has the sticky bit, as `/tmp` has. Access control lists are covered too,
+folder to which all users may write is accepted if it has the sticky bit, like `/tmp`. The check also covers access control lists,
 because POSIX shows them in the group bits.
 
 Windows has no such permission bits. There only the system's data folders for the user or for all users are accepted (`user_data`,
@@ -48,8 +48,8 @@ def trusted(folder: Path, user: int | None = None) -> Path:
 
 
 def trusted_within(folder: Path, user: int | None = None) -> None:
-    """Checks every entry in a trusted folder: it must be a folder or file of the user or the administrator, and no link. Raises
-    `UntrustedFolderError` if an entry is not, and `OSError` if the folder cannot be read."""
+    """Checks every entry in a trusted folder: it must be a folder or file of the user or the administrator, and must not be a link.
+    Raises `UntrustedFolderError` for any other entry, and `OSError` if the folder cannot be read."""
     user = this_user() if user is None else user
     reachable = bool(folder.lstat().st_mode & OTHERS_ENTER)
     for place, folders, files in os.walk(folder, onerror=_raise):
@@ -66,7 +66,7 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
 
 def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
     """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. `reachable`: True
-    if other users can reach the entry; only then does writability matter."""
+    if other users can reach the entry. Only in this case is it checked whether they may write to it."""
     if sys.platform == "win32":
         return
     if known.st_uid not in (user, ADMINISTRATOR):
@@ -116,7 +116,7 @@ def _known_folder(number: int) -> Path:  # pragma: no cover (Windows)
 
 
 def _components(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
-    """Every folder and every link on the path from the root to `folder`, each with its file status."""
+    """Yields every folder and every link on the path from the root to `folder`, each with its file status."""
     path = Path(os.path.abspath(folder))
     here, ahead, links = Path(path.anchor), list(path.parts[1:]), 0
     yield here, here.lstat()

@@ -1,7 +1,8 @@
-"""States where independent items of work are computed: in this process, in processes of this machine, or on a Dask cluster.
+"""Determines where independent items of work are computed: in this process, in several processes of this machine, or on a Dask
+cluster.
 
-The results do not depend on where they are computed: `work` is a pure function of one item, random numbers come from the item and
-not from the worker, and results are in the order of the items. `processes` and `cluster` are the two backends.
+The results do not depend on where they are computed: `work` is a pure function of one item, random numbers are determined by the
+item and not by the worker, and results are in the order of the items. `processes` and `cluster` are the two backends.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ def results_of(
 ) -> list[R]:
     """Returns the results of `work` for all items, in their order.
 
-    `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `tell`: called
-    with the completed fraction of all items, 0 to 1. If `work` raises an exception, it is raised here too; if several items fail,
-    the exception of the first one in the order of the items. Raises `ProcessEndedError` if workers end before the work is done, and
-    `ClusterError` if the cluster cannot be used.
+    `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `tell`: a
+    function that is called with the completed fraction of all items, 0 to 1. If `work` raises an exception, this function raises it
+    as well; if several items fail, it raises the exception of the first of them, in the order of the items. Raises
+    `ProcessEndedError` if workers end before the work is done, and `ClusterError` if the cluster cannot be used.
     """
     if workers.scheduler is None:
         return shared_out(work, items, workers.jobs, tell)
@@ -54,8 +55,8 @@ def results_of(
 def results_in_order(
     work: Callable[[T], R], items: Sequence[T], workers: Workers, tell: Callable[[float], None] | None = None
 ) -> Iterator[R]:
-    """The same as `results_of`, except that each result is yielded as soon as all earlier results are available, so that not all
-    results are in memory."""
+    """Does the same as `results_of`, except that each result is yielded as soon as all earlier results are available. Not all
+    results need to be in memory at the same time."""
     if workers.scheduler is not None:
         from planrunner.base.cluster import computed_on_cluster
 

@@ -1,1 +1,1 @@
-"""Computes what a planned test can and cannot determine, before the test runs."""
+"""Computes, before a planned test runs, what it can and cannot determine."""

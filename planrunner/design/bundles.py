@@ -1,8 +1,9 @@
-"""Chooses among bundles: candidates that add several observations at once, such as a pair of equal and opposite rates.
+"""Chooses among bundles. A bundle is a candidate that adds several observations at once, such as a pair of equal and opposite
+rates.
 
 A bundle i adds the information matrix B_i (p, p). Fixed parts of the plan, such as rest segments, add the matrix F. Criterion D
-maximises |F + Σ B_i|, criterion A minimises the trace of the inverse of F + Σ B_i. There are few bundles and p is small, so each
-exchange computes the whole matrix again.
+maximises |F + Σ B_i|, criterion A minimises the trace of the inverse of F + Σ B_i. As there are few bundles and p is small, the
+whole matrix is computed again for each exchange.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from planrunner.base.workers import ALONE, Workers, results_in_order
 
 
 def loss(matrix: Array, criterion: str) -> float:
-    """Returns the loss of an information matrix M (p, p). It is −ln|M| for criterion D and tr M⁻¹ for criterion A, and infinite if
-    M is singular."""
+    """Returns the loss of an information matrix M (p, p). The loss is −ln|M| for criterion D, and tr M⁻¹ for criterion A. It is
+    infinite if M is singular."""
     sign, logarithm = np.linalg.slogdet(matrix)
     size = float(np.trace(matrix)) / len(matrix)
     if sign <= 0 or size <= 0 or logarithm - len(matrix) * math.log(size) < 2 * math.log(1e-9):
@@ -79,10 +80,10 @@ def _settle(bundles: Array, fixed: Array, others: Array, criterion: str, start: 
 def shares(
     bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
 ) -> tuple[Array, float]:
-    """Computes the best fractions of a resource, such as the time, for each of N bundles, shape (N,). Also returns the remaining
-    excess. The fractions add up to 1. `bundles` (N, p, p) is the information of each bundle if that bundle gets the whole resource.
-    The excess is the ratio of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at the
-    optimum (Kiefer and Wolfowitz; multiplicative steps as in `continuous`).
+    """Computes the fractions of a resource, such as the time, that N bundles should get. Returns the fractions, shape (N,), which
+    add up to 1, and the remaining excess. `bundles`: array of shape (N, p, p), the information of each bundle if it gets the whole
+    resource. The excess is the ratio of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at
+    the optimum (Kiefer and Wolfowitz; multiplicative steps as in `continuous`).
 
     `fixed`: array of shape (p, p), information that does not depend on the fractions. Raises ValueError if the bundles cannot
     determine all terms.

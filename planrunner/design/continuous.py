@@ -1,13 +1,13 @@
-"""Continuous designs: the fraction of the observations that each candidate gets, and the bound that no set of observations can
-exceed.
+"""Computes continuous designs: the fraction of the observations that each candidate gets, and a bound that no set of observations
+can exceed.
 
-By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal exactly when the variance d(x) =
-xᵀM⁻¹x is nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) changes the fractions w_i ←
-w_i·d_i/p, which raises |M| with every step. Steps of Fedorov and Wynn towards the candidate with the largest d, and away from the
-candidate with the smallest d, complete the search (Todd & Yıldırım 2007). The excess of max d over p is the certificate: by the
-inequality of arithmetic and geometric means, |M(η)| ≤ |M(ξ)|·(max d/p)^p for the design ξ that was found and every other design η.
-A linear criterion is tr(W·M⁻¹); with W = 1 it is criterion A. In the formulas for a linear criterion, xᵀM⁻¹WM⁻¹x replaces d,
-tr(W·M⁻¹) replaces p, and the step is w_i ← w_i·√(d_i/p).
+By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal if and only if the variance d(x) =
+xᵀM⁻¹x is not larger than p for any candidate x. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010)
+changes the fractions by w_i ← w_i·d_i/p, which increases |M| in every step. The search is completed by steps of Fedorov and Wynn
+(Todd & Yıldırım 2007): towards the candidate with the largest d, and away from the candidate with the smallest d. The excess of max
+d over p is a certificate for the design ξ that was found: by the inequality of arithmetic and geometric means, |M(η)| ≤ |M(ξ)|·(max
+d/p)^p for every other design η. A linear criterion is tr(W·M⁻¹); with W = 1 it is criterion A. In the formulas for a linear
+criterion, xᵀM⁻¹WM⁻¹x replaces d, tr(W·M⁻¹) replaces p, and the step is w_i ← w_i·√(d_i/p).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class Continuous:
     observations.
 
     `shares`: array of shape (N,), the fractions, which add up to 1. `matrix`: array of shape (p, p), the information matrix M per
-    observation. `excess`: the ratio of the largest derivative to `mean`, minus 1. A value of 1e-6 means that no design is better by
-    more than one part in a million. `value`: |M| (criterion D) or tr(W·M⁻¹). `mean`: mean of the derivative over the candidates,
-    weighted by `shares`. The mean is p (criterion D) or `value` (linear criterion) if there is no fixed information, and smaller if
-    there is.
+    observation. `excess`: the ratio of the largest derivative of the criterion to `mean`, minus 1. A value of 1e-6 means that no
+    design is better by more than one part in a million. `value`: |M| (criterion D) or tr(W·M⁻¹). `mean`: mean of the derivative
+    over the candidates, weighted by `shares`. Without fixed information, it is p (criterion D) or `value` (linear criterion); with
+    fixed information, it is smaller.
     """
 
     shares: Array
@@ -49,18 +49,19 @@ class Continuous:
         return self.mean * (1.0 + self.excess)
 
     def determinant_bound(self, observations: int) -> float:
-        """Upper bound of |M| for any set with this number of observations (criterion D)."""
+        """Returns an upper bound of |M| for any set with this number of observations (criterion D)."""
         # ln|M| is concave: no other design's is larger by more than what the largest derivative exceeds the mean.
         return float(observations ** len(self.matrix) * self.value * np.exp(self.mean * self.excess))
 
     def trace_bound(self, observations: int) -> float:
-        """Lower bound of tr(W·M⁻¹) for any set with this number of observations (linear criteria)."""
+        """Returns a lower bound of tr(W·M⁻¹) for any set with this number of observations (linear criteria)."""
         # tr(W·M⁻¹) is convex, likewise.
         return (self.value - self.mean * self.excess) / observations
 
 
 def derivative(rows: Array, matrix: Array, weighting: Array | None) -> Array:
-    """Derivative of the criterion for each row, shape (N,). It is xᵀM⁻¹x for criterion D, and xᵀM⁻¹WM⁻¹x for a linear criterion."""
+    """Returns the derivative of the criterion for each row x, shape (N,): xᵀM⁻¹x for criterion D, and xᵀM⁻¹WM⁻¹x for a linear
+    criterion."""
     inverse = np.linalg.inv(matrix)
     middle = inverse if weighting is None else inverse @ weighting @ inverse
     return np.asarray(np.einsum("ij,ij->i", rows @ middle, rows))
@@ -131,9 +132,9 @@ def judged(
 
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
-    """Returns a step of the fractions towards the candidate with the largest variance d, or away from the candidate with the
-    smallest d among those with a fraction above zero. Of these two directions, it takes the one whose d differs more from p. The
-    length of the step maximises |M|."""
+    """Makes one step of the fractions, and returns the new fractions. The step is towards the candidate with the largest variance
+    d, or away from the candidate with the smallest d among those with a fraction above zero. Of these two candidates, the one whose
+    d differs more from p is chosen. The length of the step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
     down = int(held[np.argmin(gain[held])])
@@ -151,7 +152,8 @@ def _step(shares: Array, gain: Array, p: int) -> Array:
 
 
 def _needed(gain: Array, p: int, excess: float) -> Array:
-    """Returns the candidates that may support a D-optimal design (Harman & Pronzato, Statist. Probab. Lett. 77, 2007)."""
+    """Returns the candidates that may have a fraction above zero in a D-optimal design (Harman & Pronzato, Statist. Probab. Lett.
+    77, 2007)."""
     e = p * excess
     bound = p * (1.0 + e / 2 - np.sqrt(e * (4.0 + e - 4.0 / p)) / 2)
     return np.asarray(gain >= bound)
@@ -173,7 +175,7 @@ def solve_with_climbing(
     `rows`, and adds better points found by climbing until climbing finds none.
 
     `climb`: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
-    derivatives there. The excess of the result refers to the region, as far as climbing finds the maxima.
+    derivatives there. The excess of the result refers to the whole region, provided that climbing finds the maxima.
     """
     known = np.asarray(rows, dtype=float)
     shares: Array | None = None

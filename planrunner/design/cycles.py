@@ -1,14 +1,14 @@
-"""Searches for rotation cycles in which a constant horizontal error leaves no residual: the contributions of the error cancel over
-all stops, and also over all turns.
+"""Searches for rotation cycles in which a constant horizontal error leaves no residual. In such a cycle, the contributions of the
+error cancel over all stops, and also over all turns.
 
 `same_order` keeps the planned order of the stops and chooses the sense of every turn. If no choice of senses in one round is good
-enough, it searches cycles of two and more rounds. `free_order` also chooses the order of the stops. Every position is held equally
-often. The cycles of both functions end at the first position with unwound cables. Among these cycles, both functions prefer a mean
-angle of zero, then the smallest range of cable, then the shortest duration.
+enough, it searches cycles of two and more rounds. `free_order` also chooses the order of the stops. In its cycles, every position
+is held equally often. The cycles of both functions end at the first position with unwound cables. Among several cycles, both
+functions prefer a mean angle of zero, then the smallest range of cable, and then the shortest duration.
 
-Workers can share a search. `same_order` is divided into parts of equal numbers of choices, `free_order` into parts by the first
-move. The parts are independent of each other, and their results are combined in a fixed order, so the result does not depend on the
-number of workers.
+Workers can share a search. The search of `same_order` is divided into parts with equal numbers of choices; the search of
+`free_order` is divided by the first move. The parts are independent of each other, and their results are combined in a fixed order,
+so the result does not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class CycleError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Cable:
-    """The range of angles that the cable of the axis permits, counted from the first position [rad]."""
+    """The range of angles that the cable of the axis permits [rad], counted from the first position."""
 
     lowest: float = -math.inf
     highest: float = math.inf
@@ -89,8 +89,8 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers = ALONE) -> FoundCycle:
-    """Searches for cycles through the planned stops in the planned order. A turn may have either sense. It is limited to the
-    longest planned turn, or to half a turn if the longest planned turn is shorter.
+    """Searches for cycles through the planned stops in the planned order. A turn may have either sense. The length of a turn is
+    limited to that of the longest planned turn, but is permitted to be at least half a turn.
 
     Raises `CycleError` if the stops themselves are not balanced, which no choice of turns can correct, or if there are too many
     choices.
@@ -150,8 +150,8 @@ def _ways(turn: float, most: float) -> list[float]:
 
 
 def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[RotationCycle | None, Round]:
-    """Returns the best of m cycles with stops of equal duration, and the extent of this search. `turns`: array of shape (m, n), the
-    n turns of each cycle."""
+    """Returns the best of m cycles, whose stops have equal durations, and the extent of this search. `turns`: array of shape (m,
+    n), the n turns of each cycle."""
     ends = np.cumsum(turns, axis=1)
     begins = ends - turns
     left = np.zeros(len(turns), dtype=complex)
@@ -224,8 +224,8 @@ def _best_after(
 
 
 class _Search:
-    """Searches every order of stops that begins with a given first step, and omits branches that wind the cables further than the
-    best cycle found so far."""
+    """Searches every order of stops that begins with a given first step. Branches that wind up the cables further than the best
+    cycle found so far are omitted."""
 
     def __init__(
         self,
@@ -324,7 +324,7 @@ def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
 
 
 def _better(first: RotationCycle | None, second: RotationCycle | None) -> RotationCycle | None:
-    """Returns the better of two cycles with zero residual; the first if both are equally good."""
+    """Returns the better of two cycles with zero residual. If both are equally good, returns the first."""
     if first is None or second is None:
         return first or second
     return second if _merit(second) < _merit(first) else first

@@ -1,9 +1,9 @@
 """Writes rows of a design matrix as polynomials of the attitude's nine direction cosines, so that a search can evaluate millions of
 rows.
 
-At rest a sensor senses the Earth's rate and gravity, which are linear in the direction cosines; products of two cosines are of
-second degree. A polynomial of second degree is fitted to the rows that the estimator computes. The polynomial is used only if it
-reproduces the estimator's rows everywhere.
+At rest, a sensor senses the Earth's rate and gravity. Their components are linear in the direction cosines, and products of two
+components are of second degree. A polynomial of second degree is fitted to the rows that the estimator computes. The polynomial is
+used only if it reproduces the estimator's rows everywhere.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _UPPER = np.triu_indices(9)
 
 
 def quick(rows_at: RowsAt, seed: int = 0) -> RowsAt:
-    """Returns a fast replacement for the function `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3). It returns `rows_at`
-    itself if the rows are not polynomials of second degree in the direction cosines."""
+    """Returns a faster function in place of `rows_at`, a function that computes rows (m, p) at attitudes (m, 3, 3). If the rows are
+    not polynomials of second degree in the direction cosines, returns `rows_at` itself."""
     random = np.random.default_rng(seed)
     attitudes = np.linalg.qr(random.normal(size=(_FITTED + _TRIED, 3, 3)))[0]
     attitudes = attitudes * np.linalg.det(attitudes)[:, None, None]

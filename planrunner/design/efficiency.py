@@ -1,12 +1,12 @@
 """Measures the information in a set of observations by the four usual criteria of optimal design, and the efficiency of the set
 relative to the best set.
 
-rows: shape (n, p), one row for each observation, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the
-information matrix in units of the inverse variance of one observation. D maximises |M|. A minimises the trace of M⁻¹ (sum of the
-coefficients' variances). G minimises the largest variance xᵀM⁻¹x of a predicted output over a region, and I minimises the mean
-variance over the region. Efficiencies are per observation: if the efficiency of a set is 80 %, the best design needs 0.8 times as
-many observations for the same value of the criterion (Atkinson, Donev & Tobias, Optimum Experimental Designs, with SAS, 2007,
-chapters 10 and 11).
+A set of observations is given by rows x_i of a design matrix (n, p), whose columns are divided by their declared magnitudes. M = Σ
+w_i·x_i·x_iᵀ is the information matrix in units of the inverse variance of one observation. Criterion D maximises |M|. Criterion A
+minimises the trace of M⁻¹, which is the sum of the coefficients' variances. Criterion G minimises the largest variance xᵀM⁻¹x of a
+predicted output over a region, and criterion I minimises the mean variance over the region. Efficiencies are per observation: if
+the efficiency of a set is 80 %, the best design reaches the same value of the criterion with 0.8 times as many observations
+(Atkinson, Donev & Tobias, Optimum Experimental Designs, with SAS, 2007, chapters 10 and 11).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Merit:
 
 @dataclass(frozen=True, slots=True)
 class Efficiency:
-    """Efficiencies relative to a reference set; each is 1 for the reference itself."""
+    """Contains efficiencies relative to a reference set. For the reference set itself, each of them is 1."""
 
     D: float
     A: float
@@ -92,7 +92,7 @@ def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array
 
 
 def efficiency(of: Merit, reference: Merit) -> Efficiency:
-    """Efficiencies of a set relative to another set with the same number of terms, one for each criterion."""
+    """Returns the efficiencies of a set relative to another set with the same number of terms, one for each criterion."""
     share = of.observations / reference.observations
     root = (of.determinant / reference.determinant) ** (1 / of.terms) if reference.determinant > 0 else math.nan
     return Efficiency(

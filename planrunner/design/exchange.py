@@ -1,9 +1,10 @@
-"""Chooses the best n candidates of a list. If there are few choices it tries all, otherwise it uses exchange from many starts.
+"""Chooses the best n candidates of a list. If there are few possible choices, all of them are tried; otherwise, exchange is used
+from many starts.
 
 In an exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980), each point in turn is replaced by the
-candidate that is best together with the other points, until no replacement improves the set. With S the inverse information of the
-other points and d = xᵀSx, adding x multiplies the determinant by 1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p,
-p), is information that does not depend on the choice.
+candidate that is best together with the other points, until no replacement improves the set. Let S be the inverse information of
+the other points, and d = xᵀSx. Adding the candidate x then multiplies the determinant by 1 + d, and reduces tr(W·M⁻¹) by xᵀSWSx/(1
++ d). `fixed`, shape (p, p), is information that does not depend on the choice.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def loss(rows: Array, weighting: Array | None = None, fixed: Array | None = None
 
 
 def root(information: Array) -> Array:
-    """Returns p rows, shape (p, p), whose information matrix is the given matrix."""
+    """Returns p rows, shape (p, p), that have the given information matrix."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
 
@@ -174,7 +175,8 @@ def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool,
 
 
 def _worth(rows: Array, others: Array, weighting: Array | None) -> Array:
-    """How much each candidate adds to the information of the other points. Only the order of these values matters."""
+    """Returns, for each candidate, a measure of what it adds to the information of the other points. Only the order of these values
+    matters."""
     values, vectors = np.linalg.eigh(others)
     inverse = (vectors / np.maximum(values, 1e-13 * max(values[-1], 1e-300))) @ vectors.T
     carried = rows @ inverse

@@ -1,4 +1,5 @@
-"""Finds out which coefficients the planned segments determine: rank, condition, and the terms that cannot be separated."""
+"""Determines which coefficients the planned segments can determine. Computes the rank, the condition, and the terms that cannot be
+separated."""
 
 from __future__ import annotations
 

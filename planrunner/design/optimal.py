@@ -1,7 +1,7 @@
 """Searches for positions that need not be in a list of candidates, by local optimisation over continuous settings from many seeded
 starts.
 
-A setting is a row of k numbers within bounds, such as the joint angles of a table, so that the table can reach every result. The
+A setting is a row of k numbers within bounds, such as the joint angles of a table; the table can therefore reach every result. The
 function `rows_of` computes rows of the design matrix (m, p) from settings (m, k); the columns are divided by their magnitudes.
 """
 
@@ -61,7 +61,8 @@ def region(rows_of: RowsOf, settings: Array, bounds: Sequence[tuple[float, float
 
 
 def spread(bounds: Sequence[tuple[float, float]], count: int, seed: int) -> Array:
-    """Random settings, shape (count, k), uniformly distributed within the bounds. An angle without bounds covers one turn."""
+    """Returns random settings, shape (count, k), which are uniformly distributed within the bounds. An angle without bounds covers
+    one turn."""
     low = np.array([-math.pi if math.isinf(low) else low for low, _ in bounds])
     high = np.array([math.pi if math.isinf(high) else high for _, high in bounds])
     return np.asarray(low + (high - low) * np.random.default_rng(seed).random((count, len(bounds))))
@@ -127,8 +128,8 @@ def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Ar
 
 
 def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[Array, Array]:
-    """Rows (m, p) at local maxima of the derivative of the criterion, and the values (m,) of the derivative there. The search
-    climbs from candidates with a high derivative, and returns the highest maxima."""
+    """Finds local maxima of the derivative of the criterion by climbing from candidates with a large derivative. Returns the rows
+    (m, p) at the highest maxima, and the values (m,) of the derivative there."""
     from scipy.optimize import minimize
 
     inverse = np.linalg.inv(matrix)
@@ -182,13 +183,14 @@ def allocate(
     rows: Array, weighting: Array | None = None, *, least_share: float = 0.25, fixed: Array | None = None
 ) -> Array:
     """Returns the fractions of the total recording time for given positions, shape (n,); they add up to 1. The variance of an
-    observation is inversely proportional to its time. `least_share`: every position keeps at least this fraction of an equal share
-    of the time, so that all positions remain for checking the model."""
+    observation is inversely proportional to its time. `least_share`: the smallest time of a position, as a fraction of the time
+    that it would have if all times were equal. It ensures that all positions remain in the plan, for checking the model."""
     return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9, fixed=fixed).shares
 
 
 def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
-    """Rows (n, p) of the design matrix, and their derivatives (n, k, p) with respect to the settings, by central differences."""
+    """Returns the rows (n, p) of the design matrix, and their derivatives (n, k, p) with respect to the settings, computed by
+    central differences."""
     n, k = settings.shape
     steps = DIFFERENCE * np.eye(k)
     moved = np.concatenate([settings[:, None] + steps, settings[:, None] - steps], axis=1)

@@ -1,8 +1,8 @@
 """Finds the positions of a plan that a design may move, and the response of an estimate at any other attitude.
 
 A place is one orientation in the text of the plan, together with the segments that rest in this orientation. Segments with the same
-place (repeats, temperatures) move together. The estimator itself gives the information of a position at rest, so this module does
-not depend on any sensor.
+place (repeats, temperatures) are moved together. The estimator itself computes the information of a position at rest, so this
+module does not depend on the kind of sensor.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Sight:
     fixed: Array
 
     def rows(self, attitudes: Array) -> Array:
-        """Rows (m, p) of the design matrix for attitudes (m, 3, 3). The columns are divided by their magnitudes."""
+        """Returns the rows (m, p) of the design matrix for attitudes (m, 3, 3). The columns are divided by their magnitudes."""
         segments = tuple(replace(self.template, attitude=attitude) for attitude in attitudes)
         design = _design(self.name, self.spec, segments, self.site, self.sensor, self.uses, self.setup)
         return np.asarray(self._block(design).matrix / self.magnitudes)
@@ -75,7 +75,7 @@ class Sight:
 
 def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[Place, ...], tuple[Segment, ...]]:
     """Returns the places of the segments that an estimate uses, and the spinning segments that it uses, which the design leaves
-    unchanged. Raises `EstimationError` for segments that no design of positions can move."""
+    unchanged. Raises `EstimationError` for segments that a design of positions cannot move."""
     chosen = set(select([segment.label for segment in segments], patterns))
     groups: dict[tuple[int, int], list[Segment]] = {}
     spins = tuple(segments[index] for index in sorted(chosen) if isinstance(segments[index].motion, Spin))
@@ -113,7 +113,7 @@ def sight(
     spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """Returns the response of an estimate at the given places; the spinning segments stay unchanged. `output`: name of the output,
+    """Returns the response of an estimate at the given places. The spinning segments are not changed. `output`: name of the output,
     required if the design matrices of the outputs differ. Raises `EstimationError` if the estimate cannot be designed."""
     at_rest = tuple(place.segments[0] for place in found)
     design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)
@@ -201,7 +201,7 @@ def _turned(axis: Array, angles: Array) -> Array:
 
 
 def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> tuple[list[Array], Array]:
-    """Attitudes that the table can reach, together with joint angles (m, k) near zero that give them."""
+    """Returns the attitudes that the table can reach, and joint angles (m, k) near zero that give these attitudes."""
     kept, settings = [], []
     for attitude in wanted:
         try:

@@ -1,4 +1,4 @@
-"""A design study: its options, the result of its search, and its printed output.
+"""Describes a design study: its options, the result of its search, and its printed output.
 
 Positions, rates and cycles are three kinds of study. Each kind has its own search (`planrunner.tasks.design_positions` and so on),
 whose result is a `Found…`. A module such as `planrunner.reporting.positions_study` adds facts, tables and pictures to this result,
@@ -32,16 +32,16 @@ class Asked:
     All kinds. `estimate`: name of the estimate; by default, the first estimate that can be designed. `criterion`: D, A, G or I; for
     rates, D or A. `time`: duration [s] of the whole plan, within which the dwells are chosen.
 
-    Positions. `output`: name of the output for which the positions are designed, required if the outputs differ. `orientations`:
-    which set is put into the plan (free, cardinal or planned). `restarts`, `seed`: number of restarts and seed of the search over
-    free orientations.
+    Positions. `output`: name of the output for which the positions are designed; required if the outputs have different design
+    matrices. `orientations`: the set of positions that is written into the plan (free, cardinal or planned). `restarts`, `seed`:
+    number of restarts and seed of the search over free orientations.
 
-    Rates. `rates`: True if the rates are designed even though positions or cycles could be designed. `line_only`: True if the rates
-    are designed for the terms of the estimator alone, without the added terms |rate| and rate³. `keep_lowest`: True if the lowest
-    planned rate is kept, because threshold and resolution are determined at this rate.
+    Rates. `rates`: True to design the rates, even if positions or cycles could be designed. `line_only`: True to design the rates
+    only for the terms of the estimator, without the additional terms |rate| and rate³. `keep_lowest`: True to keep the lowest
+    planned rate, because threshold and resolution are determined at this rate.
 
-    Cycles. `segment`: label of the segment with the cycle, by default the first such segment. `order`: which cycle is put into the
-    plan (free or same).
+    Cycles. `segment`: label of the segment with the cycle, by default the first such segment. `order`: the cycle that is written
+    into the plan (free or same).
     """
 
     estimate: str | None = None
@@ -88,9 +88,9 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The bounds of the criteria. `merit`: for each criterion, a value that no set with this number of positions can improve on.
-    `certificate`: largest variance of a predicted output for the D-optimal continuous design; it equals the number of terms if the
-    optimum is exact."""
+    """The bounds of the criteria. `merit`: for each criterion, a value that is at least as good as that of any set with this number
+    of positions. `certificate`: largest variance of a predicted output for the D-optimal continuous design; it equals the number of
+    terms if the optimum is exact."""
 
     merit: Merit
     certificate: float
@@ -100,10 +100,10 @@ class Bounds:
 class FoundPositions:
     """The result of a design of positions.
 
-    `sets`: the sets that exist, by their names `planned`, `cardinal` and `free`. `best`: the best values found. `bounds`: the
-    bounds of the criteria. The keys of both mappings are free and cardinal. `dwells`: dwells of the chosen set, s; empty if they
-    were not optimised. `dwell_gain`: efficiency of equal dwells relative to the optimised `dwells`. `text`: the plan with the
-    chosen set.
+    `sets`: the sets that exist, by their names `planned`, `cardinal` and `free`. `best`: the best values that were found, for
+    `free` and for `cardinal`. `bounds`: the bounds of the criteria, also for `free` and for `cardinal`. `dwells`: dwells of the
+    chosen set, s; empty if they were not optimised. `dwell_gain`: efficiency of equal dwells, relative to the optimised `dwells`.
+    `text`: the plan with the chosen set.
     """
 
     sight: Sight
@@ -211,9 +211,9 @@ class Pose:
 class Study:
     """The output of a study.
 
-    `varied`: the designed quantity, such as `positions`. `heading`: heading in one line. `poses`: rows of orientations to be drawn,
-    by the title of the row. `footer`: explanation of the numbers. `data`: all results as plain data. `text`: the plan with the
-    chosen design; empty if there is none, and `missing` then gives the reason.
+    `varied`: name of the designed quantity, such as `positions`. `heading`: heading in one line. `poses`: rows of orientations to
+    be drawn, by the title of the row. `footer`: explanation of the numbers. `data`: all results as plain data. `text`: the plan
+    with the chosen design; empty if there is none, and `missing` then gives the reason.
     """
 
     subject: Subject

@@ -1,4 +1,4 @@
-"""G-optimal sets: sets that minimise the largest variance of a predicted output over a region.
+"""Searches for G-optimal sets, which minimise the largest variance of a predicted output over a region.
 
 The largest variance is not differentiable where two points of the region have the same variance. A local search therefore uses the
 k-norm of the variances for increasing k. The gradient of this norm is the gradient of a linear criterion tr(W·M⁻¹). As k grows, its
@@ -34,8 +34,8 @@ def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
 
 
 def refine(over: Region, start: Array, region: Array, fixed: Array | None = None) -> Array:
-    """Settings (n, k), found by a local search from `start`, with a smaller largest variance over the rows of `region`. Returns
-    `start` itself if no better settings are found."""
+    """Searches locally from `start` for settings (n, k) with a smaller largest variance over the rows of `region`. Returns these
+    settings, or `start` itself if no better settings are found."""
     from scipy.optimize import minimize
 
     shape, best, least = start.shape, start, worst(over.rows_of(start), region, fixed)
@@ -66,8 +66,8 @@ def refine(over: Region, start: Array, region: Array, fixed: Array | None = None
 
 
 def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False, fixed: Array | None = None) -> Indices:
-    """Indices (n,) of the chosen candidates among `rows` (N, p). The search begins with `start` and makes exchanges that reduce the
-    largest variance, until no exchange reduces it."""
+    """Returns the indices (n,) of the chosen candidates among `rows` (N, p). The search begins with `start`, and makes exchanges
+    that reduce the largest variance until no exchange reduces it any more."""
     chosen = list(map(int, start))
     least = worst(rows[chosen], region, fixed)
     improved = True

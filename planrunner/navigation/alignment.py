@@ -1,16 +1,15 @@
-"""Alignment at rest. The coarse alignment uses the directions of gravity and of the Earth's rotation; the fine alignment uses the
-velocity, which should be zero.
+"""Aligns a sensor at rest. The coarse alignment uses the directions of gravity and of the Earth's rotation. The fine alignment uses
+the fact that the velocity should be zero.
 
 In the coarse alignment, the mean specific force f points up, and the cross product ω × f with the mean rate ω points east
 (Britting, "Inertial Navigation Systems Analysis", 1971, chapter 9). In the fine alignment, the navigator starts with the coarse
-attitude. As the unit does not move, any computed velocity is an error. This velocity is the measurement for a Kalman filter with
-the linear error equations. The filter estimates tilt and azimuth with their covariance (gyrocompassing). Swaying is permitted,
-because the gyros measure it.
+attitude. As the unit does not move, any computed velocity is an error. The computed velocity is the measurement of a Kalman filter
+with the linear error equations. The filter estimates tilt and azimuth with their covariance (gyrocompassing). Small rotations of
+the unit (swaying) are permitted, because the gyros measure them.
 
 While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`).
-If the unit is turned about the vertical, with stops in between, they can be distinguished. The filter then includes as states the
-constant sensor errors, and the gyro errors that the turns cause through scale factor and misalignment, in proportion to the rate of
-turn.
+If the unit is turned about the vertical, with stops in between, they can be distinguished. The filter then has further states: the
+constant sensor errors, and the gyro errors due to scale factor and misalignment, which are proportional to the rate of turn.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class Alignment:
     `rotation`: array of shape (3, 3), body axes as columns in East-North-Up. `covariance`: array of shape (16, 16), covariance of
     the errors that remain: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn, in
     body axes. `constant`: array of shape (6,), estimates of the constant sensor errors, rad/s and m/s². `consistency`: root mean
-    square of the innovations, each divided by its expected standard deviation. It is normally about 1; a smaller value is harmless.
+    square of the innovations, each divided by its expected standard deviation. It is usually about 1; a smaller value is harmless.
     `largest`: the largest innovation, m/s. `followed`: array of shape (16, 6, m), the errors that remain if one of the 6 sensors
     has an error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0 unless the intervals are requested.
     """
@@ -70,8 +69,8 @@ def coarse(rate: Array, force: Array) -> Array:
 
 
 class FineAlignment:
-    """Estimates the fine alignment with a Kalman filter. It takes the velocities of the navigator at one output time (knot) after
-    another; at the end, it returns the attitude."""
+    """Estimates the fine alignment with a Kalman filter. The filter processes the velocities of the navigator at its output times
+    (knots); at the end, it returns the attitude."""
 
     def __init__(
         self,
@@ -81,10 +80,11 @@ class FineAlignment:
         constant: Array | None = None,
         follow: float | None = None,
     ):
-        """`density`: array of shape (6, 6), in navigation axes, variance per second of the integrated outputs of the gyros [rad²/s]
-        and accelerometers [(m/s)²/s]. `seconds`: time between two knots, which are the output times of the navigator, s.
-        `constant`: array of shape (6,), standard uncertainty of the constant sensor errors before the alignment; None if they are
-        not estimated. `follow`: length of the intervals for `Alignment.followed`, s; None if the intervals are not requested."""
+        """`density`: array of shape (6, 6) in navigation axes, the covariance by which the integrated outputs of the gyros [rad²/s]
+        and accelerometers [(m/s)²/s] grow per second. `seconds`: time between two knots, which are the output times of the
+        navigator, s. `constant`: array of shape (6,), standard uncertainty of the constant sensor errors before the alignment; None
+        if they are not estimated. `follow`: length of the intervals for `Alignment.followed`, s; None if the intervals are not
+        requested."""
         self._transition = np.eye(_ALL)
         self._transition[:SIZE, :SIZE], self._response = equations.step(seconds)
         self._added = np.zeros((_ALL, _ALL))
@@ -139,8 +139,8 @@ class FineAlignment:
         self._largest = max(self._largest, *map(abs, innovation.tolist()))
 
     def _follow(self, kept: Array, transition: Array, interval: int) -> None:
-        """Updates the errors that remain after a measurement because of sensor errors in this interval. These sensor errors are not
-        in the initial states of the alignment, so the responses to them start at zero."""
+        """Updates the errors that remain because of sensor errors in this interval, after a measurement. The initial states of the
+        alignment do not contain these sensor errors, so the responses to them start at zero."""
         while len(self._left) <= interval:
             self._left.append(np.zeros((_ALL, INPUTS)))
             self._passed.append(_UNCHANGED)
@@ -157,8 +157,8 @@ class FineAlignment:
         return found
 
     def finish(self, rotation: Array) -> Alignment:
-        """Returns the result of the alignment. `rotation`: array of shape (3, 3), attitude of the navigator less than one knot
-        interval after the last knot."""
+        """Returns the result of the alignment. `rotation`: array of shape (3, 3), attitude of the navigator at the end, which is
+        less than one knot interval after the last knot."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
         constant = self._state[SIZE : SIZE + INPUTS].copy()

@@ -1,9 +1,10 @@
-"""Describes attitudes: the body axes in East-North-Up, as a quaternion, as a matrix, or as heading, pitch and roll.
+"""Converts attitudes, which are the directions of the body axes in East-North-Up, between quaternion, matrix, and heading, pitch
+and roll.
 
 The x, y, z axes of the body point right, forward and up. If heading, pitch and roll are zero, they point east, north and up.
 Heading is the angle of the y axis from true north, clockwise as seen from above. Pitch is the angle of the y axis above the
-horizon. Roll is the rotation about the y axis, positive if the x axis is below the horizon. A quaternion has its scalar first, and
-rotates vectors from body axes to navigation axes.
+horizon. Roll is the rotation about the y axis, positive if the x axis is below the horizon. The scalar of a quaternion is its first
+element. A quaternion transforms vectors from body axes to navigation axes.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def small_rotation(vector: Array) -> Array:
 
 
 def turned_about_up(before: Array, after: Array) -> Array:
-    """Returns the angle [rad] of the rotation about the vertical that leads from one attitude to another; right-handed. Both
+    """Returns the angle [rad] of the right-handed rotation about the vertical that leads from one attitude to another. Both
     attitudes have the shape (…, 3, 3)."""
     change = after @ np.swapaxes(before, -1, -2)
     return np.asarray(np.arctan2(change[..., 1, 0] - change[..., 0, 1], change[..., 0, 0] + change[..., 1, 1]))

@@ -1,10 +1,10 @@
 """Computes the growth of small errors of an inertial navigator at rest, by the linear error equations with Schuler and 24-hour
 oscillations.
 
-State, SI: position errors east and north, velocity errors east and north, and the tilt (φ_E, φ_N, φ_U) by which the computed attitude is
-turned from the true attitude, C_computed = (1 − φ×)·C. Inputs, in navigation axes: gyro errors ε and accelerometer errors ∇. The
-equations have the φ-angle form of Titterton and Weston, "Strapdown Inertial Navigation Technology", 2nd ed., section 12.3, with the
-vertical channel held:
+The state, in SI units, contains the position errors east and north, the velocity errors east and north, and the tilt (φ_E, φ_N,
+φ_U). The tilt is the rotation from the true to the computed attitude, C_computed = (1 − φ×)·C. The inputs, in navigation axes, are
+gyro errors ε and accelerometer errors ∇. The equations have the φ-angle form of Titterton and Weston, "Strapdown Inertial
+Navigation Technology", 2nd ed., section 12.3, with a vertical channel that keeps its values:
 
     δv̇_E = −g·φ_N + 2Ω_U·δv_N + ∇_E          φ̇_E = −δv_N/R_N + Ω_U·φ_N − Ω_N·φ_U − ε_E
     δv̇_N =  g·φ_E − 2Ω_U·δv_E + ∇_N          φ̇_N =  δv_E/R_E − Ω_U·δL − Ω_U·φ_E − ε_N
@@ -97,11 +97,11 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """Computes the tilt after an alignment at rest, for a constant error of 1 rad/s or 1 m/s² in each input. Returns an array
-        of shape (3, 6). It is the tilt of the stationary solution.
+        """Computes the tilt after an alignment at rest for a constant error of 1 rad/s or 1 m/s² in each input, shape (3, 6). It is
+        the tilt of the stationary solution.
 
-        For the errors ε and ∇: φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), which is the limit of
-        gyrocompassing.
+        For the errors ε and ∇, it is φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L). φ_U is the limit of accuracy
+        of gyrocompassing.
         """
         g, rate_n, rate_u = self.dynamics[3, 4], -self.dynamics[4, 6], self.dynamics[4, 5]
         found = np.zeros((3, INPUTS))

@@ -1,4 +1,4 @@
-"""Computes the strapdown mechanisation sample by sample; the code is compiled by numba.
+"""Computes the strapdown mechanisation sample by sample. Numba compiles the code.
 
 The body axes are x, y, z; the navigation axes are East-North-Up on WGS-84. One step takes the increments of angle and velocity over
 the interval that ends at a sample (Savage, "Strapdown Inertial Navigation Integration Algorithm Design", J. Guidance, Control, and
@@ -11,10 +11,10 @@ Dynamics 21, 1998; Titterton and Weston, "Strapdown Inertial Navigation Technolo
     position          trapezoid of v, with radii and latitude of the middle of the interval
 
 Earth rate and transport rate are evaluated at the middle of the interval, so the error of a step is of third order in dt. Only the
-state vector is carried from sample to sample, so the result does not depend on the division of the samples into blocks.
+state vector passes from one sample to the next, so the result does not depend on the division of the samples into blocks.
 
-All arithmetic is on scalars, because small arrays would take longer than the arithmetic itself. The compiler inlines the functions
-into one loop.
+All computations use scalars, because handling small arrays would take longer than the arithmetic itself. The compiler inlines the
+functions into one loop.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _SMALL = 0.01  # rad²; below, the series of the half-angle functions are exact 
 
 @compiled()
 def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
-    """The rotation vector and the velocity increment of an interval, in body axes. `t`, `u`: angle and velocity increments of this
-    interval. `a`, `b`: angle and velocity increments of the preceding interval."""
+    """Returns the rotation vector and the velocity increment of an interval, in body axes. `t`, `u`: angle and velocity increments
+    of this interval. `a`, `b`: angle and velocity increments of the preceding interval."""
     tx, ty, tz = t
     ux, uy, uz = u
     ax, ay, az = a
@@ -78,9 +78,8 @@ def _turned(q, v):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _earth_at(latitude, height, north, rate, factor):  # type: ignore[no-untyped-def]
-    """Properties of the Earth at the point that is `north` metres north of a latitude. Returns 1/(radius + height) in the meridian
-    and in the prime vertical, secant and tangent of the latitude, gravity, and the components of the Earth's rate to the north and
-    up."""
+    """Returns properties of the Earth at the point that is `north` metres north of a latitude: 1/(radius + height) in the meridian
+    and in the prime vertical, secant and tangent of the latitude, gravity, and the north and up components of the Earth's rate."""
     sine, cosine = math.sin(latitude), math.cos(latitude)
     w = 1.0 - ECCENTRICITY_SQUARED * sine * sine
     w *= math.sqrt(w)
@@ -99,7 +98,7 @@ def _earth_at(latitude, height, north, rate, factor):  # type: ignore[no-untyped
 
 @compiled()
 def _half_angle(x):  # type: ignore[no-untyped-def]
-    """The values sin(φ/2)/φ and cos(φ/2) for φ² = x."""
+    """Returns sin(φ/2)/φ and cos(φ/2) for φ² = x."""
     if x < _SMALL:
         return (
             0.5 - x * (1.0 / 48.0 - x * (1.0 / 3840.0 - x * (1.0 / 645120.0))),
@@ -111,7 +110,7 @@ def _half_angle(x):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _product(p, q):  # type: ignore[no-untyped-def]
-    """The product p ∘ q of two quaternions."""
+    """Returns the product p ∘ q of two quaternions."""
     p0, p1, p2, p3 = p
     q0, q1, q2, q3 = q
     return (
@@ -124,8 +123,8 @@ def _product(p, q):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
-    """The attitude after the body has rotated by the rotation vector `body` and the navigation axes by the rotation vector (e, n,
-    u). The resulting quaternion is normalised."""
+    """Returns the attitude after the body has rotated by the rotation vector `body`, and the navigation axes have rotated by the
+    rotation vector (e, n, u). The quaternion is normalised."""
     bx, by, bz = body
     s, c = _half_angle(bx * bx + by * by + bz * bz)
     turned = _product(q, (c, s * bx, s * by, s * bz))
@@ -137,8 +136,8 @@ def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
-    """The velocity after an interval, and the rate of the navigation axes in the middle of the interval. `d`: velocity increment,
-    in the navigation axes at the start of the interval. `place`: result of `_earth_at`."""
+    """Returns the velocity after an interval, and the rate of the navigation axes in the middle of the interval. `d`: velocity
+    increment, in the navigation axes at the start of the interval. `place`: result of `_earth_at`."""
     ve, vn, vu = v
     de, dn, du = d
     to_north, to_east, _, tangent, gravity, earth_n, earth_u = place
@@ -158,12 +157,12 @@ def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
 def advance(state, increments, interval, aiding, earth, gains, held, every, knots):  # type: ignore[no-untyped-def]
     """Advances `state` (18,) in place over n samples; returns the number of knots (output points) that were written.
 
-    `increments`: array of shape (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z. `interval`: array of
-    shape (n,), length of the sampling intervals, s. `aiding`: array of shape (n,), reference height [m] for the damped vertical
-    channel, or (1,) if it is constant. `earth`: (rotation rate [rad/s], factor on normal gravity). `gains`: array of shape (3,),
-    gains of the third-order vertical loop [1/s, 1/s², 1/s³]; zeros for a free vertical channel. `held`: True if height and vertical
-    velocity keep their values. `every`: number of steps between two knots, counted since the state was made. `knots`: array of
-    shape (m, 10), output, filled in order.
+    `increments`: array of shape (6, n), increments of angle [rad] about the body axes x, y, z, and of velocity [m/s] along these
+    axes. `interval`: array of shape (n,), length of the sampling intervals, s. `aiding`: array of shape (n,), reference height [m]
+    for the damped vertical channel, or (1,) if it is constant. `earth`: (rotation rate [rad/s], factor on normal gravity). `gains`:
+    array of shape (3,), gains of the third-order vertical loop [1/s, 1/s², 1/s³]; zeros for a free vertical channel. `held`: True
+    if height and vertical velocity keep their values. `every`: number of steps between two knots, counted since the state was made.
+    `knots`: array of shape (m, 10), which is filled with the output, one row for each knot.
     """
     q = (state[0], state[1], state[2], state[3])
     ve, vn, vu = state[4], state[5], state[6]

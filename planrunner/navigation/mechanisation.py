@@ -1,5 +1,5 @@
-"""Defines a strapdown navigator: its state, and the update of the state with blocks of increments. The module `kernel` contains the
-arithmetic."""
+"""Defines a strapdown navigator: its state, and the update of this state with blocks of increments. The arithmetic is in the module
+`kernel`."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Knots:
 
 
 def loop_gains() -> Array:
-    """Gains of the third-order vertical loop that place all three poles at 1/`LOOP_TIME` (Widnall and Sinha, J. Guidance and
-    Control 3, 1980). The term 2·g/R compensates for the instability of the free channel."""
+    """Returns the gains of the third-order vertical loop that place all three poles at 1/`LOOP_TIME` (Widnall and Sinha, J.
+    Guidance and Control 3, 1980). The term 2·g/R compensates for the instability of the free channel."""
     g = float(normal_gravity(0.0))
     return np.array([3 / LOOP_TIME, 3 / LOOP_TIME**2 + 2 * g / SEMI_MAJOR_AXIS, 1 / LOOP_TIME**3])
 
@@ -75,9 +75,9 @@ class Navigator:
     def advance(self, increments: Array, interval: Array, reference_height: Array | None = None) -> Knots:
         """Processes n increments; returns the output points (knots) within them.
 
-        `increments`: array of shape (6, n), angle [rad] about and velocity [m/s] along the body axes x, y, z over intervals of the
-        lengths (n,) [s]. `reference_height`: array of shape (n,) or (1,) in m, used by the damped vertical channel; by default the
-        initial height.
+        `increments`: array of shape (6, n), increments of angle [rad] about the body axes x, y, z, and of velocity [m/s] along
+        these axes. `interval`: array of shape (n,), length of the interval of each increment, s. `reference_height`: array of shape
+        (n,) or (1,) in m, used by the damped vertical channel; by default the initial height.
         """
         knots = np.empty((interval.size // self.every + 1, self._kernel.KNOT))
         aiding = self._height if reference_height is None else reference_height
@@ -114,7 +114,7 @@ class Navigator:
 
     @property
     def position(self) -> tuple[float, float, float]:
-        """Latitude, longitude [rad], height [m]."""
+        """Returns latitude [rad], longitude [rad] and height [m]."""
         latitude, longitude, height = self.state[self._kernel.LATITUDE : self._kernel.HEIGHT + 1].tolist()
         return latitude, longitude, height
 

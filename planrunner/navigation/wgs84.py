@@ -1,4 +1,4 @@
-"""The ellipsoid WGS-84: radii of curvature and normal gravity.
+"""Computes the radii of curvature and the normal gravity of the ellipsoid WGS-84.
 
 Constants and formulas follow NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above
 the ellipsoid is the second-order series of that document, in the direction of the normal of the ellipsoid. The inclination of
@@ -30,7 +30,7 @@ def radii(latitude: ArrayLike) -> tuple[Array, Array]:
 
 
 def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> Array:
-    """Gravity [m/s^2] at a latitude [rad] and a height above the ellipsoid [m]; positive means down."""
+    """Returns normal gravity [m/s^2] at a latitude [rad] and a height above the ellipsoid [m]; positive values mean downwards."""
     s = np.sin(latitude) ** 2
     h = np.asarray(height, dtype=float) / SEMI_MAJOR_AXIS
     surface = GRAVITY_AT_EQUATOR * (1 + SOMIGLIANA * s) / np.sqrt(1 - ECCENTRICITY_SQUARED * s)
@@ -40,8 +40,8 @@ def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> Array:
 def separation(
     latitude: ArrayLike, longitude: ArrayLike, to_latitude: ArrayLike, to_longitude: ArrayLike, height: ArrayLike = 0.0
 ) -> tuple[Array, Array]:
-    """Distances [m] to the east and to the north from positions [rad] to other positions [rad] at the same height [m]. They are
-    arcs of the parallel and of the meridian at the middle latitude, correct to third order."""
+    """Returns the distances [m] to the east and to the north from positions [rad] to other positions [rad] at the same height [m].
+    The distances are arcs of the parallel and of the meridian at the middle latitude, and are correct to third order."""
     middle = (np.asarray(latitude) + np.asarray(to_latitude)) / 2
     north, east = radii(middle)
     turn = np.remainder(np.asarray(to_longitude) - np.asarray(longitude) + np.pi, 2 * np.pi) - np.pi

@@ -1,2 +1,2 @@
-"""Physics: frames, the Earth, kinematics of tables, the stimulus of a sensor, and the terms of error models. The modules have no
-input or output and no state."""
+"""Computes the physics of tests: frames, the Earth, kinematics of tables, and the stimulus of a sensor. The modules have no input
+or output and no state."""

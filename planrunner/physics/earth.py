@@ -21,7 +21,7 @@ class Site:
     `latitude`: astronomic latitude, rad, which the plumb line defines. An accelerometer at rest measures along the plumb line, so
     this latitude determines the angle between the Earth's axis and a level surface. `gravity`: magnitude of gravity, m/s^2.
     `azimuth`: angle from true north to the reference direction of the table, rad, positive clockwise as seen from above (towards
-    east). Words for orientations in plans mean true directions; the joint angles of the table take the azimuth into account.
+    east). Words for orientations in plans mean true directions; the azimuth is taken into account in the joint angles of the table.
     `geodetic_latitude`: latitude on the ellipsoid, rad, used for positions; None if the two latitudes are treated as equal. The
     difference between the two latitudes is the deviation of the vertical (Torge and Müller, Geodesy, 4th ed., 6.1). `longitude`:
     longitude, rad, positive to the east. `height`: height above the ellipsoid, m. Longitude and height are used only for
@@ -50,5 +50,5 @@ class Site:
 
     @property
     def specific_force_enu(self) -> NDArray[np.float64]:
-        """Returns the specific force at rest in East-North-Up, m/s^2, shape (3,); an axis that points up reads +g."""
+        """Returns the specific force at rest in East-North-Up, m/s^2, shape (3,); an accelerometer axis that points up reads +g."""
         return np.array([0.0, 0.0, self.gravity])

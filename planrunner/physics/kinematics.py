@@ -1,4 +1,5 @@
-"""Kinematics of rate tables: the attitude for joint angles, the joint angles for an attitude, the reach, and the duration of moves.
+"""Computes the kinematics of rate tables: the attitude for joint angles, the joint angles for an attitude, the reachable attitudes,
+and the duration of moves.
 
 Axes are listed outermost first. R_i is the rotation by the joint angle q_i, right-handed about the direction that the axis has at
 joint angle zero. If α is the azimuth of the site (clockwise from north), the attitude of the platform in East-North-Up is
@@ -89,12 +90,12 @@ def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth
 def joint_angles(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> Array:
-    """Returns the joint angles (n,) [rad] for an attitude (3, 3): the solution within the limits that the table reaches fastest
-    from the joint angles `near`.
+    """Returns the joint angles (n,) [rad] for an attitude (3, 3). Of all solutions within the limits, it is the one that the table
+    reaches fastest from the joint angles `near`.
 
     The angle of a limited axis counts in full turns, so that cables unwind if necessary. A continuous axis turns the shorter way.
-    Among equally fast solutions, the one is chosen whose limited axes are nearest to zero; if this does not decide, the one that
-    turns in the positive direction. Raises `Unreachable`, which states the reason, if there is no solution.
+    Of several equally fast solutions, the one whose limited axes are nearest to zero is chosen; of these, the one that turns in the
+    positive direction. Raises `Unreachable`, which states the reason, if there is no solution.
     """
     return quickest_move(axes, target, near, azimuth)[0]
 
@@ -145,9 +146,9 @@ def _quickest_move(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azi
 
 @lru_cache(maxsize=8192)
 def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, azimuth: float) -> tuple[Angles, ...]:
-    """Returns the joint angles for an attitude, without regard to the present position of the table. In gimbal lock, one angle is
-    free. It is chosen with the help of the joint angles `near`; if `near` is None, the result is empty. Raises `Unreachable` if the
-    geometry of the axes does not allow the attitude."""
+    """Returns all solutions of the joint angles for an attitude, regardless of the present position of the table. In gimbal lock,
+    one angle is free, and is chosen with the help of the joint angles `near`; if `near` is None, the result is empty. Raises
+    `Unreachable` if the geometry of the axes does not allow the attitude."""
     wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
     candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
     off = _misalignment(axes, candidates[0], wanted) if candidates else 0.0
@@ -160,9 +161,8 @@ def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, 
 
 
 def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> Angles:
-    """Chooses the fastest of several moves to joint angles. Among equally fast moves, the shortest is chosen; among equally short
-    ones, the one with the limited axes nearest to zero; and among those, the one in which the first axis that differs turns in the
-    positive direction."""
+    """Chooses the fastest of several moves to joint angles. Of equally fast moves, it chooses the shortest; of these, the one whose
+    limited axes are nearest to zero; and of these, the one in which the first axis that differs turns in the positive direction."""
     if len(ways) == 1:
         return ways[0]
     ways = _least(ways, [transition_time(axes, near, way) for way in ways])
@@ -176,8 +176,8 @@ def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> A
 
 
 def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
-    """Returns the moves with the smallest value. Moves whose value is larger by so little that rounding, or the end of a previous
-    motion, could decide between them are included."""
+    """Returns the moves with the smallest value. Moves with a slightly larger value are included if the difference is so small that
+    rounding, or the end of a previous motion, could cause it."""
     most = min(values) * (1 + AS_QUICK) + ALIKE
     return [way for way, value in zip(ways, values, strict=True) if value <= most]
 
@@ -185,8 +185,8 @@ def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
     """Returns the time [s] of a move from rest to rest with a trapezoidal rate profile.
 
-    With the rate w and the acceleration a, the table reaches w after the time w/a, when it has turned by w²/2a. A move with |angle|
-    < w²/a therefore does not reach w. Its rate profile is then a triangle, and it takes the time 2·√(|angle|/a).
+    With the acceleration a, the table reaches the rate w after the time w/a; by then, it has turned by w²/2a. A move with |angle| <
+    w²/a therefore does not reach w. Its rate profile is a triangle, and it takes the time 2·√(|angle|/a).
     """
     distance = abs(angle)
     if distance < max_rate**2 / max_acceleration:
@@ -230,7 +230,7 @@ def spin_axis(
     """Returns the index of the axis that, at these joint angles, is parallel or antiparallel to the site direction `about`.
 
     If there are several such axes, the outermost is chosen, because it carries the others. Raises `Unreachable` if there is none;
-    the message states the angles between the axes and this direction.
+    the message states the angles between the axes and the direction.
     """
     cosines = joint_directions(axes, angles, azimuth) @ np.asarray(about, dtype=float)
     for index, cosine in enumerate(cosines):
@@ -271,8 +271,8 @@ def _two_axes(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> 
 
 
 def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Angles | None) -> list[Angles]:
-    """Returns all solutions for three axes: two, or a selection from a one-parameter family if the outer and the inner axis are
-    parallel.
+    """Returns the solutions for three axes. There are two solutions or, if the outer and the inner axis are parallel, a
+    one-parameter family, from which some are selected.
 
     Let R_1·R_2·R_3 = W and W·a_3 = b. Then a_1·(R_2 a_3) = a_1·b determines q_2 up to a sign; q_1 is the angle that turns R_2·a_3
     into b; and q_3 follows. The sine is computed directly, as |a_1 × b|, because an arc cosine would lose half of the digits near
@@ -303,7 +303,7 @@ def _inner(axes: Sequence[TableAxis], outer: float, middle: float, wanted: Array
 
 def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near: Sequence[float]) -> list[Angles]:
     """Returns the solutions in gimbal lock. If the outer and the inner axis are parallel, only the sum of their angles matters. In
-    each solution, one of the two axes stays where it is or goes to a limit.
+    each of the returned solutions, one of the two axes keeps its angle or goes to a limit.
     """
     outer, inner = axes[0], axes[2]
     turned = rotation_about(axes[1].direction, middle) @ np.asarray(inner.direction)
@@ -317,7 +317,8 @@ def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near
 
 
 def _best_turn(axis: Sequence[float], wanted: Array) -> float:
-    """Returns the angle of the rotation R about `axis` that is nearest to the rotation `wanted` (maximal trace of Rᵀ·wanted)."""
+    """Returns the angle of that rotation R about `axis` that is nearest to the rotation `wanted` (with the largest trace of
+    Rᵀ·wanted)."""
     unit = np.asarray(axis)
     skew = np.array([wanted[2, 1] - wanted[1, 2], wanted[0, 2] - wanted[2, 0], wanted[1, 0] - wanted[0, 1]])
     return math.atan2(float(unit @ skew), float(np.trace(wanted) - unit @ wanted @ unit))
@@ -340,12 +341,12 @@ def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> f
 
 
 def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[float, str] | None]:
-    """Returns the angle that differs from `angle` by full turns, lies within the limits, and is nearest to `near`. If no such angle
-    lies within the limits, the result also contains the distance to the limits and a text with the reason.
+    """Returns the angle that differs from `angle` by full turns, lies within the limits, and is nearest to `near`. If there is no
+    such angle within the limits, also returns the distance to the limits and a text with the reason.
 
-    Two angles that are half a turn away are equally near. A continuous axis then turns in the positive direction. A limited axis
-    goes to the angle that is nearer to zero, even if the other one is nearer to `near` by up to `NEARLY`. If both are equally far
-    from zero, it goes to the positive angle.
+    If two angles are half a turn away, they are equally near. In this case, a continuous axis turns in the positive direction, and
+    a limited axis goes to the angle that is nearer to zero, even if the other angle is nearer to `near` by up to `NEARLY`. If both
+    angles are equally far from zero, it goes to the positive one.
     """
     nearest = angle + TURN * math.floor((near - angle + ALIKE) / TURN + 0.5)
     if axis.continuous:

@@ -1,4 +1,5 @@
-"""Computes how a modulated sensor error affects navigation: harmonics of a rotation cycle drive the Schuler loop.
+"""Computes how a sensor error that a rotation cycle modulates affects navigation. The harmonics of the cycle drive the Schuler
+loop.
 
 Velocity v and attitude error ψ are written as complex numbers (east + i·north). A gyro error ε(t) and an accelerometer error b(t)
 in the navigation frame obey v′ = −i·g·ψ + b and ψ′ = ε − i·v/R (Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd
@@ -24,12 +25,12 @@ def schuler_rate(site: Site) -> float:
 
 
 def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
-    """Returns the factor by which a rotation cycle increases the free Schuler oscillation that a constant gyro drift causes. It is
-    the largest amplitude within `seconds`, divided by the amplitude that the same drift causes without rotation. The result is 0 if
-    the cycle is so short that none of its harmonics lies near the Schuler rate.
+    """Returns the factor by which a rotation cycle increases the free Schuler oscillation that a constant gyro drift causes. The
+    factor is the largest amplitude within `seconds`, divided by the amplitude that the same drift causes without rotation. The
+    result is 0 if the cycle is so short that none of its harmonics lies near the Schuler rate.
 
-    A drift ε(t) leaves an oscillation of the size |∫ ε·exp(−iωt) dt| at each of the two free rates ω. The sum of the two sizes is
-    the semi-major axis of the ellipse that the velocity describes. Without rotation, this axis is 2·|ε|/ω_s. Over n cycles, the
+    A drift ε(t) leaves an oscillation of the size |∫ ε·exp(−iωt) dt| at each of the two free rates ω. The sum of these two sizes is
+    the semi-major axis of the ellipse along which the velocity moves. Without rotation, this axis is 2·|ε|/ω_s. Over n cycles, the
     integral is that of one cycle times |sin(nx)/sin(x)|, where x = ω·period/2. Near a harmonic, it grows with every cycle.
     """
     natural = schuler_rate(site)
@@ -52,8 +53,8 @@ def forced_velocity(
     the cycle.
 
     `gyro` [rad/s], `accelerometer` [m/s^2]: constant sensor errors, given for the orientation at the first position. A harmonic of
-    exp(iθ) that has the coefficient c and the rate ω forces the velocity c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0
-    is the mean velocity, which the residual of the cycle causes.
+    exp(iθ) with the coefficient c and the rate ω causes the velocity c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0 is
+    the mean velocity, which the residual of the cycle causes.
     """
     natural = schuler_rate(site)
     forced = []

@@ -1,8 +1,8 @@
-"""Computes the input of a sensor that is moved without commands. The recorded channels that show the motion determine it.
+"""Computes the input of a sensor that is moved without commands. It is determined by the recorded channels that show the motion.
 
 The sensor is moved by hand, by a vehicle, or by a jig without a drive. An encoder, an attitude reference, or other gyros and
-accelerometers on the same body measure the motion. Derivatives are differences between the neighbouring samples, so the mean of a
-derivative over a stretch depends only on the ends of the stretch.
+accelerometers on the same body measure the motion. Derivatives are computed from differences between neighbouring samples. The mean
+of a derivative over a stretch therefore depends only on the ends of the stretch.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: 
 
 
 def by_force(force: Array) -> BodyMotion:
-    """Returns a motion of which only the specific force is known, as measured, shape (n, 3); all other quantities are zero."""
+    """Returns a motion of which only the measured specific force (n, 3) is known. All other quantities are zero."""
     n = len(force)
     return BodyMotion(np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), force)
 
@@ -91,8 +91,8 @@ def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
     rate has the shape (n, 3), the attitudes have the shape (n, 3, 3).
 
     Between two samples, the body rotates at the mean of the two rates. The attitude relative to inertial space is the product of
-    these rotations. Meanwhile, the site turns at the Earth's rate. All partial products are computed in about log₂ n steps, each of
-    which doubles the number of rotations in a product.
+    these rotations. The rotation of the site at the Earth's rate is taken into account. All partial products are computed in about
+    log₂ n steps; each step doubles the number of rotations in a product.
     """
     from scipy.spatial.transform import Rotation
 

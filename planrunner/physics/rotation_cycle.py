@@ -1,14 +1,14 @@
 """Describes a cycle of stops and turns of one table axis, and computes the residual of a sensor error after one cycle.
 
-Let a horizontal error of the sensor (a constant gyro drift or accelerometer bias) be written as a complex number e. In the
-navigation frame, it is e·exp(iθ(t)), where θ is the angle of the axis from the first position. The residual is the integral of
-exp(iθ) over one cycle, in seconds; it is zero if the cycle cancels the error. The error vector at the first position, multiplied by
-the residual, is the error that accumulates in one cycle.
+A horizontal error of the sensor (a constant gyro drift or accelerometer bias) is written as a complex number e. In the navigation
+frame, it is e·exp(iθ(t)), where θ is the angle of the axis from the first position. The residual is the integral of exp(iθ) over
+one cycle, in seconds; it is zero if the cycle cancels the error. The error at the first position, multiplied by the residual, is
+the error that accumulates in one cycle.
 
 The rate of a turn has a trapezoidal profile, or a triangular one if the turn is too short to reach the full rate. All integrals are
-computed piece by piece: stops and turning at a constant rate in closed form; ramps by Gauss–Legendre quadrature on panels within
-which the phase turns by at most 1 rad, where ten nodes are exact to rounding (Davis and Rabinowitz, Methods of Numerical
-Integration, 1984, section 2.7).
+computed piece by piece. Stops and turns at a constant rate are integrated in closed form. Ramps are integrated by Gauss–Legendre
+quadrature on panels within which the phase changes by at most 1 rad, so that ten nodes are exact to rounding (Davis and Rabinowitz,
+Methods of Numerical Integration, 1984, section 2.7).
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ class RotationCycle:
 
     @cached_property
     def stops(self) -> Array:
-        """Returns the angle of every stop, measured from the first stop, shape (n,); full turns are included, rad."""
+        """Returns the angle of every stop [rad], measured from the first stop, shape (n,). Full turns are included."""
         return np.concatenate(([0.0], np.cumsum(self.turns)[:-1]))
 
     @property
     def period(self) -> float:
-        """Duration of one cycle, s."""
+        """Returns the duration of one cycle, s."""
         return float(self._pieces[1].sum())
 
     @property
@@ -129,9 +129,9 @@ class RotationCycle:
 
     @cached_property
     def _pieces(self) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]:
-        """Returns the pieces of the cycle: start [s], length [s], angle [rad] and rate [rad/s] at the start, acceleration
-        [rad/s^2], and whether the axis turns; each of the shape (4·n,). There are four pieces for each turn: a stop and the three
-        parts of the turn. A part that does not exist has the length zero."""
+        """Returns the pieces of the cycle as six arrays of shape (4·n,): start [s], length [s], angle [rad] and rate [rad/s] at the
+        start, acceleration [rad/s^2], and True if the axis turns. There are four pieces for each turn: a stop and the three parts
+        of the turn. A part that does not exist has the length zero."""
         turns = np.array(self.turns)
         size, sign = np.abs(turns), np.sign(turns)
         peak = np.where(size > 0, self.rate, 0.0)

@@ -25,11 +25,11 @@ FOREIGN = 3.0
 
 
 class AngleFrom(StrEnum):
-    """How the angle of the table is known.
+    """States how the angle of the table is known.
 
-    `PLAN`: from an encoder; or from the plan, if the table does not turn continuously. `GRAVITY`: from the accelerometers, while
-    the table turns about an axis that is not vertical. `NOTHING`: not at all; the table turns, and its angle at the start of the
-    segment is unknown."""
+    `PLAN`: from an encoder or, if the table does not turn continuously, from the plan. `GRAVITY`: from the accelerometers, because
+    the table turns about an axis that is not vertical. `NOTHING`: not at all, because the table turns and its angle at the start of
+    the segment is unknown."""
 
     PLAN = "plan"
     GRAVITY = "gravity"
@@ -41,10 +41,10 @@ def motion_at(
 ) -> dict[str, Array]:
     """Returns the angle, rate and acceleration of the table at the times `since` [s] after the first sample of a segment.
 
-    `left`: factor by which averaging over a bin reduces the rate and the angle of a rocking table (see `fading`). The rate is then
-    the mean over the bin, while the angle and the acceleration belong to its middle. With an encoder, the planned form of the
-    motion (a constant rate or a sine) is fitted to the measured angle, so that the phase agrees with the actual motion. `start`:
-    angle of a turning table without encoder at the first sample, rad.
+    `left`: factor by which averaging over a bin reduces the rate and the angle of a rocking table (see `fading`). For bins, the
+    returned rate is the mean over the bin; the angle and the acceleration are those at the middle of the bin. With an encoder, the
+    planned form of the motion (a constant rate or a sine) is fitted to the measured angle, so that the phase agrees with the actual
+    motion. `start`: angle of a turning table without encoder at the first sample, rad.
     """
     zero = np.zeros(len(since))
     if isinstance(motion, Spin):
@@ -88,7 +88,8 @@ def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 
 def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequence[int]) -> AngleFrom:
-    """How the angle of a table without encoder is known. `accelerometers`: the sensor axes (0, 1, 2) that have an accelerometer."""
+    """Determines how the angle of a table without encoder is known. `accelerometers`: the sensor axes (0, 1, 2) that have an
+    accelerometer."""
     if not isinstance(motion, Spin):
         return AngleFrom.PLAN
     seen = once_per_turn(motion, attitude, site.specific_force_enu)[list(accelerometers)]
@@ -100,11 +101,11 @@ def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offs
 
     `values`: array of shape (n, K) in SI units, outputs after the expected input along the axis of the table has been subtracted.
     `expected`: array of shape (K,), complex, result of `once_per_turn`. `offset`: standard deviation of the constant error of a
-    channel, SI, infinite if unknown. The model of channel k is Re(z·eₖ·exp(iφ)) + oₖ. The complex factor z is the same for all
-    channels, and its argument is the angle. The offset oₖ has the prior N(0, `offset`²). The fit uses weighted least squares. The
-    noise is estimated from the differences between successive samples. If |z| is `FOREIGN` or more, the change once per turn has
-    another cause, and its phase does not show the angle. The result is then 0; the same holds if there are fewer than three
-    samples.
+    channel, SI, infinite if unknown. The model of channel k is Re(z·eₖ·exp(iφ)) + oₖ, where φ is the angle by which the table has
+    turned since the first sample. The complex factor z is the same for all channels, and its argument is the angle at the first
+    sample. The offset oₖ has the prior N(0, `offset`²). The fit uses weighted least squares. The noise is estimated from the
+    differences between successive samples. If |z| is `FOREIGN` or more, the change once per turn has another cause, and its phase
+    does not show the angle. In this case, and if there are fewer than three samples, the result is 0.
     """
     if len(since) < 3:
         return 0.0

@@ -30,8 +30,8 @@ class Stimulus:
     `specific_force`: array of shape (n, 3) in m/s^2, along the same axes. `temperature`: array of shape (n,) in K, NaN where it is
     unknown. `time`: array of shape (n,) in s; for a segment, its middle. `table_rate`: array of shape (n,), rate of the table,
     rad/s. `table_angle`: array of shape (n,), angle by which the table has turned since the start of the dwell, rad. `moving`:
-    array of shape (n,), True if the attitude changed during averaging; the mean of a product then differs from the product of the
-    means.
+    array of shape (n,), True if the attitude changed during averaging. In this case, the mean of a product differs from the product
+    of the means.
     """
 
     omega: Array
@@ -59,7 +59,7 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Contains the attitudes and rotations of n segments, from which the mean stimulus at any site follows.
+    """Contains the attitudes and rotations of n segments. From these, the mean stimulus at any site can be computed.
 
     `attitude`: array of shape (n, 3, 3), attitude at the start of each segment. `mean`: array of shape (n, 3, 3), transforms a
     vector that is fixed at the site to its mean over the segment, in the sensor's axes. `spin`: array of shape (n, 3), mean

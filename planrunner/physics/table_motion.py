@@ -1,5 +1,4 @@
-"""Compares what a motion requires of the axes of a table with their limits: rate, acceleration, and travel between the joint
-limits.
+"""Compares the requirements of a motion with the limits of a table's axes: rate, acceleration, and travel between the joint limits.
 
 These rules are defined only here. The check of a plan reports a motion that exceeds a limit; drivers and simulated tables refuse
 it.
@@ -34,8 +33,8 @@ class Excess:
 class SpinCourse:
     """A spin as a table executes it.
 
-    `joint`: index of the axis that turns. `rate`: signed rate of this joint, rad/s. `ramp`: time from rest to the rate, which is
-    also the time back to rest, s.
+    `joint`: index of the axis that turns. `rate`: signed rate of this joint, rad/s. `ramp`: time from rest to the full rate, s; the
+    time back to rest is the same.
     """
 
     joint: int
@@ -54,8 +53,8 @@ class SpinCourse:
         return cls(index, math.copysign(1.0, along) * motion.rate, ramp)
 
     def travel(self, seconds: float) -> float:
-        """Returns the angle [rad] that the axis covers from rest to rest if the rate is held for `seconds`. Each ramp covers half
-        of the angle that turning at the full rate would cover in the same time."""
+        """Returns the angle [rad] that the axis covers from rest to rest if the rate is held for `seconds`. During a ramp, the axis
+        covers half of the angle that it would cover at the full rate in the same time."""
         return self.rate * (seconds + self.ramp)
 
 
@@ -117,7 +116,7 @@ def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Ex
 
 
 def about_one_axis(motion: Motion) -> bool:
-    """True unless a motion turns several axes, so that one angle describes the motion."""
+    """Returns True if one angle describes the motion, that is, unless the motion turns several axes."""
     return not (isinstance(motion, Rock) and len(motion.phases) > 1)
 
 

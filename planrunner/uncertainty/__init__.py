@@ -1,1 +1,1 @@
-"""Uncertainty: budgets, coverage factors, decision rules, and Monte Carlo validation."""
+"""Computes uncertainty: budgets, coverage factors, decision rules, and Monte Carlo validation."""

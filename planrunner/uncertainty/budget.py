@@ -1,8 +1,8 @@
 """Combines uncertainties: the scatter of the data (type A) and stated uncertainties (type B), with a budget for each coefficient.
 
-The module applies the law of propagation of uncertainty for independent inputs (JCGM 100:2008, 5.1.2) to all coefficients together,
-which also gives their covariance (H.2.4). Effective degrees of freedom follow from the Welch–Satterthwaite formula (G.4.1). An
-input that acts on the coefficients in several ways counts as one input: its sensitivities are added before they are squared.
+The law of propagation of uncertainty for independent inputs (JCGM 100:2008, 5.1.2) is applied to all coefficients together, which
+also gives their covariance (H.2.4). Effective degrees of freedom follow from the Welch–Satterthwaite formula (G.4.1). An input that
+acts on the coefficients in several ways counts as one input: its sensitivities are added before they are squared.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Combined:
-    """The combined uncertainties of m coefficients. `covariance`: array of shape (m, m). `standard_uncertainties`,
-    `degrees_of_freedom`: arrays of shape (m,), for each coefficient."""
+    """Contains the combined uncertainties of m coefficients. `covariance`: array of shape (m, m). `standard_uncertainties`,
+    `degrees_of_freedom`: arrays of shape (m,)."""
 
     covariance: Array
     standard_uncertainties: Array
@@ -47,8 +47,8 @@ def combine(
 ) -> Combined:
     """Adds the covariance of the influences to the type A `covariance` (m, m) of the coefficients.
 
-    `source`: where the type A part comes from; the budgets show this text in the row of the type A part. Raises ValueError if the
-    sensitivities do not fit the coefficients or are not finite.
+    `source`: a text that states where the type A part comes from; the budgets show it in the row of this part. Raises ValueError if
+    the sensitivities do not fit the coefficients or are not finite.
     """
     acting = merged(influences)
     m = len(measured)
@@ -71,8 +71,8 @@ def combine(
 
 
 def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
-    """Merges influences, so that there is one for each input. Sensitivities to the same input, or to the same named part of an
-    input, are added; other sensitivities become separate columns."""
+    """Merges influences, so that there is one influence for each input. Sensitivities to the same input, or to the same named part
+    of it, are added; sensitivities to different parts become separate columns."""
     together: dict[tuple[InputQuantity, bool], list[Influence]] = {}
     for item in influences:
         if item.sensitivities.ndim != 2 or (item.parts and len(item.parts) != item.sensitivities.shape[1]):

@@ -1,10 +1,11 @@
-"""Stated inputs as conditions of a formula. A method names these inputs as conditions; their influences on its results are then
-computed from its formula.
+"""Treats stated inputs as conditions of a formula. A method names these inputs as conditions; the influences of the inputs on the
+results are then computed by evaluating the method's formula.
 
 A result must be a pure function of observations and conditions. Each input with a stated uncertainty is a `StatedCondition`. It
-contains the input quantity and functions that change the conditions. The formula is evaluated with the input increased and
-decreased by its standard uncertainty; half of the difference between the results is the contribution (JCGM 100:2008, 5.1.3, note
-2). As the step is the standard uncertainty, rounding errors of the formula stay small, whatever the unit and the size of the input.
+contains the input quantity and functions that change the conditions. The formula is evaluated twice: with the input increased, and
+with the input decreased by its standard uncertainty. Half of the difference between the two results is the contribution of the
+input (JCGM 100:2008, 5.1.3, note 2). As the step is the standard uncertainty, rounding errors of the formula remain small for every
+unit and size of the input.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ Moved = Callable[[float], C]
 
 @dataclass(frozen=True, slots=True)
 class StatedCondition(Generic[C]):
-    """An input of a formula that is stated with an uncertainty above zero. `parts`: for each independent part of the input, a
-    function that gives the conditions after a change of this part. The key of a part is its name; it is empty if there is only one
-    part. `in_scatter`: True if the scatter of the data already contains the effect of the input."""
+    """An input of a formula that is stated with an uncertainty above zero. `parts`: maps the name of each independent part of the
+    input to a function that returns the conditions after a change of this part. If there is only one part, its name is empty.
+    `in_scatter`: True if the scatter of the data already contains the effect of the input."""
 
     quantity: InputQuantity
     parts: Mapping[str, Moved[C]]
@@ -53,8 +54,8 @@ class StatedCondition(Generic[C]):
         return StatedCondition(self.quantity, parts, self.in_scatter)
 
     def answers(self, formula: Callable[[C], Array]) -> list[Array]:
-        """Returns, for each part of the input, the derivative of the formula's results with respect to this part, in the shape of
-        the results."""
+        """Returns, for each part of the input, the derivative of the formula's results with respect to this part. It has the shape
+        of the results."""
         return slopes(formula, self.parts.values(), self.quantity.standard_uncertainty)
 
 
@@ -86,8 +87,8 @@ def influences_on_several(
 
 
 def slopes(formula: Callable[[C], Array], moved: Iterable[Moved[C]], step: float) -> list[Array]:
-    """Returns the derivatives of a formula with respect to each change of its conditions, in the shape of the formula's results.
-    The formula is evaluated twice for each change."""
+    """Returns the derivative of a formula's results with respect to each change of its conditions. A derivative has the shape of
+    the results. The formula is evaluated twice for each change."""
     return [central(_after(one, formula), step) for one in moved]
 
 

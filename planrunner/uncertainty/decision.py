@@ -20,8 +20,8 @@ class CoefficientRole(StrEnum):
     """States which kind of quantity a coefficient is. The kind determines how the value scatters about the true value.
 
     `LOCATION`: a quantity such as a constant, a slope or an angle, whose value scatters about the true value as Student's t.
-    `SCALE`: a measure of scatter s, such as a standard deviation, for which ν·s²/σ² follows χ² with ν degrees of freedom.
-    `MAXIMUM`: the largest of several absolute values, such as a nonlinearity or a hysteresis; it is never negative.
+    `SCALE`: a measure of scatter s, such as a standard deviation. ν·s²/σ² follows χ² with ν degrees of freedom, where σ is the true
+    value. `MAXIMUM`: the largest of several absolute values, such as a nonlinearity or a hysteresis; it is never negative.
     """
 
     LOCATION = "location"
@@ -69,8 +69,8 @@ class Decision:
 
     @property
     def false(self) -> float:
-        """Returns the specific risk (JCGM 106, 9.3): the probability of false acceptance for a pass, or of false rejection for a
-        fail."""
+        """Returns the specific risk (JCGM 106, 9.3). For a pass, it is the probability of false acceptance; for a fail, it is the
+        probability of false rejection."""
         return 1.0 - self.probability if self.verdict == "pass" else self.probability
 
 
@@ -85,14 +85,15 @@ def decide(
     confidence: float = CONFIDENCE,
     role: CoefficientRole = CoefficientRole.LOCATION,
 ) -> Decision:
-    """Decides whether lower ≤ true value ≤ upper; all values have the same unit. `role`: kind of quantity, which determines the
-    distribution.
+    """Decides whether the true value lies between the limits `lower` and `upper`. All values have the same unit. `role`: kind of
+    quantity, which determines the distribution.
 
     `rule`: with `simple`, the value passes if it lies within the limits (simple acceptance, JCGM 106, 8.2). With `guarded`, it
     passes if it lies within the limits by at least the guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2). Here r is
     `factor`, and U = k·u is the expanded uncertainty for the coverage probability `confidence`. For the role SCALE, U is instead
-    the distance from the limit at which the χ² interval of the value just reaches the limit. A value that is not finite, or whose
-    uncertainty is not finite, never passes. Raises ValueError if both limits are missing or if the lower limit is above the upper.
+    that distance of the value from the limit at which the χ² interval of the value just reaches the limit. A value that is not
+    finite, or whose uncertainty is not finite, never passes. Raises ValueError if both limits are missing or if the lower limit is
+    above the upper.
     """
     if lower > upper or (math.isinf(lower) and math.isinf(upper)):
         raise ValueError("a limit needs a lower or an upper bound, the lower not above the upper")
@@ -135,8 +136,8 @@ def conformance_probability(
 
     If `role` is `LOCATION`, the distribution of the true value is Student's t, centred on `value` and scaled by the uncertainty. If
     `role` is `SCALE`, the value is a measure of scatter s with ν degrees of freedom, and ν·s²/σ² follows χ² (JCGM 106, 7.2, with
-    the prior 1/σ). If `role` is `MAXIMUM`, the value is the absolute value of a signed quantity with Student's t distribution; the
-    probability counts positive and negative values of this quantity.
+    the prior 1/σ). If `role` is `MAXIMUM`, the value is the absolute value of a signed quantity with Student's t distribution;
+    positive and negative values of this quantity contribute to the probability.
     """
     from scipy.special import chdtr, ndtr, stdtr
 
@@ -164,8 +165,8 @@ def conformance_probability(
 
 
 def scale_freedom(value: float, standard_uncertainty: float) -> float:
-    """Computes the degrees of freedom ν of a measure of scatter s from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3). The result is 0 if ν
-    is too small for χ², or so large that the distribution is normal."""
+    """Computes the degrees of freedom ν of a measure of scatter s from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3). Returns 0 if ν is
+    too small for a χ² distribution, or so large that the distribution is normal."""
     if not (value > 0 and standard_uncertainty > 0):
         return 0.0
     found = (value / standard_uncertainty) ** 2 / 2

@@ -1,10 +1,10 @@
 """Computes the derivatives of a formula by evaluating the formula itself. No gradient is written by hand.
 
-The complex step (Squire and Trapp, SIAM Review 40, 1998, 110) uses the relation f(x + i·h) = f(x) + i·h·f′(x) + O(h²). As nothing
-is subtracted, h can be so small that only rounding errors remain. The formula must be analytic. It may contain sums, products,
-powers, `np.sqrt`, `np.sin`, `np.arctan` and `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not analytic; use `angle_of`
-instead of `arctan2`, and `length` instead of norms. Comparisons must use the real part. A formula that needs other functions is
-differentiated by central differences (`central`).
+The complex step (Squire and Trapp, SIAM Review 40, 1998, 110) uses the relation f(x + i·h) = f(x) + i·h·f′(x) + O(h²). As no
+differences are computed, h can be so small that only rounding errors remain. The formula must be analytic. It may contain sums,
+products, powers, `np.sqrt`, `np.sin`, `np.arctan` and `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not analytic; use
+`angle_of` instead of `arctan2`, and `length` instead of norms. Comparisons must use the real part. A formula that needs other
+functions is differentiated by central differences (`central`).
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ def central(function: Callable[[float], Array], step: float) -> Array:
 
 
 def length(vector: Array) -> Array:
-    """Euclidean length of vectors along the first axis."""
+    """Returns the Euclidean lengths of vectors, whose components are along the first axis of the array."""
     return np.asarray(np.sqrt(np.sum(vector * vector, axis=0)))
 
 
 def angle_of(across: Array, along: Array) -> Array:
-    """Returns the angle [rad], in (−π, π], whose sine is proportional to `across` and whose cosine is proportional to `along`."""
+    """Returns the angle [rad] in (−π, π] whose sine is proportional to `across` and whose cosine is proportional to `along`."""
     steep = np.abs(across.real) > np.abs(along.real)
     ratio = np.where(steep, along, across) / np.where(steep, across, along)
     direct = np.arctan(ratio) + np.where(along.real < 0, np.copysign(np.pi, across.real), 0.0)

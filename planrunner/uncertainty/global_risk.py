@@ -1,9 +1,9 @@
 """Computes the global risks of a decision rule (JCGM 106:2012, 9.5): the fraction of wrong decisions among all items that a
 laboratory tests.
 
-Global risks require prior knowledge of the distribution of the quantity over the items, which is assumed to be normal. The measured
-value is assumed to scatter about the true value of an item as Student's t (normal for infinitely many degrees of freedom), with the
-standard uncertainty of the present measurement.
+Global risks require prior knowledge of how the quantity is distributed over the items. This distribution is assumed to be normal.
+The measured value is assumed to scatter about the true value of an item as Student's t (normal for infinitely many degrees of
+freedom), with the standard uncertainty of the present measurement.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _REACH = 9.0  # standard deviations of the prior that are integrated over; the r
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Describes what is known of the quantity before the measurement: the mean and the standard deviation of its normal
-    distribution over the items."""
+    """Describes what is known of the quantity before the measurement: the mean and the standard deviation of its distribution over
+    the items, which is normal."""
 
     mean: float
     standard_deviation: float

@@ -1,4 +1,5 @@
-"""Inputs other than the recorded data: quantities that are stated with an uncertainty, and the sensitivity of coefficients to them.
+"""Describes inputs other than the recorded data: quantities that are stated with an uncertainty, and the sensitivities of
+coefficients to them.
 
 Such quantities are the type B inputs of JCGM 100:2008, 4.3. A bench file, a plan or an estimator states them. An estimator gives
 the sensitivity of its coefficients. `planrunner.uncertainty.budget` combines the contributions.
@@ -54,13 +55,13 @@ class InputQuantity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Influence:
-    """How m coefficients depend on an input quantity.
+    """Describes how m coefficients depend on an input quantity.
 
-    `sensitivities`: array of shape (m, r), ∂coefficient/∂input in the unit of the coefficient per `quantity.unit`. If r independent
-    inputs have the same uncertainty, such as the errors of the table at r positions, there are r columns; if all segments share one
-    input, there is one column. `in_scatter`: True if the scatter of the data already contains the effect of the input; budgets then
-    list the input but do not add it. `parts`: names of the r inputs, such as orientations. The names show which inputs of two
-    influences are the same; inputs without names count as different.
+    `sensitivities`: array of shape (m, r), ∂coefficient/∂input in the unit of the coefficient per `quantity.unit`. There are r
+    columns for r independent inputs with the same uncertainty, such as the errors of the table at r positions, and one column if
+    all segments share one input. `in_scatter`: True if the scatter of the data already contains the effect of the input; budgets
+    then list the input but do not add it. `parts`: names of the r inputs, such as orientations. Inputs of two influences with the
+    same name are the same input; inputs without names are different inputs.
     """
 
     quantity: InputQuantity
@@ -106,7 +107,7 @@ class BudgetLine:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The uncertainty budget of one coefficient. The combined uncertainty in the last line is the standard uncertainty of the
+    """The uncertainty budget of one coefficient. Its last line, the combined uncertainty, is the standard uncertainty of the
     coefficient."""
 
     coefficient: str
@@ -119,7 +120,7 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """The stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table
+    """Contains the stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table
     orthogonality`, `temperature`, `fixture angle x`, `fixture azimuth x`, `resolution gyro_x` and `bias instability gyro_x` (whose
     uncertainty is the coefficient B itself). A quantity is absent if no uncertainty is stated for it. `without_flicker`: outputs
     for which the bench file states no bias instability, not even zero."""

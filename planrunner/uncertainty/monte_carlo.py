@@ -1,11 +1,11 @@
 """Propagates distributions by the adaptive Monte Carlo method, and validates the interval ± k·u by this method (JCGM 101:2008).
 
 Random draws are made in blocks of 10⁴ until the results have stabilised. The results are the estimate, the standard uncertainty,
-and the two ends of the interval, each averaged over the blocks. They have stabilised when twice the standard deviation of each
-average is smaller than the numerical tolerance (7.9.4). Here, this tolerance is a fifth of the tolerance of the validation (8.2).
+and the two ends of the interval, each averaged over the blocks. The results have stabilised when twice the standard deviation of
+each average is smaller than the numerical tolerance (7.9.4). This tolerance is a fifth of the tolerance of the validation (8.2).
 With four or fewer degrees of freedom, Student's t has no fourth moment, so the uncertainty of the standard deviation of the draws
-cannot be estimated. The rule then does not consider the standard uncertainty. It still considers the ends of the interval, which
-are the values to be validated.
+cannot be estimated. In this case, the standard uncertainty need not stabilise; the ends of the interval, which are the values to be
+validated, still must.
 
 The random numbers of a block depend only on the seed and the number of the block. The results of the blocks are used in the order
 of their numbers. Several workers can therefore share the blocks without an effect on the results.
@@ -51,9 +51,9 @@ class Propagated:
     """Contains the result of a propagation of distributions.
 
     `intervals`: the result for each coefficient. `draws`: number of draws that were made. `stabilised`: True if the results
-    stabilised before the largest number of draws was reached. `spread`: array of shape (m,), half-width of the 95 % confidence
-    interval for the ends of each coefficient's interval (Student's t over the blocks). `spread` is the larger of the values for the
-    two ends. It is infinite if there is only one block.
+    stabilised before the largest number of draws was reached. `spread`: array of shape (m,), the uncertainty of the ends of each
+    coefficient's interval. It is the half-width of the 95 % confidence interval of an end (Student's t over the blocks), the larger
+    of the two values; infinite if there is only one block.
     """
 
     intervals: tuple[Interval, ...]
@@ -122,8 +122,9 @@ def _of_averages(found: Sequence[Array]) -> Array:
 
 
 def _block(draw: Draws, probability: float, seed: int, number: int) -> tuple[Array, Array]:
-    """Returns the draws (m, BLOCK) of one block; and the mean, the standard deviation and the two ends of the interval of each
-    coefficient (4, m). Only one thread computes, because the last digits of matrix products may depend on the number of threads."""
+    """Returns two arrays: the draws (m, BLOCK) of one block; and the mean, the standard deviation and the two ends of the interval
+    of each coefficient (4, m). Only one thread computes, because the last digits of matrix products may depend on the number of
+    threads."""
     from threadpoolctl import threadpool_limits
 
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
@@ -171,8 +172,8 @@ def _influences(root: Array, others: Sequence[Influence], rng: np.random.Generat
 def t_draws(
     covariance: Array, degrees_of_freedom: Sequence[float] | Array, variances: Sequence[int] | None = None
 ) -> Draws:
-    """Draws m coefficients about zero. They are jointly normal with the covariance (m, m), and are scaled to Student's t with the
-    degrees of freedom of each coefficient (JCGM 101:2008, 6.4.9.2).
+    """Draws m coefficients about zero. The draws are jointly normal with the covariance (m, m), and are then scaled to Student's t
+    with the degrees of freedom of each coefficient (JCGM 101:2008, 6.4.9.2).
 
     `variances`: array of shape (m,), index of the estimated variance on which each coefficient depends; coefficients that depend on
     the same variance have the same scale. By default, coefficients with the same degrees of freedom have the same scale.
@@ -210,7 +211,7 @@ def _about(centre: Array, parts: Sequence[Draws], rng: np.random.Generator, n: i
 
 
 def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:
-    """Returns the factors √(ν/χ²) for n draws. Normal draws follow Student's t after multiplication by these factors."""
+    """Returns the factors √(ν/χ²) for n draws. Multiplied by these factors, normal draws follow Student's t."""
     return np.asarray(np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, n)))
 
 

@@ -60,8 +60,8 @@ def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 
 def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
-    """Adds a warning if the bench does not state whether its latitude is astronomic or geodetic, although the uncertainty of the
-    latitude is smaller than usual deviations of the vertical."""
+    """Adds a warning if the stated uncertainty of the latitude is smaller than usual deviations of the vertical, but the bench does
+    not state whether the latitude is astronomic or geodetic."""
     site, simulated = bench.site, bench.simulation is not None or (runs_on_virtual_clock(bench) and not models.replays)
     u = site.latitude.standard_uncertainty
     if simulated or site.latitude_kind is not None or site.deviation_of_vertical is not None:
@@ -127,16 +127,16 @@ def _table(table: TableModel, source: str, day: str) -> Iterator[InputQuantity]:
 
 
 def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """The uncertainty of the temperature in the chamber. It combines the tolerance, within which the temperature of the air can be
-    anywhere, and the declared uncertainty of the air temperature."""
+    """Yields the uncertainty of the temperature in the chamber. It combines the tolerance, within which the temperature of the air
+    can have any value, and the declared uncertainty of the air temperature."""
     width = math.hypot(chamber.tolerance / math.sqrt(3), chamber.temperature_uncertainty)
     shape = "normal" if chamber.temperature_uncertainty else "rectangular"
     yield InputQuantity("temperature", 0.0, "K", width, distribution=shape, source=source, calibrated=day)
 
 
 def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """The uncertainties of the outputs: half a count on either side for the resolution (JCGM 100:2008, F.2.2.1), and the
-    coefficient of the bias instability for flicker, both in the unit of the output."""
+    """Yields the uncertainties of the outputs, in the unit of the output: half a count on either side for the resolution (JCGM
+    100:2008, F.2.2.1), and the coefficient of the bias instability for flicker."""
     for output in sensor.outputs:
         yield InputQuantity(
             Aspect.BIAS_INSTABILITY.of(output.name),
