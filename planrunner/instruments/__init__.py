@@ -1,1 +1,2 @@
-"""Instruments: what they can do (`interfaces`), their models for planning (`models`), and one file per instrument."""
+"""Contains the instruments: what they can do (`interfaces`), their models for planning (`models`), and one file for each
+instrument."""

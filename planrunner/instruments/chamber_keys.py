@@ -1,4 +1,5 @@
-"""Declares the bench-file keys that every chamber has, simulated or real: its range, its ramp and its declared uncertainty."""
+"""Declares the bench-file keys that every chamber has, whether simulated or real: its range, its ramp and its declared
+uncertainty."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ A driver is a class found through the entry-point group `planrunner.instruments`
         def connect(cls, parameters, surroundings) -> MyTable
 
 Commands return at once and state how many seconds they will probably take. The executor waits on its clock, and then queries
-`holding()`. Connecting does not command an instrument: an instrument that is only connected is left unchanged when it is closed.
+`holding()`. Connecting does not count as a command: an instrument that was only connected is left unchanged when it is closed.
 Every failure is an `InstrumentError`; the executor then calls `make_safe` on every instrument that it commanded.
 """
 
@@ -37,7 +37,7 @@ P = TypeVar("P", bound=Record)
 
 
 class InstrumentError(Exception):
-    """Reports that an instrument did not execute a request. The message names the instrument, the problem and what to check."""
+    """Reports that an instrument did not execute a request. The message states the instrument, the problem, and what to check."""
 
 
 class UnservedError(InstrumentError):
@@ -52,16 +52,16 @@ class UnservedError(InstrumentError):
 
 
 class Clock(Protocol):
-    """Gives the time to code that must work in the same way with simulated and with real time."""
+    """Gives the time to functions that must work in the same way with simulated and with real time."""
 
     def now(self) -> float:
-        """Seconds since the start of the run."""
+        """Returns the time since the start of the run, s."""
 
     def sleep(self, seconds: float) -> None: ...
 
 
 class RunClock(Clock, Protocol):
-    """The clock of a run. It can be set when a run is resumed, and it calls back while it sleeps."""
+    """The clock of a run. It can be set when a run is resumed, and it calls a function while it sleeps."""
 
     def set(self, seconds: float) -> None:
         """Sets the time from which the clock continues when a run is resumed."""
@@ -131,8 +131,8 @@ class PlaysBack(OnlyRead):
     """Base class for drivers that play back a recording. Samples, orientations, rates and temperatures all come from the recording."""
 
     def look_over(self, segments: Sequence[Segment], log: Findings) -> None:
-        """Examines the recording before the segments are played back, and adds errors and warnings to `log`. If a driver has no such
-        method of its own, its method `foresee` examines the recording, and the reasons of an `UnservedError` are added to `log`."""
+        """Examines the recording before the segments are played back, and adds errors and warnings to `log`. This default method
+        calls `foresee`, and adds the reasons of an `UnservedError` to `log`."""
         if isinstance(self, Foresees):
             try:
                 self.foresee(segments)
@@ -148,7 +148,8 @@ class TakesEffects(OnlyRead):
 class Addressed(Protocol):
     @classmethod
     def address(cls, parameters: Record) -> str:
-        """Address of a real instrument, such as a VISA resource or a serial port. Two runs cannot use the same address at a time."""
+        """Returns the address of a real instrument, such as a VISA resource or a serial port. Two runs cannot use the same address
+        at the same time."""
 
 
 @runtime_checkable
@@ -160,9 +161,9 @@ class Instrument(Protocol):
 
     def make_safe(self) -> None:
         """Brings the instrument to its safe state (table stopped, chamber at ambient temperature). It can be called repeatedly. It
-        raises `InstrumentError` on every failure, because the caller must then decide whether a watchdog has to act.
+        raises `InstrumentError` after every failure, because the caller must then decide whether a watchdog has to act.
 
-        Further commands may follow: a run that waits for its operator waits in the safe state and then continues."""
+        Further commands may follow, because a run that waits for its operator waits in the safe state and then continues."""
 
     def close(self) -> None: ...
 
@@ -216,8 +217,8 @@ class HasModes(Protocol):
 @runtime_checkable
 class Readable(Protocol):
     def read(self) -> Mapping[str, float]:
-        """Returns a few current readings for the journal. Each key is the name of a reading, followed by its unit, such as
-        `name_unit`."""
+        """Returns a few current readings for the journal. A key has the form `name_unit`: the name of a reading, followed by its
+        unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,11 +232,11 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
-    """States the meaning of the channels of a summary. In a summary, one sample stands for a whole segment: it contains the means
-    of the channels, and their scatter in further channels, which are named here.
+    """States the meaning of the channels of a summary. A summary is one sample that stands for a whole segment. It contains the
+    means of the channels and, in further channels, their scatter. The attributes name these further channels.
 
-    `deviations`: for each channel, the channel with the standard deviation of the averaged samples, which are treated as
-    independent. `count`: channel with the number of samples. `seconds`: channel with the duration.
+    `deviations`: for each channel, the further channel with the standard deviation of the averaged samples; these samples are
+    treated as independent. `count`: channel with the number of samples. `seconds`: channel with the duration.
     """
 
     deviations: Mapping[str, str]
@@ -245,7 +246,7 @@ class SummaryChannels:
 
 @runtime_checkable
 class Summarises(Protocol):
-    """A sensor that yields a single sample, the summary, for each segment. `StreamsSamples.channels` includes the channels that
+    """A sensor that yields only one sample for each segment, the summary. `StreamsSamples.channels` includes the channels that
     `summary` names."""
 
     summary: SummaryChannels
@@ -259,8 +260,8 @@ class StreamsSamples(Protocol):
     def stream(self, segment: Segment) -> Iterator[Block]:
         """Yields the samples of one segment's dwell as they arrive, in blocks of bounded size. The stream ends with the dwell.
 
-        In real time, a block is returned at least every second, without rows if no sample has arrived, so that the bench can be
-        supervised between blocks. A sensor that stays silent raises `InstrumentError`."""
+        In real time, a block is yielded at least every second, so that the bench can be supervised between blocks; it has no rows
+        if no sample has arrived. If the sensor sends nothing for too long, `InstrumentError` is raised."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,25 +284,26 @@ class Watched(Protocol):
     """An instrument with live readings. The readings determine when it has settled, and are compared with limits during a dwell."""
 
     def watch(self) -> Condition:
-        """Returns the current condition of the instrument, from one short exchange or from the last frame. The method is called
-        about once a second, also between the blocks of a stream. Values that are unknown at the moment are omitted."""
+        """Returns the current condition of the instrument, which is determined by one short exchange or from the last frame. The
+        method is called about once a second, also between the blocks of a stream. Values that are unknown at the moment are
+        omitted."""
 
 
 @runtime_checkable
 class Alive(Protocol):
-    """An instrument that can check its link. A `Watched` instrument checks its link by its readings, so it does not need this
-    protocol."""
+    """An instrument that can check its link. A `Watched` instrument does not need this protocol, because its readings check the
+    link."""
 
     def heartbeat(self) -> None:
-        """Makes the shortest possible exchange with the instrument; called every few seconds while there is no other communication.
-        Raises `InstrumentError` if there is no reply."""
+        """Makes the shortest possible exchange with the instrument. It is called every few seconds if there is no other
+        communication. Raises `InstrumentError` if there is no reply."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
     """Contains the limits that an instrument must enforce by itself, independently of the computer.
 
-    None means that the driver takes the limit from its own keys; limits of travel always come from these keys. `rate` [rad/s],
+    None means that the driver uses the limit in its own keys. Limits of travel always come from these keys. `rate` [rad/s],
     `acceleration` [rad/s²] and `position_error` [rad] are limits of every axis. `coldest` and `hottest` are limits of the
     temperature [K]. `silence`: time [s] without communication from the computer after which the instrument makes itself safe.
     """
@@ -317,14 +319,14 @@ class OwnLimits:
 @runtime_checkable
 class SelfLimiting(Protocol):
     def limit(self, limits: OwnLimits) -> Sequence[str]:
-        """Sets the limits and time-outs that the instrument supports, before the first move and again after a wait in the safe
-        state. Returns one line for the journal for each limit that was set. Raises `InstrumentError` if a supported limit cannot be
-        set."""
+        """Sets the limits and time-outs that the instrument supports. It is called before the first move, and again after a wait in
+        the safe state. Returns one line for the journal for each limit that was set. Raises `InstrumentError` if a supported limit
+        cannot be set."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Counts of the frames in one segment's stream.
+    """Contains counts of the frames in the stream of one segment.
 
     `lost`: frames that are missing according to the counter. `corrupt`: frames with a wrong checksum. `overflowed`: frames that
     were lost because the computer did not read them in time. `skipped_bytes`: bytes between frames. `details`: maps names such as
@@ -342,13 +344,13 @@ class FrameCounts:
 @runtime_checkable
 class Counting(Protocol):
     def counts(self) -> FrameCounts:
-        """Counts of the frames in the segment that is being streamed; between segments, the counts of the last one."""
+        """Returns the counts of the frames in the present segment or, between segments, in the last segment."""
 
 
 @runtime_checkable
 class Remarking(Protocol):
     def remarks(self) -> Sequence[str]:
-        """Returns remarks on unusual events since the last call, such as a repeated exchange or a reopened link. Each event is one
+        """Returns remarks on unusual events since the last call, such as a repeated exchange or a reopened link. Each remark is one
         line of text for the journal."""
 
 

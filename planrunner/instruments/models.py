@@ -1,4 +1,4 @@
-"""Models of instruments. They are known without a connection; checks, schedules, designs and estimators use them.
+"""Defines models of instruments. They are known without a connection. Checks, schedules, designs and estimators use them.
 
 All values are in SI units, with angles in radians. The exception is the outputs of a sensor, whose units are always named.
 """
@@ -34,7 +34,7 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 
 @dataclass(frozen=True, slots=True)
 class TableModel:
-    """Describes a table that turns to positions and at rates.
+    """Describes a table that moves to positions and turns at rates.
 
     `axes`: the axes of the table, the outermost first. `position_uncertainty`: standard uncertainty of a position, rad.
     `rate_stability`: relative standard uncertainty of a rate. `orthogonality`: standard uncertainty of the angles between the axes,
@@ -72,8 +72,8 @@ class ChamberModel:
         """Returns the time [s] until the air is within the tolerance of a new setpoint. `kelvin`: the difference between the new
         and the present setpoint, K.
 
-        At the end of a ramp with the rate r and the duration t, the output of a first-order lag with the time constant τ is behind
-        by r·τ·(1 − e^(−t/τ)). This difference then decays with the time constant τ.
+        At the end of a ramp with the rate r and the duration t, the output of a first-order lag with the time constant τ lags
+        behind by r·τ·(1 − e^(−t/τ)). After the ramp, this difference decays with the time constant τ.
         """
         if abs(kelvin) <= self.tolerance:
             return 0.0
@@ -90,7 +90,7 @@ class ChamberModel:
         The body follows the air with the time constant `lag` [s]. The ramp changes the setpoint by `kelvin` and starts from
         equilibrium.
 
-        At the time t of a ramp with the rate k, the output of two first-order lags in series, with the time constants a and s, is
+        At the time t of a ramp with the rate k, the output of two first-order lags in series, with the time constants a and s, lags
         behind the ramp by k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)). A ramp that ends after T is the difference between an
         endless ramp and the same ramp started T later.
         """
@@ -98,7 +98,7 @@ class ChamberModel:
         return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
 
     def _lag_of_ramp(self, lag: float, seconds: float) -> float:
-        """Distance as in `behind`, for an endless ramp of 1 K/s."""
+        """Returns the difference that `behind` describes, for an endless ramp of 1 K/s."""
         if seconds <= 0:
             return 0.0
         a, s = max(self.lag, _SHORT), max(lag, _SHORT)
@@ -110,10 +110,10 @@ class ChamberModel:
 class NoiseModel:
     """Describes the noise of one output, in the unit of the output.
 
-    `white`: random-walk coefficient N [unit·√s]; the mean over T seconds has the variance N²/T. `bias_instability`: coefficient B
-    of IEEE Std 952 [unit]; the flat part of the Allan deviation is 0.664·B. `resolution`: size of one count [unit]. `counted`: True
-    if the part of a sample that does not fill a count is carried to the next sample, so that only the two ends of a mean are
-    rounded. `states_flicker`: True if the bench file declares a bias instability, which may be zero.
+    `white`: coefficient N of the white noise [unit·√s]; the mean over T seconds has the variance N²/T. `bias_instability`:
+    coefficient B of IEEE Std 952 [unit]; the flat part of the Allan deviation is 0.664·B. `resolution`: size of one count [unit].
+    `counted`: True if the remainder of a sample that does not fill a count is carried to the next sample, so that rounding acts
+    only at the two ends of a mean. `states_flicker`: True if the bench file declares a bias instability, which may be zero.
     """
 
     white: float = 0.0
@@ -123,9 +123,9 @@ class NoiseModel:
     states_flicker: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
-        """Returns True if the rounding of samples to counts averages out in a mean. It averages out if the noise between the
-        samples, with this variance [unit²], is large enough to dither the rounding, or if remainders are carried from sample to
-        sample (`counted`)."""
+        """Returns True if the rounding of samples to counts averages out in a mean. It averages out in two cases: if the noise of
+        the samples is large enough to dither the rounding, or if remainders are carried from sample to sample (`counted`).
+        `variance`: variance of the samples due to noise, unit²."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
@@ -144,10 +144,10 @@ class NoiseModel:
         `rate_hz` during `seconds`.
 
         If remainders are not carried, the probability is largest for an input in the middle of a count. If remainders are carried,
-        the sum of the noise is a random walk that starts anywhere in a count and must stay within it. A walk of n steps with the
-        standard deviation σ stays between walls at the distance a with a probability of at most exp(−π²·n·σ²/(2·a²)), from the
-        series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3. The walls are checked only once per step;
-        therefore a is larger than the count by 2·0.5826·σ (D. Siegmund, Sequential Analysis, 10.2).
+        the sum of the noise is a random walk, which starts anywhere in a count and must stay within it. A walk of n steps with the
+        standard deviation σ stays between two walls at the distance a from each other with a probability of at most
+        exp(−π²·n·σ²/(2·a²)). This follows from the series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3. As
+        the walls act only once per step, a is larger than the count by 2·0.5826·σ (D. Siegmund, Sequential Analysis, 10.2).
         """
         if self.resolution == 0 or self.white == 0:
             return 0.0 if self.white else 1.0
@@ -177,8 +177,8 @@ class OutputModel:
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """The sensor under test. `nominal`: maps the name of each declared coefficient to its SI value. Predictions are linearised at
-    these values.
+    """The sensor under test. `nominal`: maps the name of each declared coefficient to its SI value. Predictions are linearised
+    about these values.
 
     `modes`: operating modes that the driver can set, such as caged or navigation; empty if the sensor has only one. `one_rate`:
     True if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. `thermal_lag`: time constant
@@ -200,7 +200,7 @@ class SensorModel:
     stabilised: bool = False
 
     def rate_refused(self, asked: float | None) -> str:
-        """Returns the reason why the sensor cannot be sampled at `asked` [Hz]; empty if it can be, or if `asked` is None."""
+        """Returns the reason why the sensor cannot be sampled at `asked` [Hz]; empty if this is possible, or if `asked` is None."""
         return rate_refused(asked, self.sample_rate, self.one_rate)
 
     def output(self, name: str) -> OutputModel | None:
@@ -208,8 +208,9 @@ class SensorModel:
 
 
 def rate_refused(asked: float | None, own: float, one_rate: bool) -> str:
-    """Returns the reason why a sensor with the sample rate `own` [Hz] cannot be sampled at `asked` [Hz]; empty if it can be, or if
-    `asked` is None. `one_rate`: True if the sensor can only be sampled at `own`, False if also at lower rates."""
+    """Returns the reason why a sensor with the sample rate `own` [Hz] cannot be sampled at `asked` [Hz]; empty if this is possible,
+    or if `asked` is None. `one_rate`: True if the sensor can only be sampled at `own`; False if it can also be sampled at lower
+    rates."""
     if asked is None or abs(asked / own - 1) <= 1e-9:
         return ""
     if one_rate:

@@ -1,5 +1,5 @@
-"""Kinds of keys that instruments need in addition to those of the plan language: quantities with the compound units of a sensor,
-and polynomials of temperature."""
+"""Defines kinds of keys that instruments need in addition to those of the plan language: quantities with the compound units of a
+sensor, and polynomials of the temperature."""
 
 from __future__ import annotations
 

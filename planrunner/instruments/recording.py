@@ -1,9 +1,9 @@
-"""Plays back a recording: a sensor that reads a file as if the samples were being measured.
+"""Plays back a recording: provides a sensor that reads a file as if the samples were measured now.
 
-Columns of the file become channels with units. Each label of the plan has an interval of the recording. A table of segments states
-the intervals, or pauses in the recorded time separate them. Otherwise, the whole recording is one interval. All files must be
-inside the data folder, except those that are named on the command line. Rows are streamed, so a long recording is never in memory
-as a whole.
+Columns of the file become channels with units. Each label of the plan belongs to an interval of the recording. The intervals are
+stated in a table of segments, or are separated by pauses in the recorded time; otherwise, the whole recording is one interval. All
+files must be inside the data folder, except those that are named on the command line. Rows are streamed, so a long recording is
+never in memory as a whole.
 """
 
 from __future__ import annotations
@@ -191,8 +191,8 @@ class RecordingPlayer(PlaysBack):
         return found
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """Yields the samples of a segment: those of its first `dwell` seconds, or all if the dwell is not planned. Times are
-        counted from power-on if the bench file declares it, otherwise from the first row of the recording.
+        """Yields the samples of a segment: those of its first `dwell` seconds or, if the dwell is not planned, all of them. Times
+        are counted from power-on if the bench file declares it, otherwise from the first row of the recording.
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value
@@ -227,7 +227,7 @@ class RecordingPlayer(PlaysBack):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _pieces(self, time: Array, columns: Mapping[str, Array]) -> Iterator[Block]:
-        """Divides a block into pieces whose length suits the clock: about one second each in real time."""
+        """Divides a block into pieces whose length depends on the clock: in real time, about one second each."""
         rate = self.parameters.sample_rate.value
         size = time.size if math.isinf(self.piece) else max(1, round(self.piece * rate))
         for first in range(0, time.size, size):
@@ -276,8 +276,8 @@ def _stamps(parameters: RecordingParameters) -> TimeStamps:
 
 
 def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
-    """Raises `InstrumentError` if the declared sample rate contradicts the time column, usually because the unit of time is wrong,
-    or if power-on is declared later than the first row."""
+    """Raises `InstrumentError` in two cases: if the declared sample rate contradicts the time column, usually because the unit of
+    time is wrong; and if power-on is declared later than the first row."""
     declared = parameters.sample_rate.value
     if not math.isnan(file.interval) and abs(math.log(file.interval * declared)) > RATE_TOLERANCE:
         message = (

@@ -1,7 +1,7 @@
-"""A recording that is played back. It consists of one file or several, in any format, inside a data folder.
+"""Reads a recording that is played back. It consists of one file or several, in any format, inside a data folder.
 
-The memory that a file requires is checked before a sample is read. Samples are read in batches, so a recording of any length needs
-limited memory.
+The memory that a file requires is checked before a sample is read. Samples are read in batches, so the required memory does not
+grow with the length of the recording.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ HELD = 1_000_000
 
 def beneath(root: Path | None, name: str) -> Path:
     """Returns the path of the file `name` inside the data folder `root`. Raises `InstrumentError` if there is no such file, or if
-    it is outside the folder, also through a link."""
+    it is outside the folder, for example because of a link."""
     if root is None:
         raise InstrumentError(f"'{name}' is relative to a data folder, but no data folder is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
@@ -70,7 +70,7 @@ class RecordingFile(Protocol):
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """Yields the samples in a span, in batches of at most `BATCH` rows: times (n,), in s, and the values (n,) of each channel.
-        A missing number is NaN. Raises `InstrumentError` where time does not increase."""
+        A missing number is NaN. Raises `InstrumentError` at the first row whose time is not later than that of the row before."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -99,8 +99,8 @@ def open_recording(
     """Opens the files `parts` as one recording, in this order, after a check of their columns and first rows.
 
     `channels`: for each channel, the name of its column. `given`: format from the bench file; None if the extension of each file
-    name determines it. `pause`: used if the time starts again in each file: the time [s] between the last row of a file and the
-    first row of the next one. None if the time continues from file to file. Raises `InstrumentError` if a file cannot be read or
+    name determines it. `pause`: None if the time continues from file to file. If the time starts again in each file, `pause` is the
+    time [s] between the last row of a file and the first row of the next one. Raises `InstrumentError` if a file cannot be read or
     lacks a column.
     """
     files = []
@@ -139,7 +139,7 @@ class _Joined:
         return 0.0
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
-        """The rows of all files, as described in `RecordingFile.rows`."""
+        """Yields the rows of all files, as described in `RecordingFile.rows`."""
         last = math.nan
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -153,7 +153,7 @@ class _Joined:
                     return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """All rows of all files, as described in `RecordingFile.all_rows`. Row numbers continue from file to file."""
+        """Yields all rows of all files, as described in `RecordingFile.all_rows`. Row numbers continue from file to file."""
         last, before = math.nan, 0
         for file in self.files:
             shift = 0.0 if math.isnan(last) else self._shift(file, last, file.origin)
@@ -179,7 +179,7 @@ class HeldRecording:
 
     @classmethod
     def of(cls, file: RecordingFile, most: float = np.inf, pace: Pace | None = None) -> HeldRecording | None:
-        """Reads all rows of a file once; returns None if the file has more than `most` rows. Raises `InstrumentError` if the file
+        """Reads all rows of a file once. Returns None if the file has more than `most` rows. Raises `InstrumentError` if the file
         cannot be read."""
         pieces, count = [], 0
         for piece in file.rows():
@@ -216,9 +216,9 @@ class HeldRecording:
 
 def at_hand(file: RecordingFile, name: str = "", notice: Announce | None = None) -> RecordingFile:
     """Returns the same recording in a form from which many intervals can be read quickly. A recording of at most `HELD` rows is
-    kept in memory. A longer one is copied to a temporary Parquet file, because in other formats all preceding rows must be read to
-    reach an interval. `name`: name of the file, used in the progress that `notice` receives. Raises `InstrumentError` if the
-    recording cannot be read or the copy cannot be written."""
+    stored in memory. A longer recording is copied to a temporary Parquet file, because in other formats, all preceding rows must be
+    read to reach an interval. `name`: name of the file, used in the progress that `notice` receives. Raises `InstrumentError` if
+    the recording cannot be read or the copy cannot be written."""
     held = HeldRecording.of(file, HELD, Pace(f"reading {name}", min(file.about, HELD), notice))
     if held is not None:
         return held

@@ -141,8 +141,8 @@ class ChannelColumn(Record):
         return 0.0 if self.random_walk is None else self.random_walk.value / factor
 
     def amount(self, name: str, otherwise: float = 0.0) -> float:
-        """Returns the bias instability, the resolution or the full scale, in the unit of the channel. `name`: name of the key.
-        `otherwise`: the result if the key is absent."""
+        """Returns the bias instability, the resolution or the full scale, in the unit of the channel. `name`: the name of one of
+        these keys. `otherwise`: the result if the key is absent."""
         value: Quantity | None = getattr(self, name)
         return otherwise if value is None else width(value) / unit(self.unit).factor
 
@@ -173,7 +173,7 @@ WHITE = ("noise", "noise_density", "random_walk")
 
 
 class ChannelKind:
-    """The value that describes a channel. The dimensions of the declared noise and full scale must fit the unit of the channel."""
+    """Reads the description of a channel. The dimensions of the declared noise and full scale must fit the unit of the channel."""
 
     _record = RecordOf(ChannelColumn)
 
@@ -228,7 +228,7 @@ class SegmentColumns(Record):
 
 
 class StatedStretch(Record):
-    """Declares the bench-file keys of a stretch of the recording."""
+    """Declares the bench-file keys of a stretch of the recording, which is the interval of one label."""
 
     start: Quantity = key(QuantityOf("time", "not negative"), "Start of the stretch, after the first row.", "12 s")
     end: Quantity = key(QuantityOf("time", "positive"), "End of the stretch, after the first row.", "22 s")

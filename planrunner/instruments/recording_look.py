@@ -76,9 +76,9 @@ class LikelyChannel:
 
     `unit`: the probable unit. `counts`: True if the numbers are raw counts, of which `per_unit` are one unit. `noise`: standard
     deviation of a sample at rest, in `unit`; 0 if the channel is constant at rest, NaN if the noise is unknown. `source`: what
-    shows the unit. The value is `name` if the name of the column states it, `size` if the size of the values suggests it, and
-    `motion` if turns that the accelerometers also show confirm it. `stands`: True if the values of the channel never change.
-    `increments`: True if the column contains the integral over one sample period; this period is then `per_unit`."""
+    shows the unit: `name` if the name of the column states it, `size` if the size of the values suggests it, and `motion` if it is
+    confirmed by turns that the accelerometers also show. `stands`: True if the values of the channel never change. `increments`:
+    True if the column contains the integral over one sample period; in this case, `per_unit` is this period."""
 
     name: str
     column: str
@@ -129,7 +129,7 @@ class Look:
     `time`: the column of the time; None if the file has none and rows are counted. `rate`: sample rate, Hz. `other`: columns that
     are not channels. `sparse`: columns that contain less than half as many numbers as the fullest column of a gyro or
     accelerometer. `still`: spans without motion. `backwards`: number of rows whose time does not increase; if there are such rows,
-    rows are counted instead of using the time. `pauses`: number of pauses, and the length of the shortest one, s. `motion`:
+    the time is not used, and rows are counted instead. `pauses`: number of pauses, and the length of the shortest one, s. `motion`:
     comparison of gyros and accelerometers during turns; None if it gives no clear result."""
 
     file: str
@@ -165,15 +165,15 @@ class Look:
     @property
     def dwells(self) -> tuple[Span, ...]:
         """Returns the intervals without acceleration, if the gyros show different rates in them; otherwise empty. One window is
-        left out at both ends, in which the table may still settle."""
+        left out at each end of an interval, because the table may still settle there."""
         if not any(self._turns_at_rates(one) for one in self.channels if one.sensed == "gyro"):
             return ()
         inner = (Span(span.start + WINDOW, span.end - WINDOW) for span in self.still)
         return tuple(span for span in inner if span.seconds >= _LEAST_DWELL)
 
     def _turns_at_rates(self, gyro: LikelyChannel) -> bool:
-        """Returns True if the mean of a gyro changes between the intervals without acceleration, and not within them, as a drift
-        would."""
+        """Returns True if the mean of a gyro changes between the intervals without acceleration, but not within them. (A drift
+        would also change it within them.)"""
         if len(self.still) < 2 or not gyro.noise > 0:
             return False
         means = [_at_rest(self.windows, (span,), self.windows.mean[gyro.column]) / gyro.per_unit for span in self.still]
@@ -270,7 +270,7 @@ class _Clock:
     """Observes the time column: rows in which time does not increase, steps longer than `pause` [s], and the total time.
 
     `times`: times of the rows that were yielded last, s after the first row. `stamp`: the column of the time after the last row has
-    been read; None if the column is not a time. `stamp`: after the last row, None if the column is not a time."""
+    been read; None if the column is not a time."""
 
     def __init__(self, stamp: LikelyTime | None, pause: float):
         self._stamp = stamp
@@ -283,7 +283,7 @@ class _Clock:
 
     @property
     def backwards(self) -> int:
-        """Number of rows whose time does not increase."""
+        """Returns the number of rows whose time does not increase."""
         late = self._stamp is not None and self._stamp.wraps is None and self._wraps is not None
         return 0 if late else len(self._falls)
 
@@ -338,18 +338,18 @@ class _Clock:
         self.times = own - self._first
 
     def rate(self, rows: int, median: float) -> float:
-        """Rows per second [Hz], averaged over the whole recording. If pauses make this average differ from `median`, which is the
-        rate of the median step, the function returns `median`."""
+        """Returns the number of rows per second [Hz], averaged over the whole recording. If this average differs from `median`, the
+        rate of the median step, because of pauses, returns `median`."""
         whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 
 
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
-    """Guesses for the columns, completed if the names do not help.
+    """Returns the guesses about the columns. They are completed from the values if the names of the columns show nothing.
 
     If no name suggests a gyro or an accelerometer, the function searches for three neighbouring columns whose vector is as long as
-    gravity. These are taken as accelerometers, and three columns next to them as gyros. If the names of three columns state the
-    axes x, y and z, the columns get these axes; otherwise they are x, y and z in their order."""
+    gravity. These are assumed to be the accelerometers, and three columns next to them the gyros. If the names of three columns
+    state the axes x, y and z, the columns get these axes; otherwise they are x, y and z in their order."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
@@ -370,7 +370,8 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
 
 
 def _of_counts(level: float) -> bool:
-    """Returns True if 1 g may be `level` counts: a power of two from 256, as in the registers of most accelerometers, or mg."""
+    """Returns True if 1 g may correspond to `level` counts: a power of two of at least 256, as in the registers of most
+    accelerometers, or 1000 for values in mg."""
     return any(
         abs(math.log(max(level, 1e-9) / one_g)) < GRAVITY_ALIKE for one_g in (1000.0, *(2.0**k for k in range(8, 17)))
     )
@@ -442,7 +443,7 @@ def _windows(
 
 
 def _levels(table: Array) -> tuple[Array, Array]:
-    """Mean and standard deviation (n,) of each row of a table (n, k), without missing numbers.
+    """Returns the mean and the standard deviation (n,) of each row of a table (n, k), without missing numbers.
 
     Both are NaN if a row contains fewer than two numbers."""
     if np.isfinite(table).all():
@@ -464,8 +465,8 @@ def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
 
 
 def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
-    """Spans in which every sensor is at rest. A sensor is at rest if its mean does not change much between windows, and if its
-    scatter is similar to the scatter in its quietest windows, or small compared with the scatter in motion."""
+    """Returns the spans in which every sensor is at rest. A sensor is at rest if its mean does not change much between windows, and
+    if its scatter is similar to the scatter in its quietest windows, or small compared with the scatter in motion."""
     if not columns or not len(windows.begin):
         return ()
     quiet = np.ones(len(windows.begin), bool)
@@ -484,7 +485,7 @@ def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
 
 
 def _course(mean: Array) -> Array:
-    """Absolute change (n,) of the mean per window, computed from the windows before and after each window."""
+    """Returns the absolute change (n,) of the mean per window, computed from the windows before and after each window."""
     if len(mean) < 3:
         return np.zeros(len(mean))
     change = np.abs(mean[2:] - mean[:-2]) / 2
@@ -575,12 +576,12 @@ def _channels(
 
 
 def _integrated(one: Guess, period: float) -> float:
-    """Time [s] over which a column integrates the output of its sensor; 1 if the column contains the output itself."""
+    """Returns the time [s] over which a column integrates the output of its sensor; 1 if the column contains the output itself."""
     return period if one.increments else 1.0
 
 
 def _large(mean: Array) -> float:
-    """Returns a high quantile of the absolute means of a gyro, which is insensitive to single outliers."""
+    """Returns a high quantile of the absolute means of a gyro. Unlike the maximum, it is insensitive to single outliers."""
     known = np.abs(mean[np.isfinite(mean)])
     return float(np.quantile(known, _LARGE)) if len(known) else 0.0
 

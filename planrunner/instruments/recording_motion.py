@@ -1,8 +1,8 @@
 """Compares the gyros of a recording that has no description yet with its accelerometers.
 
 A turn between two intervals at rest changes the direction of gravity in the sensor's axes. The accelerometers show this change
-directly, and it can be computed by integrating the outputs of the gyros. The comparison shows the unit of the gyros, and whether
-axes are exchanged or reversed."""
+directly. It can also be computed by integrating the outputs of the gyros. The comparison of the two shows the unit of the gyros,
+and whether axes are exchanged or reversed."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ def _signed_axes() -> Iterator[tuple[tuple[str, str, str], Array]]:
 
 
 def _error(turns: Sequence[_Turn], matrix: Array) -> float:
-    """Median angle [deg] between the direction of gravity that is measured after a turn and the direction that is computed from the
-    gyros.
+    """Returns the median angle [deg] between the direction of gravity that is measured after a turn and the direction that is
+    computed from the gyros.
 
     In the axes of the sensor, a direction u that is fixed in space follows du/dt = -ω × u. `matrix`: converts outputs of the gyros
     to rates in rad/s about the axes of the accelerometers."""

@@ -53,8 +53,8 @@ class Wanted:
 
 @dataclass(slots=True)
 class _Seen:
-    """What a pass over the recording found in one interval. `gap`: length [s] of the longest gap between samples. `at`: time at
-    which this longest gap starts."""
+    """Contains what a pass over the recording has found in one interval. `gap`: length [s] of the longest gap between samples.
+    `at`: time at which this longest gap starts."""
 
     rows: int = 0
     complete: int = 0
@@ -80,12 +80,12 @@ class _Seen:
 
 @dataclass(slots=True)
 class _Pass:
-    """What one pass over a recording has found so far.
+    """Contains what one pass over a recording has found so far.
 
-    `period`: usual sample period, s. `divider`: divides the rows where the sample rate changes. `faults`: descriptions of the first
-    rows whose time is wrong. `wrong`: total number of rows whose time is wrong. `missing`: number of missing values of each
-    channel. `lowest`, `highest`: smallest and largest value of each channel. `rates`: each time [s] at which the sample rate
-    changes, with the new rate [Hz].
+    `period`: usual sample period, s. `divider`: the object that divides the rows at changes of the sample rate. `faults`:
+    descriptions of the first rows whose time is wrong. `wrong`: total number of rows whose time is wrong. `missing`: number of
+    missing values of each channel. `lowest`, `highest`: smallest and largest value of each channel. `rates`: each time [s] at which
+    the sample rate changes, with the new rate [Hz].
     """
 
     period: float
@@ -156,8 +156,8 @@ def scan(
     """Adds all faults of a recording to `log`.
 
     `name`: name of the file, used in messages. `sample_rate`: declared sample rate, Hz. `notice`: receives the progress. `live`:
-    channels whose noise must change their values. Returns the span of the recording; None if some of its times are wrong. Raises
-    `InstrumentError` if the file cannot be read to its end.
+    channels whose values must change because of their noise. Returns the span of the recording; None if some of its times are
+    wrong. Raises `InstrumentError` if the file cannot be read to its end.
     """
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])
@@ -242,7 +242,7 @@ def _on_rates(found: _Pass, name: str, log: Findings) -> None:
 
 
 def _on_dead(found: _Pass, name: str, live: Collection[str], log: Findings) -> None:
-    """Warns of each channel that keeps one value or has no value, although its noise must change it."""
+    """Warns of each channel that has only one value, or no value, although its noise must change its values."""
     hint = "check the sensor, and the column that the bench file gives for the channel"
     for channel in live:
         low, high = found.lowest.get(channel, math.inf), found.highest.get(channel, -math.inf)

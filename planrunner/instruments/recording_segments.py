@@ -1,4 +1,4 @@
-"""Finds the segments of a recording that is played back: the rows of a table, or the parts between pauses.
+"""Finds the segments of a recording that is played back. They are stated by the rows of a table, or are the parts between pauses.
 
 The table is a small CSV file; each row contains a label, a start time and an end time. Without a table, pauses in the recorded time
 divide the recording.
@@ -55,8 +55,8 @@ def read_segment_table(
     start and end times, one of `TIME_UNITS`. `trim`: time [s] omitted at both ends of each segment. `origin`: time of the first row
     of the recording, s. `dates`: order of day and month in the recording, which also applies to the table.
 
-    If the unit is `time_of_day`, the times continue after midnight: each start lies within half a day of the end before it, and the
-    first start within half a day of the first row of the recording.
+    If the unit is `time_of_day`, times after midnight are recognised: each start is within half a day of the preceding end, and the
+    first start is within half a day of the first row of the recording.
 
     Raises `InstrumentError` with the line of the fault.
     """
@@ -93,7 +93,7 @@ def stated_stretches(parameters: RecordingParameters, origin: float) -> SegmentT
 
 def labelled_rows(path: Path, name: str, columns: Sequence[str]) -> Iterator[tuple[str, int, LabelledRow]]:
     """Yields the rows of a CSV table, each as label, line number and cells. `columns`: names of the columns that the table must
-    have, first the column of the labels. `name`: name of the file, used in messages.
+    have; the first is the column of the labels. `name`: name of the file, used in messages.
 
     Raises `InstrumentError` with the line of the fault if a label is missing or occurs twice.
     """

@@ -1,9 +1,9 @@
 """Plays back a table that replaces a recording. For each segment, the table contains a row with the mean, the standard deviation
 and the number of the samples.
 
-Published calibrations often contain no more. A row is used as an observation, like the means of recorded samples. Estimates that
-need samples are refused. The samples of a segment are treated as independent: the standard error of a mean is s/√n, unless the
-table states it.
+Published calibrations often contain only such tables. A row is used as an observation, like the means of recorded samples.
+Estimates that need samples are refused. The samples of a segment are treated as independent: the standard error of a mean is s/√n,
+unless the table states it.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class SummaryRow:
     """Contains the row of a segment in the table.
 
     `line`: line in the file. `start`: start time, s. `count`: number of samples. `means`, `deviations`: mean and standard deviation
-    of each channel, in the unit of the channel. If the table states a standard error, it is converted to a deviation, so that the
-    mean of `count` independent samples with this deviation has the stated standard error.
+    of each channel, in the unit of the channel. If the table states a standard error instead, it is converted to that standard
+    deviation for which the mean of `count` independent samples has the stated standard error.
     """
 
     line: int
@@ -147,8 +147,8 @@ def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) 
 
 
 def _columns(parameters: RecordingParameters, columns: RowColumns) -> list[str]:
-    """Returns the columns that the table must have, first the column of the labels. Raises `InstrumentError` if a channel does not
-    have exactly one column for its scatter."""
+    """Returns the columns that the table must have; the first is the column of the labels. Raises `InstrumentError` unless each
+    channel has exactly one column for its scatter."""
     wanted = [columns.label, columns.count, *([] if columns.start is None else [columns.start])]
     for name, channel in parameters.channels.items():
         stated = [key for key in (channel.standard_deviation, channel.standard_error) if key is not None]

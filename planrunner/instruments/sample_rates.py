@@ -1,4 +1,4 @@
-"""Divides the rows of a recording at the places where its sample rate changes."""
+"""Divides the rows of a recording at changes of its sample rate."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ _OTHER = 0.2
 
 @dataclass(frozen=True, slots=True)
 class RowsAtOneRate(Generic[RowValue]):
-    """Consecutive rows with one sample rate. `time`: (n,), s. `data`: array with n rows that belongs to these times. `period`: sample
-    period, s; NaN if a single row does not show it. `changed`: whether the rate has changed before the first of these rows."""
+    """Consecutive rows with one sample rate. `time`: array of shape (n,), s. `data`: array with n rows, one for each time.
+    `period`: sample period, s; NaN if there is only one row, which does not show it. `changed`: True if the rate changed before the
+    first of these rows."""
 
     time: Array
     data: NDArray[RowValue]
@@ -31,10 +32,10 @@ class RowsAtOneRate(Generic[RowValue]):
 
 
 class SampleRates(Generic[RowValue]):
-    """Divides rows at the places where the sample rate changes. The rows come in batches of any size.
+    """Divides rows at changes of the sample rate. The rows are given in batches of any size.
 
-    A change of the rate counts if it lasts for 128 rows, and if both the median and the mean of the steps of time change. Jitter and
-    rounded times change the median but not the mean. Lost rows and pauses change the mean but not the median.
+    A change of the rate is recognised if it lasts for 128 rows, and if both the median and the mean of the time steps change.
+    Jitter and rounded times change only the median; lost rows and pauses change only the mean.
     """
 
     def __init__(self) -> None:
@@ -45,7 +46,8 @@ class SampleRates(Generic[RowValue]):
         self._means: list[float] = []
 
     def take(self, time: Array, data: NDArray[RowValue]) -> list[RowsAtOneRate[RowValue]]:
-        """Takes the next rows and returns the rows whose rate is known. `time`: (n,), increasing times, s. `data`: array with n rows."""
+        """Takes the next rows, and returns all rows whose rate is now known. `time`: array of shape (n,), increasing times, s.
+        `data`: array with n rows."""
         if self._data is not None:
             time, data = np.concatenate([self._time, time]), np.concatenate([self._data, data])
         return self._divided(time, data, final=False)
@@ -55,7 +57,8 @@ class SampleRates(Generic[RowValue]):
         return [] if self._data is None else self._divided(self._time, self._data, final=True)
 
     def _divided(self, time: Array, data: NDArray[RowValue], final: bool) -> list[RowsAtOneRate[RowValue]]:
-        """Divides rows. If `final` is false, keeps the last rows, because the rows after them show whether the rate changes."""
+        """Divides rows. If `final` is False, the last rows are kept for the next call, because later rows are needed to recognise a
+        change of the rate."""
         found: list[RowsAtOneRate[RowValue]] = []
         steps = np.diff(time)
         count = len(steps) // _ROWS

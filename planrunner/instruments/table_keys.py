@@ -1,4 +1,4 @@
-"""Declares the bench-file keys that every table has, simulated or real: its axes and its declared uncertainties."""
+"""Declares the bench-file keys that every table has, whether simulated or real: its axes and its declared uncertainties."""
 
 from __future__ import annotations
 

@@ -29,7 +29,8 @@ _COMMAND = re.compile(r"(?P<head>[:\w*]+)(?P<query>\?)?\s*(?P<arguments>.*)", re
 
 @dataclass(slots=True)
 class _Held:
-    """What the controller stores for one axis: its mode, its demands, and its limits in each mode. Angles are in degrees."""
+    """Contains what the controller stores for one axis: its mode, its demands, and its limits in each mode. Angles are in
+    degrees."""
 
     mode: str = "off"
     position: float = 0.0

@@ -1,7 +1,7 @@
 """Simulates an Ideal Aerosmith table on a serial line. Commands are mnemonics of three letters; the table answers each command with
 a line and a prompt.
 
-The answer to a long motion (`JOG`, a sine) comes when the motion ends; `STO` has no answer.
+The answer to a long motion (`JOG`, a sine) is sent when the motion ends. `STO` has no answer.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""The air in a simulated chamber. It follows a ramped setpoint, or drifts to the temperature of the room if the chamber is off.
+"""Simulates the air in a chamber. The air follows a ramped setpoint or, if the chamber is off, drifts to the temperature of the
+room.
 
-Temperatures are in K, ramps in K/s. The air can stay at one temperature or overshoot. The chamber can raise an alarm, which stops
-it until the alarm is cleared.
+Temperatures are in K, ramps in K/s. As disturbances, the air can stay at one temperature or overshoot. The chamber can raise an
+alarm, which stops it until the alarm is cleared.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class ChamberPlant:
         self.alarms = ()
 
     def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
-        """Starts or ends a disturbance. An argument that is None leaves the disturbance unchanged.
+        """Starts or ends disturbances. If an argument is None, its disturbance does not change.
 
         `stuck`: True if the air keeps its temperature whatever is commanded. `overshoot`: difference by which the air exceeds every
         setpoint, K."""

@@ -1,8 +1,8 @@
 """The control channel of a simulated bench. Requests are lines of JSON on a loopback port, each with one reply.
 
 Every program on the computer can connect to a loopback port, even a web page in a browser. Therefore a request that changes
-something must contain the token from the readiness file, and the first line that is refused closes the connection before further
-data are read.
+something must contain the token from the readiness file. If a line is refused, the connection is closed before further data are
+read.
 """
 
 from __future__ import annotations

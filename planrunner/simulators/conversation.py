@@ -1,4 +1,4 @@
-"""Contains what simulated instruments based on messages share: a reply to each message, delayed replies, and faults."""
+"""Contains the parts that simulated message-based instruments share: a reply to each message, delayed replies, and faults."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Frames of a simulated sensor that only the bench file describes: synchronisation, numbers at given positions, a counter, and a
-checksum at the end."""
+"""Makes the frames of a simulated sensor that only the bench file describes. They contain sync bytes, numbers at given positions, a
+counter, and a checksum at the end."""
 
 from __future__ import annotations
 
@@ -119,8 +119,8 @@ def _put(frames: Bytes, at: int, column: Bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Alarms:
-    """Describes the status word of a frame: its position, width and byte order, the meaning of its bits, and whether a set bit is
-    good."""
+    """Describes the status word of a frame: its position, width and byte order, the meaning of its bits, and whether a set bit
+    means that there is no fault."""
 
     at: int
     width: int
@@ -129,8 +129,8 @@ class Alarms:
     set_is_good: bool
 
     def told(self, ails: Collection[str]) -> tuple[int, bytes]:
-        """Returns the position of the status word and its bytes. `ails`: faults of the sensor. A fault affects the bits whose
-        meaning contains its name, or all bits if there are no such bits."""
+        """Returns the position of the status word, and its bytes. `ails`: faults of the sensor. A fault affects the bits whose
+        meaning contains the name of the fault or, if there are no such bits, all bits."""
         wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
         high = set(self.bits) - wrong if self.set_is_good else wrong
         return self.at, sum(1 << self.bits[text] for text in high).to_bytes(self.width, self.order)

@@ -1,9 +1,10 @@
-"""Faults as data: the kind of fault, the simulated instrument, the time at which the fault begins, its duration and its extent.
+"""Represents faults as data: the kind of fault, the simulated instrument, the time at which the fault begins, its duration and its
+extent.
 
 A fault script is a YAML file that lists faults. The control channel accepts single faults while the bench runs.
 
-Frames between a sensor and the computer can be corrupted, lost, doubled, out of order, read at a wrong baud rate, or replaced by
-those of another instrument.
+Frames that a sensor sends can be corrupted, lost, doubled, out of order, read at a wrong baud rate, or replaced by those of another
+instrument.
 """
 
 from __future__ import annotations
@@ -186,7 +187,8 @@ class FaultBoard:
         return self.declared
 
     def clear(self, number: int | None = None) -> None:
-        """Ends the fault with this number, or all faults if no number is given. The fault ends immediately, before its planned end."""
+        """Ends the fault with this number or, if no number is given, all faults. They end immediately, even before their planned
+        end."""
         for item in self.standing.values():
             if number in (None, item.number):
                 item.ends = float("-inf")

@@ -1,5 +1,5 @@
-"""Frames of simulated sensors: numbers as columns of bytes, with one row per frame, and check values, which are derived bit by bit
-from their polynomials.
+"""Makes frames of simulated sensors: encodes numbers as columns of bytes, with one row per frame, and computes check values bit by
+bit from their polynomials.
 
 A cyclic redundancy check is the remainder of the message after division by a generator; both are polynomials over GF(2). The
 register processes one byte of every frame at a time; a table with the effect of each byte value is computed by shifting.
@@ -24,7 +24,8 @@ Order = Literal["big", "little"]
 def integers(
     values: NDArray[np.generic] | Sequence[float], width: int, order: Order = "big", signed: bool = True
 ) -> Bytes:
-    """Integers (n,) as bytes (n, width) in two's complement; values outside the range are clipped to its ends."""
+    """Encodes integers (n,) in two's complement. Returns the bytes, shape (n, width). Values outside the range are clipped to its
+    ends."""
     bits = 8 * width
     low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
     whole = np.asarray(values)
@@ -106,8 +107,8 @@ CRC_8 = Crc(8, 0x07, 0xFF)
 
 
 def sum_to_zero(frames: Bytes) -> Bytes:
-    """Returns the byte for each frame with which the sum of the frame becomes a multiple of 256, shape (n,). The frames have the
-    shape (n, length)."""
+    """Returns, for each frame, the byte that makes the sum of the frame a multiple of 256, shape (n,). The frames have the shape
+    (n, length)."""
     total: Bytes = (-frames.sum(axis=1, dtype=np.int64) & 0xFF).astype(np.uint8)
     return total
 

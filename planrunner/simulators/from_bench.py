@@ -1,7 +1,7 @@
-"""Makes simulated instruments at the addresses of a bench file. The bench file names a virtual bench in `simulation`. The
-instruments of this virtual bench use the protocols of those drivers in the bench file that have the same roles.
+"""Makes simulated instruments at the addresses of a bench file. The bench file names a virtual bench in the key `simulation`. Each
+instrument of this virtual bench uses the protocol of the driver that has the same role in the bench file.
 
-A simulation knows a driver only by its name and its keys in the bench file: it shares no code with it.
+A simulation uses only the name of a driver and its keys in the bench file. It has no code in common with the driver.
 """
 
 from __future__ import annotations
@@ -158,8 +158,8 @@ def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, virtual: Instr
 
 
 def _simulated(entry: InstrumentEntry) -> str:
-    """Returns the name of an entry's driver, under which a simulator is installed. Raises `InputError` if there is no such
-    simulator."""
+    """Returns the name of an entry's driver, which is also the name of an installed simulator. Raises `InputError` if there is no
+    such simulator."""
     known = plugins.names(plugins.SIMULATORS)
     if entry.driver not in known:
         message = f"there is no simulated instrument for the driver '{entry.driver}'"

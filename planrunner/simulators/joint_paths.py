@@ -1,7 +1,7 @@
 """Describes the motion of each joint of a simulated table by pieces of constant acceleration and by sines. The table's controller
 commands this motion.
 
-The virtual table moves all its joints with one command. Behind a controller, a table is commanded axis by axis, and a command may
+The virtual table moves all its joints with one command. A table with a controller is commanded axis by axis, and a command may
 arrive while the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is read a little later still
 measures the past motion.
 """
@@ -135,7 +135,8 @@ class Path:
         return self.then(now, (ramp, Glide(there, ramp.at(there)[0], rate)), there)
 
     def go(self, now: float, target: float, rate: float, acceleration: float) -> Path:
-        """Returns the path that comes to rest and then moves to an angle: it accelerates, turns at `rate` at most, and decelerates."""
+        """Returns the path that comes to rest and then moves to an angle. For this move, the joint accelerates, turns at `rate` at
+        most, and decelerates."""
         _, first, _ = self.state(now)
         path = self.turn(now, 0.0, acceleration) if first != 0.0 else self
         start = max(now, path.arrival) if first != 0.0 else now

@@ -1,5 +1,5 @@
-"""A message-based instrument on a port. Received bytes are divided into messages at their terminators; replies get terminators and
-framing; faults are applied."""
+"""Connects a message-based instrument to a port. Received bytes are divided into messages at their terminators, terminators and
+framing are added to replies, and faults are applied."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class MessagePort:
         self.last_speaker: Writer | None = None
 
     def heard(self, held: bytearray, data: bytes, write: Writer, hang_up: Callable[[], None]) -> None:
-        """Receives bytes. Complete messages are answered in the order in which they arrived."""
+        """Receives bytes, and answers complete messages in the order in which they arrived."""
         held += data
         pieces = re.split(b"[" + re.escape(self.manner.sent_ends) + b"]", held)
         held[:] = pieces.pop()[-_LONGEST:]

@@ -1,5 +1,5 @@
-"""Xsens MTi and VectorNav VN-100 as simulated sensors on a line: messages with the configured outputs of the virtual sensor, and
-the configuration of the sensor."""
+"""Simulates an Xsens MTi and a VectorNav VN-100 on a line: their messages with the configured outputs of the virtual sensor, and
+their configuration."""
 
 from __future__ import annotations
 

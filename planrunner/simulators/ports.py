@@ -1,5 +1,5 @@
-"""Connections of simulated instruments: addresses as in bench files; pseudo-terminals and sockets on loopback; and a serial line
-with a bit rate and a buffer.
+"""Provides the connections of simulated instruments: addresses as in bench files, pseudo-terminals and sockets on loopback, and a
+serial line with a bit rate and a buffer.
 
 The kind of the address determines what is opened. Only programs on the same computer can connect. The serial line of a sensor has a
 limited bit rate and a small buffer; it drops frames when the buffer is full.
@@ -233,7 +233,7 @@ class LineCounts:
 
 class SerialLine:
     """A simulated serial line. `baud`: bit rate of the line, bits per second. `speed`: seconds of the bench per second of real
-    time, by which the bytes are accelerated as well."""
+    time; the bytes are transmitted faster by the same factor."""
 
     def __init__(self, port: Port, baud: float, speed: float, now: float):
         self.port = port

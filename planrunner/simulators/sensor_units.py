@@ -1,6 +1,6 @@
 """Simulates sensors on a line: their frames, which contain the outputs of the virtual sensor, and their replies to commands.
 
-STIM300 and KVH are in this module, Xsens and VectorNav in `navigation_units.py`, sensors with declared frames in
+STIM300 and KVH are in this module; Xsens and VectorNav are in `navigation_units.py`; sensors with declared frames are in
 `declared_frame.py`.
 """
 

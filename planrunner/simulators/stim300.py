@@ -1,8 +1,8 @@
 """Makes the frames of a STIM300 (Safran TS1524): datagrams of normal mode with CRC-32, for every datagram identifier.
 
 A datagram consists of its identifier, the clusters that the identifier names (always the gyros; also accelerometers or
-inclinometers), the temperatures of the clusters, PPS or AUX, a counter, a latency and a CRC. For the CRC, zero bytes, which are not
-sent, pad the datagram to whole words of four bytes.
+inclinometers), the temperatures of the clusters, PPS or AUX, a counter, a latency and a CRC. For the CRC, the datagram is padded to
+whole words of four bytes with zero bytes, which are not sent.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class VectorNav:
 
 
 def line(body: str) -> bytes:
-    """Returns the line of text that sends a command: for `VNRRG,8`, it is `$VNRRG,8*4B` CR LF."""
+    """Returns the line of text that sends a command. For the command `VNRRG,8`, it is `$VNRRG,8*4B` CR LF."""
     check = exclusive_or(np.frombuffer(body.encode("ascii"), dtype=np.uint8)[None, :])[0]
     return f"${body}*{check:02X}\r\n".encode("ascii")
 

@@ -75,7 +75,7 @@ def _real(values: Values, form: int) -> Bytes:
 
 
 def message(identifier: int, payload: Bytes) -> Bytes:
-    """Messages (n, length) of one kind that contain the payloads (n, m)."""
+    """Makes messages (n, length) of one kind that contain the payloads (n, m)."""
     size = payload.shape[1]
     length = bytes([size]) if size < 255 else b"\xff" + size.to_bytes(2, "big")
     covered = joined(constant(bytes([0xFF, identifier]) + length, len(payload)), payload)

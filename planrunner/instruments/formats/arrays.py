@@ -52,7 +52,7 @@ class ArraysFile(FormatFile[NoKeys]):
 
     @abstractmethod
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
-        """Shapes of the numeric arrays, by name. Raises `InstrumentError` if the file cannot be read."""
+        """Returns the shapes of the numeric arrays, by name. Raises `InstrumentError` if the file cannot be read."""
 
     @abstractmethod
     def read(self, names: list[str], begin: int, end: int) -> Mapping[str, Array]:
@@ -197,8 +197,8 @@ class MatlabFile(_HeldArrays):
 
 
 def _unpacked(file: BinaryIO) -> int:
-    """Total size in bytes of all elements of a MATLAB file after unpacking. Counting stops as soon as the total exceeds
-    `MAX_UNPACKED`. The read position is then at the start of the file."""
+    """Returns the total size in bytes of all elements of a MATLAB file after unpacking. Counting stops as soon as the total exceeds
+    `MAX_UNPACKED`. Finally, the read position is set to the start of the file."""
     file.seek(0)
     header = file.read(_MATLAB_HEADER)
     order = ">" if header[126:128] == b"MI" else "<"
@@ -244,7 +244,7 @@ class NumpyFile(_HeldArrays):
 
 
 def _array(file: IO[bytes], size: int) -> object:
-    """Reads an array in NumPy's format from the file. A header that announces more data than the file contains is an error."""
+    """Reads an array in NumPy's format from the file. It is an error if the header states more data than the file contains."""
     whole = io.BytesIO(file.read(size))
     return np.lib.format.read_array(whole, allow_pickle=False)
 
@@ -305,7 +305,7 @@ def is_hdf5(path: Path, name: str) -> bool:
 
 class UlogFile(_HeldArrays):
     """A flight log of PX4. The name of a column consists of a topic, a field and an index counted from 1, such as
-    `sensor_combined.gyro_rad[1]`; the second instance of a topic has a number, as in `sensor_accel.1.x`. Each topic has its own
+    `sensor_combined.gyro_rad[1]`; further instances of a topic have a number, as in `sensor_accel.1.x`. Each topic has its own
     times, so a recording takes all its columns from one topic."""
 
     def load(self, file: BinaryIO) -> Mapping[str, object]:

@@ -128,7 +128,7 @@ class BinaryFile(FormatFile[BinaryKeys]):
             )
 
     def _frames(self) -> Iterator[Frames]:
-        """The frames in pieces that are at most as large as a batch."""
+        """Yields the frames in pieces that are at most as large as a batch."""
         keys = self.parameters
         framing, length = keys.framing, keys.length
         with open_samples(self.path, self.name) as file:

@@ -1,4 +1,4 @@
-"""Lists the formats of recordings, and reads the bench key `format`, which names one."""
+"""Lists the formats of recordings, and reads the bench-file key `format`, which names one of them."""
 
 from __future__ import annotations
 

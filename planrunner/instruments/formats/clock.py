@@ -1,6 +1,6 @@
 """Reads dates and times of day that a recording contains as text, such as `2026-03-04T12:00:00.005Z` or `12:00:00,005`.
 
-A date with a time becomes seconds since 1970-01-01 00:00 UTC. If no offset from UTC is written, the time counts as UTC: only
+A date with a time becomes seconds since 1970-01-01 00:00 UTC. A time without an offset from UTC is taken as UTC, because only
 differences of time matter in a recording. A time of day becomes seconds since midnight.
 """
 
@@ -51,8 +51,8 @@ class NoTimesError(InstrumentError):
 class DateOrder:
     """Decides for all times of a recording whether dates such as 05/04/2026 state the day first or the month first.
 
-    `day_first`: the decision; None before it. Until then, dates with slashes count as month first, other dates as day first. Dates
-    that begin with the year, or that contain the name of the month, need no decision.
+    `day_first`: the decision; None if there is none yet. Before the decision, dates with slashes are read with the month first, and
+    other dates with the day first. Dates that begin with the year, or that contain the name of the month, need no decision.
     """
 
     def __init__(self) -> None:
@@ -61,20 +61,20 @@ class DateOrder:
 
     @property
     def undecided(self) -> bool:
-        """Returns True if dates were read whose order is not decided yet."""
+        """Returns True if dates were read for which the order of day and month is not decided yet."""
         return self.day_first is None and bool(self._dates)
 
     def read(self, one: int, other: int, year: int, slashes: bool) -> float:
-        """Returns the days from 1970-01-01 to a date whose first two numbers are a day and a month in either order; NaN if there is
-        no such date. `slashes`: whether slashes separate the numbers."""
+        """Returns the number of days from 1970-01-01 to a date whose first two numbers are a day and a month, in either order; NaN
+        if there is no such date. `slashes`: True if slashes separate the numbers."""
         if self.day_first is None:
             self._dates.setdefault((one, other, year), slashes)
         day_first = not slashes if self.day_first is None else self.day_first
         return _days_until(year, other, one) if day_first else _days_until(year, one, other)
 
     def decide(self) -> None:
-        """Decides for the order in which all dates exist. If both orders are possible, decides for the one in which fewer dates are
-        earlier than the one before, then for the one in which the dates span fewer days, and then for the usual one."""
+        """Decides for the order of day and month in which all dates exist. If both orders are possible, three criteria apply in
+        turn: fewer dates that are earlier than the date before; fewer days between the first and the last date; the usual order."""
 
         def cost(day_first: bool) -> tuple[int, int, float, bool]:
             days = np.array([_days_until(y, *((b, a) if day_first else (a, b))) for a, b, y in self._dates])
@@ -87,8 +87,8 @@ class DateOrder:
         self._dates.clear()
 
     def decide_for(self, texts: Sequence[str]) -> None:
-        """Decides from the times of a table, unless the order is decided already. Texts that are not times are left to the reader
-        of the table."""
+        """Decides the order from the times in a table, unless it is decided already. Texts that are not times are ignored here; the
+        reader of the table reports them."""
         for text in texts if self.day_first is None else ():
             with suppress(InstrumentError):
                 seconds_of(text, "", self)
@@ -198,7 +198,8 @@ def _names(form: str) -> tuple[str, ...]:
 
 
 def _seconds(parts: dict[str, pa.Array], dates: DateOrder) -> tuple[Array, NDArray[np.bool_]]:
-    """Returns the times (n,) [s] from their parts, NaN where a part is out of range, and whether they contain a date (n,)."""
+    """Returns two arrays of shape (n,): the times [s] that consist of the given parts, NaN if a part is out of range; and True for
+    each time that contains a date."""
     import pyarrow.compute as pc
 
     digits = np.asarray(pc.utf8_length(parts["f"]), float)
@@ -224,7 +225,8 @@ def _number(text: pa.Array) -> Array:
 
 
 def _days(parts: dict[str, pa.Array], dated: NDArray[np.bool_], dates: DateOrder) -> Array:
-    """Days since 1970-01-01 (n,); NaN for a date that does not exist. Each of the few different dates is converted once."""
+    """Returns the number of days since 1970-01-01, shape (n,); NaN for a date that does not exist. Each of the few different dates
+    is converted only once."""
     import pyarrow.compute as pc
 
     texts = pc.binary_join_element_wise(*(parts[name] for name in ("a", "sep", "b", "c")), "|").dictionary_encode()
@@ -233,8 +235,8 @@ def _days(parts: dict[str, pa.Array], dated: NDArray[np.bool_], dates: DateOrder
 
 
 def _day(parts: Sequence[str], dates: DateOrder) -> float:
-    """Returns the days from 1970-01-01 to a date; NaN if it does not exist. `parts`: its first number, the separator after it, and
-    the other two parts."""
+    """Returns the days from 1970-01-01 to a date; NaN if it does not exist. `parts`: the first number of the date, the separator
+    after it, and the other two numbers."""
     a, separator, b, c = parts
     if len(a) == 4:
         return _days_until(int(a), _month(b), int(c))

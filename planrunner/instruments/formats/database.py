@@ -1,4 +1,4 @@
-"""Tables of a SQLite file."""
+"""Reads tables of SQLite files."""
 
 from __future__ import annotations
 
@@ -110,5 +110,5 @@ class SqliteFile(FormatFile[SqliteKeys]):
 
 
 def _quoted(name: str) -> str:
-    """Returns the name, quoted for SQL."""
+    """Returns a name, quoted for SQL."""
     return '"' + name.replace('"', '""') + '"'

@@ -1,4 +1,5 @@
-"""Contains what all formats of recordings share: reading rows in batches, checking that times increase, and limiting sizes."""
+"""Contains the functions that all formats of recordings share: reading rows in batches, checking that times increase, and limiting
+sizes."""
 
 from __future__ import annotations
 
@@ -68,7 +69,7 @@ class TimeStamps:
 
     @property
     def in_file(self) -> bool:
-        """Returns True if each row contains its time, so that rows can be read without the preceding rows."""
+        """Returns True if each row contains its own time, so that a row can be read without the rows before it."""
         return self.column is not None and self.wraps is None
 
 
@@ -134,7 +135,7 @@ class FormatFile(ABC, Generic[Keys]):
 
     @abstractmethod
     def columns(self) -> list[str]:
-        """Names of the columns. Raises `InstrumentError` if the file cannot be read."""
+        """Returns the names of the columns. Raises `InstrumentError` if the file cannot be read."""
 
     @abstractmethod
     def rows_about(self) -> int:
@@ -146,7 +147,7 @@ class FormatFile(ABC, Generic[Keys]):
         span."""
 
     def faults(self) -> tuple[type[Exception], ...]:
-        """Exceptions that indicate that the file cannot be read."""
+        """Returns the types of exceptions which indicate that the file cannot be read."""
         return (OSError, UnicodeDecodeError)
 
     def place(self, row: int) -> str:
@@ -190,7 +191,7 @@ class FormatFile(ABC, Generic[Keys]):
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """Yields the samples in a span, in batches of at most `BATCH` rows: times (n,), in s, and the values (n,) of each channel.
-        A missing number is NaN. Raises `InstrumentError` where time does not increase."""
+        A missing number is NaN. Raises `InstrumentError` at the first row whose time is not later than that of the row before."""
         before: float | None = None
         following: int | None = None
         for first, rows, time in self._timed(span):
@@ -209,7 +210,7 @@ class FormatFile(ABC, Generic[Keys]):
             yield first, time, {name: rows.numbers(column) for name, column in self.channels.items()}
 
     def _timed(self, span: Span) -> Iterator[tuple[int, SampleRows, Array]]:
-        """Yields the batches that contain rows, with the times of their rows."""
+        """Yields the batches of rows that are not empty, with the times of their rows."""
         stamps = self.stamps
         counter = None if stamps.wraps is None else _Counter(stamps.wraps)
         try:

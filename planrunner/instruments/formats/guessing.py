@@ -1,4 +1,4 @@
-"""Guesses how a file is arranged: its format, its numeric columns, its column of time, and the channel of each column.
+"""Guesses the layout of a file: its format, its numeric columns, its column of time, and the channel of each column.
 
 The guesses use only names, numbers, and the sample rate that a text file may state before its header. A person who knows the
 recording should check and correct them.
@@ -129,11 +129,11 @@ _UNIT_ALONE = re.compile(
 class LikelyTime:
     """The column that probably contains the time.
 
-    `column`: name of the column. `unit`: unit of the values of the column; s if `per_second` is given, `date_time` or `time_of_day`
-    for texts. `rate`: sample rate, Hz. `per_second`: counts per second if the column is a counter, otherwise None. `wraps`: value at
-    which the counter returns to zero; None if it never does. `sure`: True if the name of the column states the unit, or if this unit
-    leads to a sample rate that the file states. `line`: the line of the file from which `per_second` was guessed, otherwise empty.
-    `shared`: True if several rows share a time, so that rows must be counted."""
+    `column`: name of the column. `unit`: unit of the values of the column. It is s if `per_second` is given, and `date_time` or
+    `time_of_day` for texts. `rate`: sample rate, Hz. `per_second`: counts per second if the column is a counter, otherwise None.
+    `wraps`: value at which the counter returns to zero; None if it never does. `sure`: True if the name of the column states the
+    unit, or if this unit leads to a sample rate that the file states. `line`: the line of the file from which `per_second` was
+    guessed, otherwise empty. `shared`: True if several rows share a time, so that rows must be counted."""
 
     column: str
     unit: str
@@ -162,7 +162,7 @@ class LikelyTime:
 
     @property
     def scale(self) -> float:
-        """Seconds per unit of the column."""
+        """Returns the number of seconds per unit of the column."""
         return _ALL_SCALES[self.unit] if self.per_second is None else 1 / self.per_second
 
 
@@ -170,7 +170,7 @@ class LikelyTime:
 class StatedRate:
     """A rate that a file states before its header.
 
-    `rate`: the stated rate, Hz. `line`: the line of the file that states the rate, shortened. `of_samples`: True if the line says
+    `rate`: the stated rate, Hz. `line`: the line of the file that states the rate, shortened. `of_samples`: True if the line states
     that this is the rate of the samples.
     """
 
@@ -277,7 +277,7 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
 
 
 def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
-    """Returns the index of the first line in which most cells are numbers, as in the three lines after it."""
+    """Returns the index of the first line in which most cells are numbers, and which is followed by three lines of this kind."""
     fits = [len(row) == width and _numeric(row) for row in cells]
     return next((index for index in range(len(fits)) if all(fits[index : index + 4])), None)
 
@@ -296,11 +296,12 @@ def _numeric(row: Sequence[str]) -> bool:
 
 
 def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
-    """Returns the names of the columns, if the line before the first row does not state all names, shape (width,); empty if it
-    does.
+    """Returns the names of the columns, shape (width,). The result is empty if the line before the first row already states all
+    names.
 
-    In some files, a line of units follows the names; each unit is then added to the name of its column. The line of names may have
-    more or fewer cells than the rows, or begin with a comment sign. `lines`: the cells of the lines before the first row."""
+    In some files, a line of units follows the names. In this case, each unit is added to the name of its column. The line of names
+    may have more or fewer cells than the rows, or begin with a comment sign. `lines`: the cells of the lines before the first
+    row."""
     numbered = tuple(f"column_{k + 1}" for k in range(width))
     if not lines:
         return numbered
@@ -349,8 +350,8 @@ def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]
 
 
 def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, str]:
-    """Finds columns that cannot be read although their names say that they are a time or a channel. Returns the reason for each of
-    them. The reason of a column that contains dates or times of day is the first wrong time. `numbers`: the columns of numbers,
+    """Finds columns that cannot be read, although their names state that they are a time or a channel. Returns the reason for each
+    of them. The reason of a column that contains dates or times of day is the first wrong time. `numbers`: the columns of numbers,
     which are left out. Raises `InstrumentError` if the file cannot be read."""
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
     found: dict[str, str] = {}
@@ -403,8 +404,8 @@ def sensors_in_rows(path: Path, name: str, numbers: Sequence[str], given: Format
 
 
 def opened(path: Path, name: str, columns: Sequence[str], given: Format | None, time: str | None = None) -> AnyFile:
-    """Opens a file with these columns as channels. `time`: a column of dates or times of day. Without it, the rows count as one second
-    apart, because the time is not known yet. Raises `InstrumentError` if the file cannot be read."""
+    """Opens a file with these columns as channels. `time`: a column of dates or times of day. If it is not given, the time is not
+    known yet, and the rows are assumed to be one second apart. Raises `InstrumentError` if the file cannot be read."""
     stamps = TimeStamps(None, period=1.0) if time is None else TimeStamps(time, written=True)
     file = open_file(path, name, stamps, {column: column for column in columns}, given)
     file.about = file.rows_about()
@@ -436,9 +437,9 @@ def guessed_time(
 ) -> LikelyTime | None:
     """Guesses the column of the time from the first rows; None if no column looks like a time.
 
-    Columns of numbers whose name is one of a time come first, then dates and times of day, then columns of numbers that increase
-    regularly. If there is none, a time that several rows share shows at least the sample rate. `first`: the columns of
-    numbers. `written`: the times [s] of the columns of texts. `stated`: the rates that the file states."""
+    The following are tried in turn: columns of numbers that have the name of a time; dates and times of day; columns of numbers
+    that increase regularly. If there is no such column, a time that several rows share shows at least the sample rate. `first`: the
+    columns of numbers. `written`: the times [s] of the columns of texts. `stated`: the rates that the file states."""
     named = {column: values for column, values in first.items() if _TIME.search(column)}
     for column, values in named.items():
         time = _number_time(column, values, first, stated)
@@ -490,8 +491,8 @@ def _number_time(
 
 
 def of_minutes(values: Array) -> bool:
-    """Returns True if numbers such as 120059.99 state hours, minutes and seconds. Such numbers increase by a step of 40 after the
-    second 59.99. `values`: first values of the column."""
+    """Returns True if the numbers state hours, minutes and seconds, as 120059.99 does for 12:00:59.99. Such numbers increase by a
+    step of about 40 after a full minute. `values`: first values of the column."""
     steps = np.diff(values)
     jumps = steps[steps > 1]
     after_a_minute = ((jumps > 40) & (jumps < 41)) | ((jumps > 4040) & (jumps < 4041))
@@ -499,8 +500,8 @@ def of_minutes(values: Array) -> bool:
 
 
 def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> float | None:
-    """Returns the median step of a time between samples; None if the time does not increase. `wraps`: value at which the time
-    returns to zero."""
+    """Returns the median step of the time from sample to sample; None if the time does not increase. `wraps`: value at which the
+    time returns to zero."""
     if len(values) < 3 or not np.all(np.isfinite(values)):
         return None
     steps = np.diff(values)
@@ -524,7 +525,7 @@ def _mean_step(values: Array) -> float | None:
 
 
 def wrap_of(backwards: Array, step: float, least: float, most: float) -> float | None:
-    """Returns the value at which a counter returns to zero; None if its values decrease for another reason.
+    """Returns the value at which a counter returns to zero; None if its values decrease for other reasons.
 
     `backwards`: the steps of the counter that are not positive. `step`: median step of the counter. `least`, `most`: smallest and
     largest value of the counter."""
@@ -559,8 +560,8 @@ def _time_of(
     """Describes the time in a column; None if no unit of time leads to a usual sample rate.
 
     `step`: median step of the column. `values`: first values of the column. If a unit leads to a stated rate, or to a date in this
-    century, the unit counts as sure. Only a column of whole numbers can be a counter of unknown frequency. Such a column counts as
-    one if the file states the rate of its samples, and if each unit of time leads to a very different rate."""
+    century, the unit is sure. A column of whole numbers may also be a counter of unknown frequency. This is assumed if the file
+    states the rate of its samples, and if each unit of time leads to a very different rate."""
     whole, level = bool(np.all(values == np.round(values))), float(np.median(values))
     rates = {unit: 1 / (step * scale) for unit, scale in _SCALES.items()}
     usual = {unit: rate for unit, rate in rates.items() if _USUAL_RATES[0] < rate < _USUAL_RATES[1]}

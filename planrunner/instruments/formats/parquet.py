@@ -1,4 +1,4 @@
-"""Parquet files. The directory, the columns and the row groups are checked against limits of size before they are read."""
+"""Reads Parquet files. The directory, the columns and the row groups are checked against limits of size before they are read."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def check_directory(file: BinaryIO, name: str) -> None:
 
 
 def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str], written: Collection[str] = ()) -> None:
-    """Checks the columns of a file: how many there are, which types the `wanted` columns have, and how large they are in a row
-    group. `written`: the columns that may contain dates or times of day. Raises `InstrumentError` if a check fails."""
+    """Checks the columns of a file: their number, the types of the `wanted` columns, and the size of these columns in a row group.
+    `written`: the columns that may contain dates or times of day. Raises `InstrumentError` if a check fails."""
     from pyarrow import types
 
     few_columns(file.metadata.num_columns, name)
@@ -111,8 +111,8 @@ class ParquetFile(FormatFile[NoKeys]):
                 first += count
 
     def _outside(self, group: pq.RowGroupMetaData, span: Span) -> bool:
-        """Returns True if the statistics of a row group show that it is outside the span. A group that, after rounding, may touch a
-        boundary of the span is read."""
+        """Returns True if the statistics of a row group show that it is outside the span. A group that may touch a boundary of the
+        span, because of rounding, is read."""
         if not self.stamps.in_file:
             return False
         scale = self.stamps.scale

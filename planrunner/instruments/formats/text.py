@@ -1,5 +1,5 @@
-"""Separated text. Columns are separated by commas, tabs or semicolons (with decimal commas), or aligned with blanks. A header line
-or the bench file names the columns."""
+"""Reads separated text. Columns are separated by commas, tabs or semicolons (with decimal commas), or are aligned with blanks. A
+header line or the bench file states the names of the columns."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ class TextFile(FormatFile[TextKeys]):
         return super().unreadable(error) if other is None else InstrumentError(f"{self.name}: {other}")
 
     def _other_separator(self, header: str) -> str | None:
-        """Returns a hint if the header line seems to have a single column but contains other separators; otherwise None."""
+        """Returns a hint if the header line seems to have only a single column, but contains other separators; otherwise None."""
         for word, separator in SEPARATORS.items():
             if word != self.parameters.separator and separator in header.strip():
                 return (
@@ -217,8 +217,8 @@ class TextFile(FormatFile[TextKeys]):
         return file
 
     def _not_numbers(self, wanted: list[str]) -> InstrumentError | None:
-        """Makes an error about the first line that is too long or the first cell that is not a number; None if there is no such
-        line and no such cell."""
+        """Makes an error about the first line that is too long, or about the first cell that is not a number. Returns None if there
+        is neither."""
         layout = self.parameters
         with contextlib.suppress(OSError, UnicodeDecodeError), self._lines() as lines:
             reader = csv.DictReader(lines, list(layout.names) or None, delimiter=layout.delimiter)
@@ -270,7 +270,7 @@ class TextFile(FormatFile[TextKeys]):
 
 class Blanks(io.RawIOBase):
     """Reads a text in which each sequence of blanks and tabs becomes one tab. Blanks and tabs at the ends of a line are removed.
-    The first `skip` lines are not changed, because they must still count as lines."""
+    The first `skip` lines are not changed, because they must remain separate lines."""
 
     def __init__(self, file: BinaryIO, skip: int = 0):
         self._file = file

@@ -1,4 +1,4 @@
-"""Drives a sensor for which there is no separate driver: the bench file describes its frames field by field.
+"""Drives sensors for which there is no separate driver. The bench file describes the frames field by field.
 
 imu:
   driver: declared_frame

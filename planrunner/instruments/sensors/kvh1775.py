@@ -125,8 +125,8 @@ def layout(parameters: Kvh1775Parameters) -> FrameLayout:
 
 @dataclass
 class MultiplexedTemperature:
-    """Decodes format C, in which only every fourth frame, by its sequence number, contains the temperature. The other frames get
-    the last temperature received."""
+    """Decodes format C, in which the sequence number determines the content of a frame: only every fourth frame contains the
+    temperature. The other frames get the last temperature that was received."""
 
     plain: FrameLayout
     _last: float = data_field(default=np.nan)

@@ -24,8 +24,7 @@ class Samples:
 
     `received`: time of reception, s. `counter`: counter of the frame, as the sensor sent it. `latency`: latency that the sensor
     reports, s. `channels`: values (n,) of each channel, by name. `doubtful`: True for frames that a status bit marks as doubtful.
-    `doubts`: meanings of the status bits that mark frames as doubtful. `refused`: number of frames that cannot be decoded although
-    their checksum is correct.
+    `doubts`: meanings of those status bits. `refused`: number of frames that cannot be decoded although their checksum is correct.
     """
 
     received: Array
@@ -71,8 +70,8 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits of a frame, in the field `item`. `words`: for each bit that can mark a frame as doubtful, the meaning of the bit.
-    A frame is doubtful if one of these bits is set or, with `set_is_good`, if one of them is clear."""
+    """Status bits of a frame, in the field `item`. `words`: meaning of each bit that can mark a frame as doubtful. A frame is
+    doubtful if one of these bits is set or, if `set_is_good` is True, if one of them is not set."""
 
     item: Field
     name: str
@@ -85,9 +84,9 @@ class FrameLayout:
     """Decodes frames with a fixed layout.
 
     `fields`: position of each number, by channel. `units`: unit of each channel. `counts`: position of the counter, None if there
-    is none. `latency`: position of the latency in the frame; the `scale` of this field converts the latency to seconds. `means`:
-    channels that are computed as the mean of other channels, each with the names of these other channels. `zeros`: offset that is
-    added to a channel.
+    is none. `latency`: position of the latency in the frame; its `scale` converts the latency to seconds. `means`: channels that
+    are computed as the mean of other channels, each with the names of these other channels. `zeros`: offset that is added to a
+    channel.
     """
 
     framing: Framing

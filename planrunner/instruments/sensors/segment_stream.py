@@ -35,8 +35,8 @@ class SegmentStream:
 
     `byte_time`: time per byte on the line, s. `skew`: relative skew of the sensor's clock, as determined from earlier frames.
     `haste`: seconds of the bench's clock per second of real time. `over`: True after all samples have been returned. `heard`:
-    number of good frames in the last call of `advance`. `fresh`: number of those good frames that are later than all earlier
-    frames.
+    number of good frames in the last call of `advance`. `fresh`: number of those good frames whose counter is later than that of
+    all earlier frames.
     """
 
     def __init__(
@@ -114,8 +114,8 @@ class SegmentStream:
         )
 
     def _onwards(self, index: Whole) -> NDArray[np.bool_]:
-        """Returns a mask of the frames that are later than all earlier frames. All other frames were sent twice or arrived out of
-        order; they are counted."""
+        """Returns a mask of the frames whose counter is later than that of all earlier frames. All other frames were sent twice or
+        arrived out of order; they are counted."""
         before = np.maximum.accumulate(np.concatenate([[self._last], index]))
         onwards: NDArray[np.bool_] = index > before[:-1]
         again = int(np.count_nonzero(index == before[:-1]))
@@ -125,7 +125,8 @@ class SegmentStream:
         return onwards
 
     def _within(self, time: Array, index: Whole, ready: Samples) -> Block:
-        """Selects the samples of the dwell: as many sampling times as requested, from the first frame after the start of the dwell."""
+        """Selects the samples of the dwell: as many sampling times as requested, beginning with the first frame after the start of
+        the dwell."""
         inside = time > self._start
         if math.isnan(self._first) and inside.any():
             self._first = float(index[inside][0])

@@ -1,7 +1,8 @@
-"""Contains what sensors on serial lines share: reading, streaming a segment, counting lost frames, and reporting doubts.
+"""Contains the functions that sensors on serial lines share: reading, streaming a segment, counting lost frames, and reporting
+doubts.
 
-The sensor's counter determines the times of the samples, on the bench's clock (`host_clock`); lost frames appear as gaps in time. A
-driver adds its keys, its decoder and, if it configures the sensor, the commands for this.
+The sensor's counter determines the times of the samples, which are converted to the bench's clock (`host_clock`). Lost frames
+therefore appear as gaps in time. A driver adds its keys, its decoder and, if it configures the sensor, the commands for this.
 
 After connecting, the first frames are checked: they must be valid, and must arrive at the rate that the bench file declares.
 """
@@ -39,8 +40,9 @@ BACKLOG = 0.1
 class FirstFrames:
     """Contains the first frames after connecting, and what they show.
 
-    `seconds`: time between the first and the last good frame, not counting frames that waited in buffers. `heard`: time of the last
-    good frame. `haste`: seconds of the bench's clock per second of real time; it is needed because the buffers follow real time.
+    `seconds`: time between the first and the last good frame; frames that waited in buffers do not count. `heard`: time of the last
+    good frame. `haste`: seconds of the bench's clock per second of real time; it is needed because buffers are filled and read in
+    real time.
     """
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
@@ -68,8 +70,8 @@ class FirstFrames:
             self._counted += fresh.size
 
     def judge(self, port: str, baud: int) -> None:
-        """Judges the first frames. Raises `InstrumentError` if no bytes arrive, if they contain no frames, if the frames lack
-        declared content, or if the rate differs from the declared one."""
+        """Judges the first frames. Raises `InstrumentError` if no bytes have arrived, if they contain no frames, if the frames lack
+        declared content, or if the rate differs from the declared rate."""
         if self._bytes == 0:
             raise InstrumentError(
                 f"no data arrive from {port}: check that the sensor is switched on and connected to this port"
@@ -148,7 +150,7 @@ class SerialSensor(Generic[P]):
 
     @classmethod
     def lasting_doubts(cls, identity: Mapping[str, str]) -> tuple[str, ...]:
-        """Doubts about all samples that result from `configure`, such as a failed self-test."""
+        """Returns doubts about all samples that follow from the result of `configure`, such as a failed self-test."""
         return ()
 
     @classmethod
@@ -240,12 +242,12 @@ class SerialSensor(Generic[P]):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _patience(self) -> float:
-        """Returns the longest permitted silence, in seconds of the bench's clock. The key states it in real time, because delays in
-        cables and computers do not depend on the bench's clock."""
+        """Returns the longest permitted silence, in seconds of the bench's clock. The key in the bench file states it in real time,
+        because delays in cables and computers do not depend on the bench's clock."""
         return self.parameters.silence.value * self._speed
 
     def _byte_time(self) -> float:
-        """Time [s] per byte on the line, for ten bits; zero on a network."""
+        """Returns the time [s] per byte on the line, where a byte has ten bits; zero on a network."""
         return 0.0 if "://" in self.parameters.port else 10.0 / self.parameters.baud
 
     def _hear(self, frames: int, doubts: tuple[str, ...]) -> None:
@@ -276,7 +278,7 @@ class SerialSensor(Generic[P]):
             raise InstrumentError(f"{message}: correct `sample_rate`, or the sensor's setting")
 
     def _overhear(self) -> None:
-        """Processes bytes that arrived while no segment was streamed. If the first frame is incomplete, it does not count as lost."""
+        """Processes bytes that arrived while no segment was streamed. An incomplete first frame does not count as lost."""
         samples = self.decoder.decode(Framer(self.decoder.framing).push(self.link.take()))
         self._doubts |= dict.fromkeys(samples.doubts)
         if len(samples):
@@ -284,8 +286,8 @@ class SerialSensor(Generic[P]):
 
     def _listen(self) -> None:
         """Waits for good frames that arrive at the declared rate. If there are none, raises `InstrumentError` with a description of
-        what was received. A different rate is reported only if it is found repeatedly: after a pause of the computer, frames that
-        waited arrive together."""
+        what was received. A different rate is reported only if it is found repeatedly, because frames that waited during a pause of
+        the computer arrive together."""
         self.link.ring.follow(True)
         try:
             for left in reversed(range(LISTENINGS)):

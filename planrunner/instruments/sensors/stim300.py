@@ -1,9 +1,9 @@
 """Drives the STIM300 (Safran TS1524). The sensor sends the data of its gyros, accelerometers and inclinometers in datagrams of
 normal mode.
 
-A datagram consists of its identifier; for each cluster, three axes of 24 bits and a status byte; the temperatures of the clusters;
-PPS or AUX; a counter of internal samples at 2000 Hz; the latency in µs; and a CRC-32 over all of this, padded with zeros to whole
-words.
+A datagram begins with its identifier. For each cluster, three axes of 24 bits and a status byte follow; then the temperatures of
+the clusters, PPS or AUX, a counter of internal samples at 2000 Hz, and the latency in µs. It ends with a CRC-32 over all of this,
+padded with zeros to whole words.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Xsens MTi: messages of the Xbus protocol, in particular MTData2, whose packets can differ from frame to frame.
+"""Drives the Xsens MTi, which sends messages of the Xbus protocol. The packets of the message MTData2 can differ from frame to
+frame.
 
-A message consists of the bytes FA FF, its identifier, the length of its data, the data, and a last byte, with which the sum of all
-bytes after FA is zero. The data of an MTData2 message are packets. Each packet consists of an identifier, whose low bits encode the
+A message consists of the bytes FA FF, its identifier, the length of its data, the data, and a last byte that makes the sum of all
+bytes after FA zero. The data of an MTData2 message are packets. Each packet consists of an identifier, whose low bits encode the
 number format, a length and its content.
 """
 
@@ -207,8 +208,8 @@ class MtData2:
         return {name: made[name] for name in self.channels()}
 
     def _shape(self, frame: bytes) -> tuple[Whole, FrameLayout | None]:
-        """Positions of the packet headers in frames of this shape, and the layout that decodes such frames; the layout is None if
-        they cannot be decoded."""
+        """Returns the positions of the packet headers in frames of this shape, and the layout that decodes such frames; the layout
+        is None if they cannot be decoded."""
         start = 4 if frame[3] != 255 else 6
         packets: dict[int, tuple[int, int, int]] = {}
         heads: list[int] = []

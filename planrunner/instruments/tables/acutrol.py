@@ -1,13 +1,14 @@
 """Drives tables with an ACUTROL 3000 or ACT2000 controller. The link is GPIB or raw TCP (port 9878), the command language is ACL.
 
 A command has the form `:Main:Sub axis,argument;Sub axis,argument`; the controller does not reply to it. The status byte shows
-whether a command was accepted; the query `:status:stb?` reads it without clearing it. Communication over GPIB follows the manual.
-The framing of replies over TCP has not been confirmed on hardware. Sources: ACUTROL 3000 manual; open drivers of a BD125 table.
+whether a command was accepted; the query `:status:stb?` reads the byte without clearing it. Communication over GPIB follows the
+manual. The framing of replies over TCP has not been confirmed on hardware. Sources: ACUTROL 3000 manual; open drivers of a BD125
+table.
 
 According to public sources, eight bytes with an error code and a length precede each reply over TCP. The sources disagree on the
-form of these bytes: two 32-bit words, or eight characters. The first reply shows which form is right, because its length must agree
-with the data that follow. For later replies, exactly the stated number of bytes is read. Plain lines of text, as a gateway sends
-them, are also accepted.
+form of these bytes: two 32-bit words, or eight characters. The first reply shows which form is right, because the stated length
+must agree with the data that follow. In later replies, exactly the stated number of bytes is read. Plain lines of text, as a
+gateway sends them, are also accepted.
 """
 
 from __future__ import annotations
@@ -207,7 +208,8 @@ class AcutrolCommands(LinkedCommands):
         self._enter("synt", sines, *enter, _oscillation(sines))
 
     def _enter(self, mode: str, axes: Iterable[int], *commands: str) -> None:
-        """Changes the operating mode of axes. During the change, the mode counts as unknown, also for queries from another thread."""
+        """Changes the operating mode of axes. During the change, the stored mode is unknown, also for queries from another
+        thread."""
         for axis in axes:
             self._modes.pop(axis, None)
         self._do(*commands)

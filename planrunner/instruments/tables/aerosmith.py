@@ -1,8 +1,8 @@
 """Drives single-axis tables of Ideal Aerosmith over a serial line, in their table language ATL. The driver is experimental.
 
-It was written from open-source drivers only. A command consists of a mnemonic and a number; the reply consists of a line and a
-prompt. The controller replies to commands for jogging and rocking only when the motion ends; this driver does not wait for that
-reply. The open-source drivers mention no limit that stops the table.
+It is based only on open-source drivers. A command consists of a mnemonic and a number; the reply consists of a line and a prompt.
+The controller replies to commands for jogging and rocking only when the motion ends; this driver does not wait for that reply. The
+open-source drivers mention no limit that stops the table.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ END = b"\r"
 
 
 class PromptedLines:
-    """Reads the reply to a command: a line, then a line that contains only the prompt. `telling`: True to skip empty replies. A
-    motion that ends sends an empty reply, which may arrive between a query and the reply to the query."""
+    """Reads the reply to a command: a line, then a line that contains only the prompt. `telling`: True to skip empty replies. When
+    a motion ends, the controller sends an empty reply, which may arrive between a query and its reply."""
 
     def __init__(self, *, telling: bool = False):
         self.telling = telling

@@ -19,8 +19,8 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisBounds:
-    """Contains the limits that an axis must enforce by itself, in the units in which its controller shows them: deg/s, deg/s² and
-    deg. `lowest` and `highest` are None if the axis has no stops."""
+    """Contains the limits that an axis must enforce by itself, in the units of its controller: deg/s, deg/s² and deg. `lowest` and
+    `highest` are None if the axis has no stops."""
 
     rate: float
     acceleration: float
@@ -40,7 +40,7 @@ class Sine:
 
 
 class AxisCommands(Commands, Protocol):
-    """Commands of a table controller. Axes have the numbers of the controller; angles are readings of the controller, in degrees.
+    """Commands of a table controller. Axes are numbered as in the controller; angles are readings of the controller, in degrees.
     Every failure is an `InstrumentError`."""
 
     rocks: bool
@@ -53,8 +53,8 @@ class AxisCommands(Commands, Protocol):
         """Makes the axes ready to move. It is called before the first move, and again after `switch_off`."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Moves axes to positions, at which they then stay. `here`: the present positions of the axes. If an axis has to change to
-        its position mode, it is first commanded to hold its present position."""
+        """Moves axes to positions and holds them there. `here`: the present positions of the axes, which are needed because an axis
+        that changes to its position mode is first commanded to hold its present position."""
 
     def turn(self, axis: int, rate: float) -> None: ...
     def rock(self, sines: Mapping[int, Sine]) -> None: ...

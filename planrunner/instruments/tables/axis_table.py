@@ -1,5 +1,5 @@
-"""Contains what all real tables share: converting attitudes to axis positions, spins, rocking, cycles, detecting that a state is
-held, and the safe state.
+"""Contains the functions that all real tables share: converting attitudes to axis positions, spins, rocking, cycles, detecting that
+a state is held, and the safe state.
 
 The commands of each controller are in a separate file, as `AxisCommands`; this file does not depend on a manufacturer. Whether a
 state has been reached is decided from measurements of the controller, never from elapsed time.
@@ -47,7 +47,7 @@ K = TypeVar("K", bound=LinkedTableKeys)
 @dataclass(frozen=True, slots=True)
 class Aim:
     """Contains the last commands to the axes, by index of the axis: joint angles [rad] of the axes that hold a position, and rates
-    [rad/s] of the axes that turn. Every new command makes a new `Aim`, even if its values are the same."""
+    [rad/s] of the axes that turn. Every new command makes a new `Aim`, even if it has the same values."""
 
     positions: Mapping[int, float] = field(default_factory=dict)
     rates: Mapping[int, float] = field(default_factory=dict)
@@ -191,8 +191,8 @@ class AxisTable(Commanded[AxisCommands]):
     # -- the safe state ------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stops every axis, then switches the axes off. If an axis does not stop, it is switched off all the same, and the failure
-        is reported."""
+        """Stops every axis, and then switches the axes off. An axis that does not stop is also switched off, and the failure is
+        reported."""
         self._timed.call_off()
         self._aim, self._rocking, self._ready = Aim(), None, False
         try:
@@ -288,8 +288,8 @@ class AxisTable(Commanded[AxisCommands]):
         return 1 / rocking.frequency
 
     def _rock_between(self, begin: float, end: float) -> None:
-        """Rocks from the time `begin` to the time `end` [s by the bench's clock]. The function is used for rocking that begins only
-        after the recording of the segment has started. If `end` is infinite, the rocking continues until the motion is ended."""
+        """Rocks from the time `begin` to the time `end` [s by the bench's clock]. The function is used if the rocking begins only
+        after the start of the recording. If `end` is infinite, the rocking continues until the motion is ended."""
         rocking = self._rocking
         assert rocking is not None
         self._timed.until(begin)
@@ -312,7 +312,7 @@ class AxisTable(Commanded[AxisCommands]):
         return 0.0
 
     def _turns(self, motion: Cycle, home: Array, begun: float) -> None:
-        """Performs each turn with a rate command, so that the direction of the turn does not depend on which way is shorter. During
+        """Performs each turn with a rate command, because with a position command, the axis would choose the shorter way. During
         the stop that follows, a position command removes the remaining deviation."""
         standing = {index: float(joint) for index, joint in enumerate(home)}
         for turn in turns_of(motion, self.axes[0].max_acceleration):

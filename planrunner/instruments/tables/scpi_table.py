@@ -1,4 +1,4 @@
-"""Tables with SCPI-like commands. No standard defines the names of these commands, so the bench file declares them.
+"""Drives tables with SCPI-like commands. No standard defines the names of these commands, so the bench file declares them.
 
 After every command without a reply, the error queue is queried, so that a rejected command is detected at once.
 

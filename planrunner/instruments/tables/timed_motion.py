@@ -1,8 +1,8 @@
-"""Motions that a table cannot perform by itself. A separate thread sends the commands at the planned times.
+"""Performs motions that a table cannot perform by itself. A separate thread sends the commands at the planned times.
 
-Times are those of the bench's clock. If an error occurs on the thread, the motion ends, and the error is reported at the next
-query. The motion also ends if the run has not queried the table for too long. Otherwise the thread could move the table again after
-the watchdog has made it safe.
+Times are those of the bench's clock. If an error occurs in the thread, the motion ends, and the error is reported at the next
+query. The motion also ends if the run has not queried the table for too long; otherwise, the thread could move the table again
+after the watchdog has made it safe.
 
 For a cycle, the times at which each turn begins, brakes and ends are computed in advance.
 """
@@ -40,8 +40,8 @@ class TimedMotion:
         self._called_off = threading.Event()
 
     def begin(self, what: str, commands: Callable[[], None]) -> None:
-        """Runs the function `commands` on a thread; the function waits with `until` between its commands. `what`: text with which
-        the message begins if `commands` fails."""
+        """Runs the function `commands` in a thread. The function calls `until` to wait between its commands. `what`: text with
+        which the message begins if `commands` fails."""
         self.call_off()
         self._called_off.clear()
         self.looked_at()
@@ -53,7 +53,7 @@ class TimedMotion:
         self._looked_at = time.monotonic()
 
     def until(self, moment: float) -> None:
-        """Waits until the time `moment` [s], in ever shorter steps. Raises `CalledOffError` if the motion was cancelled, and
+        """Waits until the time `moment` [s], in steps that become shorter. Raises `CalledOffError` if the motion was cancelled, and
         `InstrumentError` if the run has not queried the table for too long."""
         while (left := moment - self._clock.now()) > 0:
             if self._called_off.wait(min(max(SHORTEST, left / 100), LONGEST)):

@@ -1,5 +1,5 @@
-"""Declares the entries of a bench file that every real table has: for each axis, its number and its sense at the controller, and
-the tolerances within which a state counts as reached."""
+"""Declares the entries of a bench file that every real table has: the number and the sense of each axis in the controller, and the
+tolerances within which a state counts as reached."""
 
 from __future__ import annotations
 

@@ -1,1 +1,2 @@
-"""The simulated bench. The virtual table and the virtual chamber change one world, and the virtual sensor measures this world."""
+"""The simulated bench. The virtual table and the virtual chamber change a common virtual world, and the virtual sensor measures
+it."""

@@ -1,9 +1,9 @@
 """Computes the input of an integrating sensor: inertial rate and specific force, averaged over every sampling interval.
 
 While the table turns, such a mean is an integral over products of sines of the joint angles. The integral is computed by
-Gauss-Legendre quadrature over stretches of smooth motion, with as many points as the fastest phase needs. Intervals in which a ramp
-begins or ends are therefore as accurate as others. The rate of a joint is linear in time during a ramp; for this, the quadrature is
-exact. For rotation about one axis, the mean rates add up to the angle of the joint.
+Gauss-Legendre quadrature over stretches of smooth motion, with as many points as the fastest phase requires. Intervals in which a
+ramp begins or ends are therefore as accurate as all others. During a ramp, the rate of a joint is linear in time, so the quadrature
+is exact. For rotation about one axis, the mean rates add up to the angle of the joint.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _SNAP = 1e-6  # of an interval: a break nearer than this to a sample's end count
 
 def interval_means(world: World, sampling: Sampling, first: int, length: int) -> tuple[Components, Components]:
     """Returns the mean inertial rate [rad/s] and the mean specific force [m/s^2] along the sensor's axes, for `length` consecutive
-    sampling intervals. The number of the first of these intervals is `first`, counted from 0. Each component is a float if nothing
-    moves, otherwise an array (length,)."""
+    sampling intervals. `first`: number of the first of these intervals, counted from 0. Each component is a float if nothing moves,
+    otherwise an array (length,)."""
     begin = sampling.start + first / sampling.rate
     stretches = world.stretches(begin, begin + length / sampling.rate)
     if all(stretch.pace == 0.0 for stretch in stretches):
@@ -96,15 +96,15 @@ def _moment(world: World, time: float) -> tuple[Components, Components]:
 
 
 def _snapped(position: float) -> float:
-    """Returns a position in units of intervals. If it differs from the boundary of an interval only by rounding of times, the
-    boundary is returned."""
+    """Returns a position in units of intervals. If it differs from the boundary of an interval only because times are rounded,
+    returns the boundary."""
     return float(round(position)) if abs(position - round(position)) < _SNAP else position
 
 
 @lru_cache(maxsize=64)
 def _points(phase: float) -> tuple[tuple[float, float], ...]:
-    """Points of a quadrature over an interval of length one, each with its position and weight, for phases that change by up to
-    `phase` rad within the interval."""
+    """Returns the points of a quadrature over an interval of length one, each with its position and weight. They are sufficient for
+    phases that change by up to `phase` rad within the interval."""
     order = 1 if phase <= _ONE_POINT else 2 if phase <= _TWO_POINTS else 3
     panels = max(1, math.ceil(phase / _THREE_POINTS))
     places, weights = np.polynomial.legendre.leggauss(order)

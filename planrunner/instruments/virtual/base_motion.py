@@ -17,7 +17,7 @@ STEP = 2e-3  # s, of the second difference; its error is a tenth of a ppm at 1 H
 def base_axes(world: World, times: Array) -> Array:
     """Returns the x, y and z axes of the base at `times`, as rows in East-North-Up, shape (n, 3, 3).
 
-    Every axis vector is rotated by one ring after the other, from the innermost outwards. The pointing error of the table is
+    The rings rotate every axis vector one after the other, from the innermost ring outwards. The pointing error of the table is
     applied before the innermost ring.
     """
     joints = list(zip(world.axes, world.course.follow(times), strict=True))

@@ -1,5 +1,5 @@
-"""Motions of virtual tables. A class derived from `Course` describes one kind of motion: it gives the joint angles and rates as
-functions of time.
+"""Describes motions of virtual tables. A class derived from `Course` describes one kind of motion: it computes the joint angles and
+rates as functions of time.
 
 For an array of times after the start of the motion, it computes the angles and rates at these times. A motion can be stored as JSON
 data, so that a resumed run starts with the table in the same state. The angles of joints at rest are plain floats, so no arrays are
@@ -27,8 +27,8 @@ TURN = 2 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Describes a time interval [s] within which the motion of a table is smooth. `pace`: the largest rate of change of the phases
-    of its sines, rad/s; 0 if nothing moves."""
+    """Describes a time interval [s] within which the motion of a table is smooth. `pace`: the largest rate of change, rad/s, of the
+    phases of the sines in the motion; 0 if nothing moves."""
 
     begin: float
     end: float

@@ -1,10 +1,10 @@
 """The virtual flexure gyro (dynamically tuned, two input axes X and Y, spin axis Z) with torque-rebalance loops.
 
-The loops drive currents through the torquers. The currents turn (precess) the rotor at the input rate, so the currents, counted in
-pulses, measure the input. Torquer Y turns the rotor at the rate SF_Y·i_x along (cos ε, sin ε), and torquer X at the rate SF_X·i_y
-along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X). The sum of these two rates must balance (ω_Y + D(X), ω_X + D(Y)). The
-drifts D(X) and D(Y) each have a constant part and parts proportional to the specific force along X, Y and Z (patent CN100554884C).
-The simulation solves this balance; it shares no formula with the estimators.
+The loops drive currents through the torquers. The currents turn (precess) the rotor at the input rate. The currents, counted in
+pulses, therefore measure the input. Torquer Y turns the rotor at the rate SF_Y·i_x along (cos ε, sin ε), and torquer X at the rate
+SF_X·i_y along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X). The sum of these two rates must balance (ω_Y + D(X), ω_X +
+D(Y)). The drifts D(X) and D(Y) each have a constant part and parts proportional to the specific force along X, Y and Z (patent
+CN100554884C). The simulation solves this balance. It has no formula in common with the estimators.
 """
 
 from __future__ import annotations
@@ -176,8 +176,8 @@ class VirtualFlexureGyro(OnlyRead):
         return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
 
     def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:
-        """Returns a function that makes samples of a sampling: called with `first` and `length`, it returns `length` samples,
-        starting with the sample number `first`. The function must be called for all samples, in order."""
+        """Returns a function that makes the samples of a sampling. Called with `first` and `length`, the function returns `length`
+        samples, starting with the sample number `first`. The function must be called for all samples, in order."""
         for flicker in self.flicker.values():
             flicker.begin(sampling.start, draw)
         return lambda first, length: self._block(sampling.times(first, length), sampling, draw)
@@ -222,7 +222,8 @@ class VirtualFlexureGyro(OnlyRead):
         """Returns the torquer currents i_x, i_y [pulse/s] without noise at `times`: floats if the gyro is at rest, otherwise arrays
         (n,).
 
-        They follow from the 2×2 balance of the rotor, whose right-hand side is linear in the input of the gyro.
+        The currents are the solution of the balance of the rotor, two linear equations whose right-hand side is linear in the input
+        of the gyro.
         """
         p = self.parameters
         rates, forces = self.world.stimulus(times)

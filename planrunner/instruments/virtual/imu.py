@@ -1,8 +1,8 @@
 """Simulates an inertial sensor: gyros and accelerometers on the table of the virtual world. The gyros and accelerometers integrate
 their input.
 
-A sample is the mean over its sampling interval; its time is the end of the interval. The error model is in `inertial_axis.py`; it
-shares no formula with the estimators."""
+A sample is the mean over its sampling interval; its time is the end of the interval. The error model is in `inertial_axis.py`. It
+has no formula in common with the estimators."""
 
 from __future__ import annotations
 
@@ -187,8 +187,8 @@ class VirtualImu(TakesEffects):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _block(self, dwell: _Dwell, first: int, length: int) -> Block:
-        """Makes the block of samples first … first + length − 1. Temperature and slow noise are evaluated once for every second, in
-        its middle."""
+        """Makes the block of samples first … first + length − 1. Temperature and slow noise are evaluated once per second, in the
+        middle of the second."""
         sampling = dwell.sampling
         middles = sampling.middles(first, length)
         kelvin = self.world.sensor(middles)
@@ -283,7 +283,7 @@ class VirtualImu(TakesEffects):
         first: int,
         length: int,
     ) -> dict[str, Array]:
-        """Returns the samples of all axes; effects are added to their levels and to their noise."""
+        """Returns the samples of all axes, after effects have been added to their levels and to their noise."""
         added, sampling = self.world.added, dwell.sampling
         assert added is not None and dwell.segment is not None
         hold = sampling.hold
@@ -328,7 +328,7 @@ def _monitors(parameters: VirtualImuParameters) -> list[OutputModel]:
 
 def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
     """Returns the angle [rad] by which the table has turned since the orientation was reached, and the rate of this angle [rad/s].
-    Both arrays have the shape (n,). The angle and the rate refer to the axis of the segment's motion; they are zero if the table
+    Both arrays have the shape (n,). The angle and the rate are about the axis of the segment's motion; they are zero if the table
     neither spins nor rocks.
 
     Raises `InstrumentError` if several rings rock.

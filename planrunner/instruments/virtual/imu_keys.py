@@ -1,7 +1,7 @@
 """Declares the bench-file keys of a virtual inertial sensor: its axes and their errors.
 
-A key next to `axes` applies to all gyros (or accelerometers); the same key of an axis takes precedence. A value that is not given
-is zero. `docs/virtual-sensors.md` describes the error model with these coefficients.
+A key at the level of `axes` applies to all gyros (or accelerometers); the same key of an axis takes precedence. A value that is not
+given is zero. `docs/virtual-sensors.md` describes the error model with these coefficients.
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
 
 
 def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
-    """Describes the fault in the direction of an axis, with a hint that tells how to correct the direction."""
+    """Describes the fault in the direction of an axis. Also returns a hint that states how to correct the direction."""
     if (axis.angle is None) != (axis.azimuth is None):
         given, missing = ("azimuth", "angle") if axis.angle is None else ("angle", "azimuth")
         return f"has an {given} but no {missing}", f"add for example `{missing}: 0 deg`"

@@ -1,8 +1,8 @@
 """Describes one input axis of a virtual inertial sensor by numbers: its direction and its errors.
 
-Let u be the mean inertial rate (for an accelerometer, the mean specific force) along the axis over a sampling interval; ΔT, ΔV and
-Δp the differences from the reference temperature, the nominal supply and the standard atmosphere; and f the mean specific force
-along the sensor's axes. The output is then
+Let u be the mean inertial rate (for an accelerometer, the mean specific force) along the axis over a sampling interval. Let ΔT, ΔV
+and Δp be the differences from the reference temperature, the nominal supply voltage and the standard atmosphere, and f the mean
+specific force along the sensor's axes. The output is then
 
     y = K·(1 + δ + Σ κ_k·ΔT^k + κ_V·ΔV + κ_p·Δp)
           · (u + a·|u|/2 + q₂·u² + q₃·u³ + s·f + b + Σ β_k·ΔT^k + β_V·ΔV + β_p·Δp + A·e^(−t/τ) + slow noise) + white noise,
@@ -99,7 +99,7 @@ class InertialAxis:
         return self.nominal * (1 + self.error + drawn + _polynomial(self.error_temperature, off))
 
     def drift(self, off: Array, since: Array, drawn: float) -> Array:
-        """Bias in SI units.
+        """Returns the bias in SI units.
 
         `off`: difference [K] from the reference temperature. `since`: time [s] after switch-on. `drawn`: bias that was drawn at
         switch-on.
@@ -108,8 +108,8 @@ class InertialAxis:
         return steady + self.warm_up * np.exp(-since / self.warm_up_time) if self.warm_up else steady
 
     def by_surroundings(self, volts: float, pascals: float) -> tuple[float, float]:
-        """Changes of the bias (SI) and of the scale factor (relative) due to supply voltage and pressure. `volts`: supply voltage
-        above its nominal value, V. `pascals`: pressure above the standard atmosphere, Pa."""
+        """Returns the changes of the bias (SI) and of the scale factor (relative) due to supply voltage and pressure. `volts`:
+        supply voltage above its nominal value, V. `pascals`: pressure above the standard atmosphere, Pa."""
         return (
             self.bias_supply * volts + self.bias_pressure * pascals,
             self.error_supply * volts + self.error_pressure * pascals,

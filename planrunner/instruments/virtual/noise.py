@@ -2,9 +2,9 @@
 
 White noise comes directly from the random generator. Bias instability (flicker) is a sum of Ornstein-Uhlenbeck processes whose
 correlation times are one octave apart. If each has the variance v, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²) ≈
-v/(2·ln2·f). With v = B²·ln2/π, this is the B²/(2πf) of IEEE Std 952, and the Allan deviation is flat at B·√(2·ln2/π) = 0.664·B. A
-process is exact at the nodes of a grid of `hold` samples and constant between them; its shortest correlation time is twice this
-interval, where white noise dominates.
+v/(2·ln2·f). With v = B²·ln2/π, this is the density B²/(2πf) of IEEE Std 952, and the Allan deviation is flat at B·√(2·ln2/π) =
+0.664·B. A process is exact at the nodes of a grid of `hold` samples, and constant between the nodes. The shortest correlation time
+is twice the interval of the grid; at such short times, white noise dominates.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
 
 
 def generator(seed: int, *occasion: int) -> np.random.Generator:
-    """Returns the random generator for one occasion, which is identified by numbers such as the index of a segment. It always gives
-    the same numbers for the same arguments."""
+    """Returns the random generator for one occasion. The arguments identify the occasion, for example by the index of a segment.
+    For the same arguments, the generator always gives the same random numbers."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=occasion)))
 
 
 @lru_cache(maxsize=8)
 def _growth(step: float, length: int) -> Array:
     """Returns the values e^(n·step/τ) for every process and for n = 0 … length, shape (OCTAVES, length + 1). The exponent is
-    limited, because the decay over a long step is complete."""
+    limited, because after a long step, the process has decayed completely."""
     return np.exp(np.minimum(np.arange(length + 1) * (step / TIMES)[:, None], _EXPONENT))
 
 
@@ -164,8 +164,8 @@ class GaussMarkov:
 
 
 class PulseCounter:
-    """Simulates an integrating output that counts pulses: the part of a sample that does not fill a pulse is carried to the next
-    sample. `step`: smallest step of one sample, in the output's unit."""
+    """Simulates an integrating output that counts pulses. The remainder of a sample that does not fill a pulse is carried to the
+    next sample. `step`: smallest step of one sample, in the output's unit."""
 
     def __init__(self, step: float):
         self.step = step
@@ -185,8 +185,8 @@ class PulseCounter:
 
 @dataclass(frozen=True, slots=True)
 class Readout:
-    """Describes how one output is read: white noise of the standard deviation `sigma` is added to each sample, which is rounded to
-    counts of the size `resolution` (0 for none) and limited to ±`full_scale`."""
+    """Describes how one output is read. White noise of the standard deviation `sigma` is added to each sample. The sample is then
+    rounded to counts of the size `resolution` (0 for no rounding) and limited to ±`full_scale`."""
 
     sigma: float
     resolution: float = 0.0
@@ -214,8 +214,8 @@ class Readout:
         return out
 
     def _fill(self, draw: np.random.Generator, part: Array, level: Array, hold: int) -> None:
-        """Fills the array `part` with readings. All steps except the last one work in counts, so that no separate pass is needed to
-        scale to counts."""
+        """Fills the array `part` with readings. All steps except the last one use units of counts, so that no separate pass is
+        needed to convert to counts."""
         counts = 1.0 / self.resolution if self.resolution > 0 else 1.0
         if self.sigma > 0:
             draw.standard_normal(out=part)

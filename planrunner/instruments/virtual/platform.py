@@ -2,8 +2,8 @@
 table.
 
 When caged, the element is fixed to the base, with an attitude error that is random for each caging. In navigation, the element is
-released and stays fixed in inertial space, except for its drift. The attitude of the element is simulated. The outputs of
-accelerometers and gimbal encoders follow from it. The estimators share no formula with this code.
+released and stays fixed in inertial space, except for its drift. The attitude of the element is simulated, and the outputs of
+accelerometers and gimbal encoders are computed from it. The estimators have no formula in common with this module.
 
 A ring of a rocking table has a random return error each time it comes to rest. Its reading lags while the ring moves, and its servo
 drifts over minutes. The error of a multi-speed gimbal resolver has a period of a fraction of a turn.
@@ -38,8 +38,8 @@ class RingEncoders:
     """The readings of the table's ring encoders during one recording.
 
     `before`, `after`: arrays of shape (k,) in rad, deviation of each ring's position from its reading, before and after the ring
-    has come to rest at the end of the rocking. `lag`: time [s] by which a reading lags behind a moving ring. `wander`: random walk
-    of the servos, rad/√s.
+    has come to rest at the end of the rocking. `lag`: time [s] by which a reading lags behind a moving ring. `wander`: coefficient
+    of the random walk of the servos, rad/√s.
     """
 
     before: Array
@@ -206,15 +206,15 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """Returns the random generator for one caging (number 0 is the platform as built); it is independent of the generators of
-        the segments."""
+        """Returns the random generator for one caging; number 0 stands for the platform as built. It is independent of the
+        generators of the segments."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )
 
     def _cage(self) -> None:
-        """Cages the element. The element is then level within the dead region, and its azimuth differs from caging to caging by the
-        stated repeatability."""
+        """Cages the element. After that, it is level within the dead region of the levelling loops, and its azimuth differs from
+        caging to caging by the stated repeatability."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]
         up = base[:, 2]
@@ -233,7 +233,7 @@ class VirtualPlatform:
         return DriftLaw(constant, rectified, p.random_walk.value, p.caging.leaving_time.value)
 
     def _accelerations(self, times: Array, axes: Array, rate: float, draw: np.random.Generator) -> list[Array]:
-        """Readings (n,) of each accelerometer [g]."""
+        """Returns the readings (n,) of each accelerometer [g]."""
         p = self.parameters.accelerometers
         arm = [item.value for item in self.parameters.lever_arm]
         force = self.world.site.specific_force_enu + shaking(self.world, times, arm)
@@ -261,7 +261,7 @@ class VirtualPlatform:
     def _encoders(
         self, times: Array, step: float, base: Array, axes: Array, rings: RingEncoders, draw: np.random.Generator
     ) -> dict[str, Array]:
-        """Readings (n,) of each gimbal and ring [deg]."""
+        """Returns the readings (n,) of each gimbal and ring [deg]."""
         p = self.parameters
         readings = {}
         for name, angle, phase in zip(GIMBALS, gimbal_angles(base, axes), self.phases, strict=True):
@@ -279,5 +279,5 @@ def _count(parameters: VirtualPlatformParameters) -> float:
 
 
 def _counted(angle: Array, resolution: float) -> Array:
-    """Angles [rad], rounded to whole counts of `resolution` [rad], in degrees."""
+    """Rounds angles [rad] to whole counts of the size `resolution` [rad], and returns them in degrees."""
     return np.degrees(np.rint(angle / resolution) * resolution if resolution > 0 else angle)

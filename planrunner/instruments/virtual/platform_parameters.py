@@ -1,4 +1,4 @@
-"""Declares the bench-file keys of the virtual platform in the bench file."""
+"""Declares the bench-file keys of the virtual platform."""
 
 from __future__ import annotations
 

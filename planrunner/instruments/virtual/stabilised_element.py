@@ -1,11 +1,11 @@
 """Simulates the stabilised element of a virtual platform. The element is caged to the base, then released and fixed in inertial
 space except for its drift.
 
-In axes of the element, the drift angle is the sum of a constant rate, a rate caused by rocking, a random walk, and a transient
-after caging: during the first minute, the element leaves the dead region of the levelling loops. Rocking causes drift by
-rectification. The servos transmit a fraction of the base's motion about every axis, and two such motions with a phase difference
-cause a steady rate that is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1). In the
-model, this rate is proportional to the square of the base's angular rate.
+In axes of the element, the drift angle has four parts: a constant rate, a rate that rocking causes, a random walk, and a transient
+after caging. In the transient, during the first minute, the element leaves the dead region of the levelling loops. Rocking causes
+drift by rectification: the servos transmit a fraction of the base's motion about every axis, and two such motions with a phase
+difference cause a steady rate that is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1).
+In the model, this rate is proportional to the square of the base's angular rate.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class DriftLaw:
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """State of the element since it was caged or released.
+    """The state of the element since it was last caged or released.
 
     `caged`: rotation vector (3,) [rad] from the base to the element while caged, in axes of the base. `released`: time of release,
     s; None while caged. `axes`: array of shape (3, 3), axes of the element at its release, as rows in East-North-Up. `left`: array
-    of shape (3,) in rad, total rotation by which the element leaves the dead region. `drifted`: array of shape (3,) in rad, drift
-    angle at the time `at` [s].
+    of shape (3,) in rad, total rotation of the element while it leaves the dead region. `drifted`: array of shape (3,) in rad,
+    drift angle at the time `at` [s].
     """
 
     caged: Array

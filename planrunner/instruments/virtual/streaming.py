@@ -51,7 +51,7 @@ class Sampling:
         return cls(world.now(), rate, max(1, round(segment.dwell * rate)), hold, size)
 
     def blocks(self, world: World, make: Callable[[int, int], Block]) -> Iterator[Block]:
-        """Yields the result of `make(first, length)` for each block, at the time when the block is complete."""
+        """Yields the result of `make(first, length)` for each block, at the time at which the block is complete."""
         for first in range(0, self.count, self.size):
             length = min(self.size, self.count - first)
             block = make(first, length)

@@ -1,5 +1,5 @@
-"""Temperatures of the virtual world: the air of the chamber lags behind the setpoint, which changes at a limited rate, and the
-sensor lags behind the air.
+"""Computes temperatures of the virtual world. The setpoint of the chamber changes at a limited rate, the air lags behind the
+setpoint, and the sensor lags behind the air.
 
 The setpoint r changes linearly to its target and then stays there. The air temperature T and the sensor temperature S are
 first-order lags, dT/dt = (r − T)/τ_a and dS/dt = (T − S)/τ_s. Both equations are solved in closed form from the moment of the last
@@ -43,7 +43,7 @@ class Command:
 
 
 def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Array, Array]:
-    """Temperatures [K] of setpoint, air and sensor at `times` [s], which must not be before the command."""
+    """Returns the temperatures [K] of setpoint, air and sensor at `times` [s], which must not be before the command."""
     elapsed = np.asarray(times, dtype=float) - command.start
     change = command.target - command.setpoint
     ramping = abs(change) / lags.ramp
@@ -74,7 +74,8 @@ def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
 
 
 def _follow(lags: Lags, origin: float, slope: float, air: float, sensor: float, elapsed: Array) -> tuple[Array, Array]:
-    """Temperatures of air and sensor after the times `elapsed`, from their initial values, for the setpoint origin + slope·t."""
+    """Returns the temperatures of air and sensor after the times `elapsed`, for given initial values and the setpoint origin +
+    slope·t."""
     slow = lags.sensor if abs(lags.sensor - lags.air) > 1e-6 * lags.air else lags.air * (1 + 1e-6)
     air_off = air - (origin - slope * lags.air)
     shared = air_off * lags.air / (lags.air - slow)

@@ -1,10 +1,10 @@
-"""Computes position and motion of a simulated carrier along its track on the Earth. Also computes the inertial rate and the
-specific force of a level bench on the carrier.
+"""Computes the position and motion of a simulated carrier along its track on the Earth, and the inertial rate and specific force of
+a level bench on the carrier.
 
 The carrier does not change its height. There are two kinds of tracks, both exact. One is a line of constant heading over the
-ellipsoid; distances are measured along the ellipsoid. The other is a great circle of the ellipsoid's normals; its angular rate
-gives the distance on a sphere with the Earth's mean radius. Velocity, acceleration, Earth rate and transport rate are derived from
-latitude and longitude, as functions of time, by differentiation in closed form.
+ellipsoid; distances are measured along the ellipsoid. On the other, the normal of the ellipsoid moves along a great circle;
+distances are those on a sphere with the Earth's mean radius. Velocity, acceleration, Earth rate and transport rate are computed
+from latitude and longitude by differentiation with respect to time, in closed form.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class TrackProgress:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Times [s] at which the acceleration jumps."""
+        """Returns the times [s] at which the acceleration jumps."""
         return (self.start,) if self.period is not None else (self.start, self.start + self.speed_up)
 
 
@@ -110,7 +110,7 @@ class Track:
         return place
 
     def velocity(self, place: CarrierPlace) -> tuple[Array, Array]:
-        """Velocities of the carrier to the east and to the north [m/s]."""
+        """Returns the velocities of the carrier to the east and to the north [m/s]."""
         meridian, parallel = self._radii(place.latitude)
         return place.longitude_rate * parallel, place.latitude_rate * meridian
 
@@ -118,7 +118,7 @@ class Track:
         """Returns the inertial rate [rad/s] and the specific force [m/s^2] of the bench. They are in the bench's own East-North-Up
         axes, whose north is the heading of the bench.
 
-        In true East-North-Up axes: f = v̇ + (2·Ω + ω_en) × v − g.
+        In true East-North-Up axes, f = v̇ + (2·Ω + ω_en) × v − g.
         """
         place = self.place(times)
         sine, cosine = np.sin(place.latitude), np.cos(place.latitude)
@@ -199,8 +199,8 @@ class Track:
 def _rhumb_rates(
     latitude: Array, speed: Array, acceleration: Array, along: float, across: float
 ) -> tuple[Array, Array, Array, Array]:
-    """First and second time derivatives of latitude and longitude on a line of constant heading. `along`: cosine of the heading.
-    `across`: sine of the heading."""
+    """Returns the first and second time derivatives of latitude and longitude on a line of constant heading. `along`: cosine of the
+    heading. `across`: sine of the heading."""
     meridian = ellipsoid.meridian_radius(latitude)
     parallel = ellipsoid.normal_radius(latitude) * np.cos(latitude)
     north, east = speed * along, speed * across
@@ -214,7 +214,7 @@ def _rhumb_rates(
 
 
 def _in_bench(v: Vector, heading: Value) -> Vector:
-    """Components of a vector in axes that are rotated clockwise by `heading` about the vertical."""
+    """Returns the components of a vector in axes that are rotated clockwise by `heading` about the vertical."""
     if isinstance(heading, float) and heading == 0.0:
         return v
     cosine, sine = np.cos(heading), np.sin(heading)

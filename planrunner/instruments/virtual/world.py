@@ -1,7 +1,7 @@
 """Simulates the surroundings of the sensor: attitude of the table, temperatures, and input of the sensor at any time.
 
-The surroundings depend only on the last command and the time since then, not on the number of queries. A resumed run is therefore
-identical to an uninterrupted one, to the bit. The drivers of table and chamber change the world; the sensor reads it.
+The surroundings depend only on the last command and the time since this command, not on the number of queries. A resumed run is
+therefore identical, to the bit, to an uninterrupted one. The drivers of table and chamber change the world; the sensor reads it.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class World:
         return self._skewed(rate), self._skewed(force)
 
     def _of_the_bench(self, times: Array) -> tuple[Components, Components]:
-        """Inertial rate and specific force of the bench itself, in its East-North-Up axes."""
+        """Returns the inertial rate and the specific force of the bench itself, in its East-North-Up axes."""
         if self.track is not None:
             return self.track.felt(times, self.site.earth_rate)
         (a, b, c), (x, y, z) = self.site.earth_rate_enu.tolist(), self.site.specific_force_enu.tolist()
@@ -150,7 +150,7 @@ class World:
 
 
 def _turned(axis: tuple[float, float, float], angle: Value, v: Components) -> Components:
-    """Components of a vector in a frame that is rotated by `angle` about `axis` (Rodrigues' formula with −angle)."""
+    """Returns the components of a vector in a frame that is rotated by `angle` about `axis` (Rodrigues' formula with −angle)."""
     if isinstance(angle, float) and angle == 0.0:
         return v
     c, s = (np.cos(angle), np.sin(angle)) if isinstance(angle, np.ndarray) else (math.cos(angle), math.sin(angle))

@@ -1,2 +1,2 @@
-"""Contains what drivers of real instruments share: links, serial streams, framing, checksums and clocks. Nothing here is specific
-to a manufacturer."""
+"""Contains the parts that drivers of real instruments share: links, serial streams, framing, checksums and clocks. They do not
+depend on manufacturers."""

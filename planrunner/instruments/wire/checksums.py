@@ -1,9 +1,9 @@
-"""Checksums of frames: cyclic redundancy checks (CRC) of up to 32 bits, sums and exclusive-or, for many frames in one call.
+"""Computes checksums of many frames in one call: cyclic redundancy checks (CRC) of up to 32 bits, sums and exclusive-or.
 
-A CRC is a polynomial division; it is computed in the upper part of a 32-bit register. CRC-8, CRC-16 and CRC-32 therefore use one
+A CRC is a polynomial division. It is computed in the upper part of a 32-bit register, so that CRC-8, CRC-16 and CRC-32 use the same
 kernel with different tables. Each step processes eight bytes ("slicing by 8": Kounavis and Berry, A systematic approach to building
-high performance, software-based CRC generators, ISCC 2005). If all frames have the same length, every byte position has a table of
-its own, so that bytes can be processed independently of each other.
+high performance, software-based CRC generators, ISCC 2005). If all frames have the same length, there is a separate table for every
+byte position, so that bytes can be processed independently of each other.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Checksum:
 
     @cached_property
     def tables(self) -> NDArray[np.uint32]:
-        """Tables (8, 256). Row k contains, for each byte value, the remainder of this byte followed by k zero bytes."""
+        """Returns the tables (8, 256). Row k contains, for each byte value, the remainder of this byte followed by k zero bytes."""
         rows = np.zeros((8, 256), np.uint32)
         top = self.polynomial << (32 - self.width)
         for byte in range(256):
@@ -53,8 +53,9 @@ class Checksum:
 
     def by_position(self, length: int, padding: int = 0) -> tuple[NDArray[np.uint32], int]:
         """Returns a table and a constant for the CRC of exactly `length` bytes followed by `padding` zero bytes. The table has the
-        shape (length, 256). The CRC is the exclusive-or of the constant and of one entry for each byte: for byte k, the entry of
-        row k whose index is the value of the byte. This works because the division of polynomials is linear."""
+        shape (length, 256). The CRC is the exclusive-or of the constant and one entry of the table for each byte. The entry for
+        byte k is in row k, and its index is the value of the byte. This is possible because the division of polynomials is
+        linear."""
         rows = np.zeros((length, 256), np.uint32)
         lowest, initial = self.tables[0], np.array([(self.initial << (32 - self.width)) & _ALL], np.uint32)
         registers = lowest

@@ -1,4 +1,4 @@
-"""Codes that stand for kinds of checksums, rules of framing and kinds of numbers in compiled kernels."""
+"""Defines codes for kinds of checksums, rules of framing and kinds of numbers, which compiled kernels use."""
 
 from __future__ import annotations
 

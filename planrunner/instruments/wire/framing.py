@@ -1,8 +1,8 @@
 """Finds frames in a stream of bytes by their sync, length and checksum. Bytes that are not part of a frame are skipped and counted.
 
 A frame is valid if its checksum is correct. If the checksum of a frame is wrong, or if no frame is found where one is expected, a
-corrupt frame is counted. The search then continues one byte later, so that a frame after a false sync is never skipped. The bytes
-that are kept between two calls are shorter than the longest frame.
+corrupt frame is counted. The search then continues one byte later, so that a frame after a false sync is never skipped. Fewer bytes
+than those of the longest frame are kept between two calls.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class Framing:
     """Describes the format of the frames in a stream.
 
     `sync`: the first bytes of a frame. `rule`: FIXED means that every frame has `longest` bytes. XBUS means that the length is in
-    the byte at offset 3 or, if this byte is FF, in the next two bytes. LINE means that a frame ends with a line feed. Frames of the
-    last two rules have at most `longest` bytes. `trailer`: bytes that may follow a frame. The checksum covers the frame from the
-    byte `covered_from` up to the checksum, followed by `padding` zero bytes. It is in the last `check_bytes` bytes of the frame,
-    low byte first if `little` is True. In a LINE, the checksum covers the text between `$` and `*`; it follows `*` as two
-    hexadecimal digits.
+    the byte at offset 3 or, if this byte is FF, in the next two bytes. LINE means that a frame ends with a line feed. With the
+    rules XBUS and LINE, frames have at most `longest` bytes. `trailer`: bytes that may follow a frame. The checksum covers the
+    frame from the byte `covered_from` up to the checksum, followed by `padding` zero bytes. The checksum is in the last
+    `check_bytes` bytes of the frame, low byte first if `little` is True. In a LINE, the checksum covers the text between `$` and
+    `*`, and is written after `*` as two hexadecimal digits.
     """
 
     sync: bytes
@@ -45,7 +45,7 @@ class Framing:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes that arrived together. `received`: time [s by the bench's clock] at which they had been read."""
+    """Bytes that arrived together. `received`: time at which reading them ended, s by the bench's clock."""
 
     received: float
     data: bytes
@@ -54,7 +54,8 @@ class Piece:
 @dataclass(frozen=True, slots=True)
 class Frames:
     """The good frames in `data`. `starts`, `lengths`: arrays of shape (n,), start and length of each frame. `received`: array of
-    shape (n,) in s, time at which the last byte of each frame had been read, minus the time that the frame takes on the line."""
+    shape (n,) in s. It is the time at which the last byte of each frame was read, minus the time that the frame takes on the
+    line."""
 
     data: Bytes
     starts: NDArray[np.int64]
@@ -119,7 +120,7 @@ class Framer:
         return Frames(data, starts, lengths, received)
 
     def _arrivals(self, pieces: Sequence[Piece], ends: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Returns, for each frame, the time at which the piece that contains its last byte had been read."""
+        """Returns, for each frame, the time at which the piece that contains its last byte was read."""
         if len(pieces) == 1:
             return np.full(ends.size, pieces[0].received)
         behind = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])
@@ -129,8 +130,8 @@ class Framer:
 
 @lru_cache(maxsize=32)
 def _positions(framing: Framing) -> tuple[NDArray[np.uint32], int]:
-    """Returns the tables of `Checksum.by_position` for the bytes that the checksum covers; empty unless all frames have the same
-    length and a CRC."""
+    """Returns the tables of `Checksum.by_position` for the bytes that the checksum covers. They are empty unless all frames have
+    the same length and the checksum is a CRC."""
     covered = framing.longest - framing.check_bytes - framing.covered_from
     if framing.rule != FIXED or framing.checksum.kind != CRC or not 0 < covered <= MOST_TABLES:
         return np.empty((0, 256), np.uint32), 0

@@ -1,10 +1,10 @@
-"""Times of samples, computed from the counter of a sensor and from the times at which the computer read its frames.
+"""Computes the times of samples from the counter of a sensor, and from the times at which the computer read its frames.
 
-A frame cannot be read early, but buffers and the operating system can delay the reading. The line that relates the counter to the
-computer's clock is therefore the highest line below all readings, which is an edge of their lower convex hull (Moon, Skelly and
-Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock
-synchronization algorithms for network measurements, INFOCOM 2002). A constant delay cannot be found in this way; the transmission
-time and the latency that the sensor reports are subtracted before."""
+A frame cannot be read early, but buffers and the operating system can delay the reading. If the times of reading are plotted over
+the counter, the line that relates the counter to the computer's clock is therefore the highest line below all points, which is an
+edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and removal of clock skew from network delay measurements,
+INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements, INFOCOM 2002). A constant delay cannot
+be found in this way. Therefore the transmission time, and the latency that the sensor reports, are subtracted first."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ FORESTALLED = 1.0
 @dataclass(frozen=True, slots=True)
 class FrameCounter:
     """Describes the counter of a sensor: a count lasts `tick` seconds, a frame takes `step` counts, and the counter restarts at
-    `modulus`. For a sensor without a counter, the modulus is 1. Then lost frames are detected only if they interrupt the stream."""
+    `modulus`. For a sensor without a counter, the modulus is 1; in this case, lost frames are detected only if they interrupt the
+    stream."""
 
     tick: float
     step: float = 1.0
@@ -56,9 +57,9 @@ class FrameCounter:
 class Unwrapping:
     """Extends a counter beyond its modulus, even if complete periods of the counter were lost during a silence.
 
-    After a silence, it can be open whether one more period of the counter has passed. Either the computer slept, and the delays of
-    reading then become as small as before; or frames were lost, and the delays remain larger. `PATIENCE` seconds of readings decide
-    which is true.
+    After a silence, it may be unclear whether one more period of the counter has passed. There are two possibilities: the computer
+    slept, and the delays of reading become as small as before; or frames were lost, and the delays remain larger. `PATIENCE`
+    seconds of readings decide between them.
     """
 
     counter: FrameCounter
@@ -71,10 +72,10 @@ class Unwrapping:
     _floor: float = math.nan
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
-        """Returns the indices of frames, which are counts since the first frame. The result contains the first frames, as far as
-        their indices can be decided, or all frames if `final` is True. Frames whose index is not returned must be passed again,
-        together with the frames that follow. `received`: array of shape (n,), times of reading, s. `raw`: array of shape (n,),
-        values of the counter. Raises `InstrumentError` if the counter was reset."""
+        """Returns the indices of frames, which are counts since the first frame. The result covers the first of the given frames,
+        up to the last one whose index is certain, or all frames if `final` is True. Frames whose index is not returned must be
+        passed again, together with the frames that follow. `received`: array of shape (n,), times of reading, s. `raw`: array of
+        shape (n,), values of the counter. Raises `InstrumentError` if the counter was reset."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):
@@ -106,8 +107,8 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would be dated later than they were read.
-        `delay`: delays of reading, s, relative to a common constant."""
+        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would have a later time than that at which they
+        were read. `delay`: delays of reading, s, relative to a common constant."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"
@@ -136,7 +137,7 @@ class Unwrapping:
 @dataclass
 class HostClock:
     """Determines the line that relates a counter to the computer's clock. `skew`: relative skew, positive if the ticks of the
-    sensor are longer than nominal; the initial value applies until there are enough readings. `usual_delay`, `worst_delay`: median
+    sensor are longer than nominal. Its initial value is used until there are enough readings. `usual_delay`, `worst_delay`: median
     and largest delay of reading frames relative to the line, s."""
 
     counter: FrameCounter
@@ -196,8 +197,8 @@ class HostClock:
 
 def line_under(points: Array) -> tuple[float, float]:
     """Returns the slope and the offset of the line that lies below all points and is, on average, closest to them. The points have
-    the shape (n, 2). The line contains one edge of the lower convex hull of the points: the edge above or below which the mean
-    abscissa of all points lies. The abscissae must increase."""
+    the shape (n, 2). The line contains one edge of the lower convex hull of the points: the edge whose range of abscissae contains
+    the mean abscissa of all points. The abscissae must increase."""
     hull: list[tuple[float, float]] = []
     for x, y in points.tolist():
         while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]) >= (y - hull[-2][1]) * (

@@ -3,8 +3,9 @@
 The functions of `checksums`, `framing` and `columns` that call these kernels document the shapes and meanings of the arguments.
 This module imports numba, so it is imported only when there are bytes to process.
 
-numba compiles a function once for each combination of argument types. A literal number in a call has another type than a variable
-(`Literal[int](0)`). Such numbers are therefore written `np.int64(0)`, so that every function is compiled only once.
+numba compiles a function once for each combination of argument types. A literal number in a call has another type
+(`Literal[int](0)`) than a variable. Such numbers are therefore written as `np.int64(0)`, so that every function is compiled only
+once.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _word(data, place, little):  # type: ignore[no-untyped-def]
-    """Four bytes, combined to a number. `place`: index of the first byte; the type must be unsigned, so that numba need not check
-    for a negative index."""
+    """Returns four bytes, combined to a number. `place`: index of the first byte. Its type must be unsigned, so that numba need not
+    check for a negative index."""
     first, second = np.uint32(data[place]), np.uint32(data[place + np.uintp(1)])
     third, fourth = np.uint32(data[place + np.uintp(2)]), np.uint32(data[place + np.uintp(3)])
     if little:
@@ -53,8 +54,8 @@ def _word(data, place, little):  # type: ignore[no-untyped-def]
 
 @compiled()
 def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Computes the check value of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are
-    reduced to 32 bits. With an unsigned index, numba does not check for negative values."""
+    """Computes the check value of data[start : start + length] followed by `padding` zeros. As numba widens integers, registers are
+    reduced to 32 bits. Indices are unsigned, so that numba does not check for negative values."""
     if kind == XOR:
         together = np.int64(0)
         for item in range(length):
@@ -124,7 +125,8 @@ def _matches(data, place, pattern):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _length(data, place, rule, longest):  # type: ignore[no-untyped-def]
-    """Length in bytes of the frame that begins at `place`; 0 if there is no frame, −1 if the data end before the length is known."""
+    """Returns the length in bytes of the frame that begins at `place`; 0 if there is no frame, −1 if the data end before the length
+    is known."""
     if rule == FIXED:
         return longest
     if rule == XBUS:
@@ -150,11 +152,12 @@ def _digit(byte):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
-    """Length in bytes of the line that begins at `place`, as in `_length`, and the exclusive-or of all its bytes except the first.
-    `usual`: length of the previous line; 0 if unknown.
+    """Returns the length in bytes of the line that begins at `place`, as in `_length`, and the exclusive-or of all its bytes except
+    the first. `usual`: length of the previous line; 0 if unknown.
 
-    Lines usually have the same length as the previous line. A loop with a known end, which can process many bytes at once, first
-    checks whether this is so. Otherwise the end of the line is searched for four bytes at a time, and then the same loop runs.
+    Lines usually have the same length as the previous line. First, a loop with a known end checks whether this is so, because such
+    a loop can process many bytes at once. Otherwise, the end of the line is searched for, four bytes at a time, and the same loop
+    is executed again.
     """
     start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
     end, feed = start, np.uint8(LINE_FEED)
@@ -181,7 +184,8 @@ def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _summary(data, start, end):  # type: ignore[no-untyped-def]
-    """For data[start:end]: the exclusive-or of the bytes, whether a byte is above 126, and whether a byte is a line feed."""
+    """Returns three values for data[start:end]: the exclusive-or of the bytes; whether a byte is above 126; and whether a byte is a
+    line feed."""
     together, strange, feeds, feed = np.uint8(0), np.uint8(0), np.uint8(0), np.uint8(LINE_FEED)
     for item in range(start, end):
         byte = data[np.uintp(item)]
@@ -193,7 +197,7 @@ def _summary(data, start, end):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _line_holds(data, place, length, together, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """True if the checksum of a line is correct. `together`: exclusive-or of all bytes of the line except the first."""
+    """Returns True if the checksum of a line is correct. `together`: exclusive-or of all bytes of the line except the first."""
     end = place + length - 1
     if data[end - 1] == CARRIAGE_RETURN:
         end -= 1
@@ -287,7 +291,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
 
 @compiled()
 def alike(data, starts, places):  # type: ignore[no-untyped-def]
-    """Returns, for each frame, whether its bytes at `places` are those of the first frame."""
+    """Returns True for each frame whose bytes at `places` are equal to those of the first frame."""
     found = np.ones(starts.size, np.bool_)
     for frame in range(starts.size):
         for item in range(places.size):
@@ -363,9 +367,9 @@ def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no
 
 @compiled()
 def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
-    """Reads the decimal numbers that follow the commas of each line, up to `*`. Also returns whether each line contains exactly as
-    many numbers as `out` has rows. A number may have at most 15 digits: it is computed as a whole number divided by a power of ten,
-    so it is rounded only once.
+    """Reads the decimal numbers that follow the commas of each line, up to `*`. Also returns True for each line that contains
+    exactly as many numbers as `out` has rows. A number may have at most 15 digits: it is computed as a whole number divided by a
+    power of ten, so it is rounded only once.
 
     Each line must end with a line feed, as in the result of `find`. A line feed is not a comma, asterisk, sign, point or digit, so
     every search ends there.

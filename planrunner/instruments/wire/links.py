@@ -1,8 +1,8 @@
-"""Requests to a message-based instrument and its replies, over GPIB, USB, TCP or a serial line, through PyVISA.
+"""Exchanges requests and replies with a message-based instrument over GPIB, USB, TCP or a serial line, by means of PyVISA.
 
-On each resource, only one exchange takes place at a time. A failed link is closed before it is used again, and unread data are
-discarded before a request. A late reply is therefore never taken for the reply to the next request. No operation waits longer than
-its time-out. PyVISA is imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
+Each resource has only one exchange at a time. A link that failed is closed before it is used again, and unread data are discarded
+before each request. A late reply is therefore never mistaken for the reply to the next request. No operation waits longer than its
+time-out. PyVISA is imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
 
 This module also declares the keys in the bench file for the connection and the identification of such an instrument, and the bases
 of instruments and drivers that use the commands of a controller.
@@ -82,7 +82,7 @@ class LinkSettings:
 
 
 class LinkFailure(Exception):  # noqa: N818 - reported to users as an InstrumentError
-    """Reports that an exchange failed. In a message, the text of this exception follows the name of the resource."""
+    """Reports that an exchange failed. In messages, the text of this exception follows the name of the resource."""
 
 
 class Wire(Protocol):
@@ -129,7 +129,7 @@ class Incoming:
         return bytes(self.got[start:])
 
     def until_quiet(self, seconds: float) -> bytes:
-        """Reads until nothing arrives for the given time; waits for the first byte until the deadline."""
+        """Reads until no data arrive for the given time. Waits for the first byte until the deadline."""
         self._byte()
         _wait_at_most(self.resource, seconds)
         with contextlib.suppress(_nothing_came()):
@@ -196,14 +196,14 @@ class MessageLink:
         raise AssertionError("unreachable")
 
     def remarks(self) -> list[str]:
-        """Descriptions of unusual events since the last call."""
+        """Returns descriptions of unusual events since the last call."""
         told = list(self._remarks)
         self._remarks.clear()
         return told
 
     def doubt(self) -> None:
-        """Restarts the link as after a failure. This is necessary if the received data do not answer the request, because the true
-        reply may still arrive."""
+        """Restarts the link as after a failure. It must be called if the received data are not the reply to the request, because
+        the true reply may still arrive."""
         with self._lock:
             self._give_up()
 
@@ -281,7 +281,7 @@ class MessageLink:
         return self._resource
 
     def _give_up(self) -> None:
-        """Closes the link, so that data that are still on the way are not read later."""
+        """Closes the link, so that data that are still being transmitted are not read later."""
         resource, self._disturbed = self._resource, True
         if resource is not None and _marks_ends(self.settings.address):
             with contextlib.suppress(Exception):
@@ -373,8 +373,8 @@ def _manager() -> Any:
 
 
 def _count_steadily() -> None:
-    """Makes PyVISA-py use the monotonic clock for its time-outs. By default it uses the computer's clock: if that clock is set back
-    during a request, the time-out becomes longer."""
+    """Makes PyVISA-py use the monotonic clock for its time-outs. By default, it uses the computer's clock; if this clock is set
+    back during a request, the time-out becomes longer."""
     steady = SimpleNamespace(time=time.monotonic, sleep=time.sleep, perf_counter=time.perf_counter)
     for name in ("sessions", "tcpip", "protocols.rpc"):
         module = sys.modules.get(f"pyvisa_py.{name}")

@@ -1,4 +1,4 @@
-"""Converts texts in replies to numbers, and numbers to texts in commands. A reply without a number leads to an error that explains
+"""Converts texts in replies to numbers, and numbers to texts in commands. A reply without a number causes an error that explains
 the problem."""
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def numbers(link: MessageLink, request: str, count: int, framing: AnswerFraming | None = None) -> list[float]:
-    """Returns the numbers in the answer to a request; they are separated by commas or semicolons. Raises `InstrumentError` if there
-    are too few numbers or if one is not finite. After this error, data that still arrive are discarded, so that they are not taken
-    for the answer to the next request."""
+    """Returns the numbers in the answer to a request, which are separated by commas or semicolons. Raises `InstrumentError` if
+    there are too few numbers or if one is not finite. After this error, data that still arrive are discarded, so that they are not
+    taken for the answer to the next request."""
     reply = link.query(request, framing=framing)
     try:
         return parsed(reply, request, count, link.settings.address)

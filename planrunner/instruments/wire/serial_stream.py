@@ -1,7 +1,8 @@
-"""Streams from a serial port: a thread reads in bulk into a ring buffer of limited size, from which consumers take the bytes.
+"""Streams bytes from a serial port. A thread reads large pieces into a ring buffer of limited size, from which consumers take the
+bytes.
 
-pyserial reads a thousand times faster in bulk than byte by byte. Without a consumer, the ring buffer keeps only the newest bytes.
-With a consumer, it keeps all bytes until it is full; it then drops and counts further bytes.
+pyserial reads large pieces a thousand times faster than single bytes. Without a consumer, the ring buffer keeps only the newest
+bytes. With a consumer, it keeps all bytes until it is full; after that, further bytes are dropped and counted.
 """
 
 from __future__ import annotations
@@ -69,8 +70,8 @@ class Ring:
         return pieces
 
     def follow(self, following: bool) -> None:
-        """Starts or ends the consumer's use of the buffer, during which the buffer keeps all bytes. Both starting and ending
-        discard the bytes in the buffer. Starting also sets the number of dropped bytes to zero."""
+        """Starts or ends the use of the buffer by a consumer. During this use, the buffer keeps all bytes. At the start and at the
+        end, the bytes in the buffer are discarded; at the start, the number of dropped bytes is also set to zero."""
         with self._lock:
             self._pieces, self._held, self._following = deque(), 0, following
             if following:
