@@ -115,7 +115,7 @@ class Findings:
 
     @contextmanager
     def resting_on(self, *parts: Mark) -> Iterator[None]:
-        """Is a context manager for checks that assume that the given parts of the file are correct. If one of the parts has an
+        """Encloses checks that assume that the given parts of the file are correct (a context manager). If one of the parts has an
         error when the context is entered, the findings that are added within the context are recorded as consequences of the first
         such error.
 

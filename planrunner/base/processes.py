@@ -41,7 +41,7 @@ class ClusterError(InputError):
 
 
 def processors() -> int:
-    """Number of processors that this process may use."""
+    """Returns the number of processors that this process may use."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -154,7 +154,7 @@ class _Started(Generic[T, R]):
 
 
 def _do(end: Connection, work: Callable[[T], R], share: Sequence[T]) -> None:
-    """The main function of a further process: computes the results of its items and sends them to the first process."""
+    """Runs as the main function of a further process: computes the results of its items, and sends them to the first process."""
     _leave_ctrl_c_to_the_first_process()
     results = _up_to_a_failure(work, share)
     with contextlib.suppress(BrokenPipeError):  # the first process was killed

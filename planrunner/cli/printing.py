@@ -120,7 +120,7 @@ EXCERPTS = ContextVar("EXCERPTS", default=True)
 
 
 def columns(stream: TextIO) -> int:
-    """Maximum width of a line: the width of the terminal, or `WIDE` if the output is a pipe or a file."""
+    """Returns the maximum width of a line: the width of the terminal, or `WIDE` if the output is a pipe or a file."""
     return shutil.get_terminal_size((WIDE, 24)).columns if stream.isatty() else WIDE
 
 

@@ -113,8 +113,8 @@ def _verified(ring: KeyRing | None, authority: StampAuthority | None, named: boo
 
 
 def _lines(name: str, verification: Verification) -> Iterator[str]:
-    """The lines that report on one run. `name`: the text before the first line, which contains the name of the folder; empty if the
-    name has already been printed."""
+    """Yields the lines that report on one run. `name`: the text before the first line, which contains the name of the folder; empty
+    if the name has already been printed."""
     found = verification.found
     state = "CHANGED" if verification.changes else "unchanged" if verification.sealed else "unchanged, NOT SEALED"
     yield (f"{name or '    '}{state}")

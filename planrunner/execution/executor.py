@@ -302,7 +302,8 @@ class _Execution:
         return self.doing if self.segment is None else f"segment '{self.segment.label}', {self.activity}"
 
     def _on_tick(self) -> bool:
-        """Is called by a clock of real time while it sleeps. Returns True if the run must stop at once, which ends the sleep."""
+        """A clock of real time calls this method while it sleeps. Returns True if the run must stop at once; this ends the
+        sleep."""
         self.meter.advance(self.clock.now(), self.activity)
         return self.lookout.tick()
 

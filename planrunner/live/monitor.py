@@ -141,8 +141,8 @@ class Monitor:
             return Activity(tuple(running), tuple(islice(recent, RECENT)))
 
     def _names(self) -> list[str]:
-        """Names of the run folders, the newest run first. Sorting the names sorts the runs, because a name begins with the time of
-        the run."""
+        """Returns the names of the run folders, the newest run first. The names sort by time, because each begins with the time of
+        its run."""
         try:
             with os.scandir(self.path) as listed:
                 names = [item.name for item in listed if not item.name.startswith(".") and item.is_dir()]

@@ -64,5 +64,5 @@ def openings(window: NightWindow, since: float, zone: tzinfo | None) -> Iterator
 
 
 def shown_time(instant: float, zone: tzinfo | None) -> str:
-    """Date, time and zone as a text, such as `2026-03-28 22:00 CET`."""
+    """Returns date, time and zone as a text, such as `2026-03-28 22:00 CET`."""
     return f"{civil(instant, zone):%Y-%m-%d %H:%M %Z}".rstrip()

@@ -30,7 +30,7 @@ class Advice:
     remedy: str
 
     def to_json(self) -> JsonObject:
-        """JSON data according to `named` of `schemas/diagnosis.schema.json`."""
+        """Returns the advice as JSON data according to `named` of `schemas/diagnosis.schema.json`."""
         plain: JsonObject = asdict(self) | {"actor": self.actor.value}
         return plain
 

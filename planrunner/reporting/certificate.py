@@ -142,7 +142,8 @@ def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
 
 
 def guard_band(limit: LimitVerdict) -> str:
-    """Width of the guard band in the unit of the limit; empty if the results come from an earlier version, which did not store it."""
+    """Returns the width of the guard band in the unit of the limit; empty if the results come from an earlier version, which did
+    not store it."""
     return "" if math.isnan(limit.guard_band) else two_digits(limit.guard_band)
 
 

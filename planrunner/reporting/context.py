@@ -137,7 +137,7 @@ class ReportContext:
 
 
 def site_facts(site: Site) -> dict[str, str]:
-    """Facts about the site, by name, in customary units."""
+    """Returns facts about the site, by name, in customary units."""
     north_south = "N" if site.latitude >= 0 else "S"
     return {
         "Latitude": f"{abs(math.degrees(site.latitude)):.4f}° {north_south}",

@@ -80,7 +80,7 @@ def _timeline(schedule: Schedule | None, side: str) -> str:
 
 
 def _pictures(compared: Compared) -> Iterator[JsonObject]:
-    """One picture for each changed orientation. Segments whose orientation changes in the same way share one picture."""
+    """Yields one picture for each changed orientation. Segments whose orientation changes in the same way share one picture."""
     from markupsafe import Markup
 
     groups: dict[str, tuple[PartChange, list[str]]] = {}

@@ -210,7 +210,7 @@ def _c(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _constants(item: Coefficient) -> list[tuple[str, float, str]]:
-    """Name, value and comment of each constant that describes a coefficient. Raises `ExportError` for non-finite values."""
+    """Returns name, value and comment of each constant that describes a coefficient. Raises `ExportError` for non-finite values."""
     if not (math.isfinite(item.value) and math.isfinite(item.standard_uncertainty)):
         raise ExportError(f"{item.name} is not a finite number, which a C header cannot represent")
     found = [

@@ -47,8 +47,8 @@ def render_history(found: Trend) -> str:
 
 
 def pictures(found: Trend) -> Iterator[tuple[str, str]]:
-    """Title and SVG of each chart: the values with Shewhart limits and the limits of the plan, the moving average, the cumulative
-    sums."""
+    """Yields the title and the SVG of each chart. The charts show the values with Shewhart limits and the limits of the plan, the
+    moving average, and the cumulative sums."""
     charts = found.charts
     if charts is None:
         return

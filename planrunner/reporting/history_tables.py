@@ -64,7 +64,7 @@ def points_table(found: Trend) -> Table:
 
 
 def alarms(found: Trend, k: int) -> list[str]:
-    """Names of the charts in which value k is outside the limits."""
+    """Returns the names of the charts in which value k is outside the limits."""
     charts = found.charts
     if charts is None:
         return []

@@ -28,7 +28,8 @@ _COLOURS = {"x": "#b3261e", "y": "#1b6e3c", "z": "#1c4fa1"}
 
 
 def project(direction: Array) -> tuple[float, float]:
-    """Picture coordinates (right, down) of a vector (3,) in East-North-Up. A vector of length one has the length of a drawn axis."""
+    """Returns the picture coordinates (right, down) of a vector (3,) in East-North-Up. A vector of length one has the length of a
+    drawn axis."""
     right, upward = float(_RIGHT @ direction), float(_UPWARD @ direction)
     return _CENTRE[0] + _REACH * right, _CENTRE[1] - _REACH * upward
 

@@ -176,8 +176,8 @@ def _finish(axes: Axes, plot: Plot, labels: list[str]) -> None:
 
 
 def correlation(covariance: Array) -> Array:
-    """Correlation matrix that belongs to a covariance matrix (m, m). For a quantity without variance, the elements off the diagonal
-    are zero."""
+    """Returns the correlation matrix that belongs to a covariance matrix (m, m). For a quantity without variance, the elements off
+    the diagonal are zero."""
     sigma = np.sqrt(np.clip(np.diag(covariance), 0, None))
     scale = np.where(sigma > 0, sigma, np.inf)
     result = covariance / np.outer(scale, scale)

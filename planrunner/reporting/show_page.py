@@ -52,7 +52,8 @@ def render_show(context: ShowContext) -> str:
 
 
 def show_view(context: ShowContext) -> JsonObject:
-    """Data for the template of the page: title, description, facts, timeline (SVG), segments, pictures, predictions and others."""
+    """Returns the data for the template of the page: title, description, facts, timeline (SVG), segments, pictures, predictions and
+    others."""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import timeline_svg

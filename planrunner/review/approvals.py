@@ -199,7 +199,7 @@ def _withdrawal(file: str, envelope: Envelope, statement: JsonObject) -> StatedW
 
 
 def payload_digest(envelope: Envelope) -> str:
-    """SHA-256 of the signed content of an approval. It identifies the approval independently of the approval's file."""
+    """Returns the SHA-256 of the signed content of an approval. It identifies the approval independently of the approval's file."""
     return hashlib.sha256(envelope.payload).hexdigest()
 
 

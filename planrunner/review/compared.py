@@ -47,8 +47,8 @@ class Compared:
 
     @property
     def digests(self) -> tuple[str, str]:
-        """SHA-256 of the meaning of each side. Computing the digests takes longer than the comparison, so they are computed only
-        when they are shown."""
+        """Returns the SHA-256 of the meaning of each side. The digests take longer to compute than the comparison, so they are
+        computed only when they are shown."""
         return self.meanings[0].digest(), self.meanings[1].digest()
 
     @property

@@ -81,7 +81,7 @@ class Meaning:
         return canonical_json(self.document())
 
     def digest(self) -> str:
-        """SHA-256 of the canonical JSON, as 64 hexadecimal digits."""
+        """Returns the SHA-256 of the canonical JSON, as 64 hexadecimal digits."""
         return hashlib.sha256(self.canonical()).hexdigest()
 
     def lines(self) -> Iterator[str]:
@@ -99,7 +99,7 @@ def canonical_json(value: Json) -> bytes:
 
 
 def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
-    """SHA-256 of the meaning of a plan, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
+    """Returns the SHA-256 of the meaning of a plan, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
 
     `bench`: the bench on which the plan runs. If it is given, the digest also covers its meaning; otherwise, it covers only the
     name of the bench in the plan.
@@ -108,7 +108,7 @@ def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
 
 
 def digest_of_bench(bench: Bench) -> str:
-    """SHA-256 of the meaning of a bench, as 64 hexadecimal digits."""
+    """Returns the SHA-256 of the meaning of a bench, as 64 hexadecimal digits."""
     return meaning_of_bench(bench).digest()
 
 

@@ -124,8 +124,8 @@ def _difference(name: str, one: Coefficient, other: Coefficient, lines: tuple[Li
 
 
 def _effective(variances: Sequence[float], freedoms: Sequence[float], total: float) -> float:
-    """Effective degrees of freedom according to the Welch-Satterthwaite formula, ν = u⁴/Σ uᵢ⁴/νᵢ; infinite if no contribution has
-    finite degrees of freedom."""
+    """Returns the effective degrees of freedom according to the Welch-Satterthwaite formula, ν = u⁴/Σ(uᵢ⁴/νᵢ); infinite if no
+    contribution has finite degrees of freedom."""
     parts = [v**2 / nu for v, nu in zip(variances, freedoms, strict=True) if nu > 0 and math.isfinite(nu)]
     below = math.fsum(parts)
     return total**2 / below if below > 0 and math.isfinite(total) else math.inf

@@ -65,7 +65,7 @@ class Signer(Protocol):
     def public(self) -> PublicKey: ...
 
     def sign(self, message: bytes) -> bytes:
-        """The 64 bytes of the Ed25519 signature."""
+        """Returns the 64 bytes of the Ed25519 signature."""
         ...
 
 

@@ -1,5 +1,5 @@
-"""Evaluates a run once more, on behalf of a named person and for a stated reason. It is stored as a new analysis that names the
-analysis it amends."""
+"""Evaluates a run once more, on behalf of a named person and for a stated reason. The evaluation is stored as a new analysis, which
+names the analysis that it amends."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Amendment:
     amends: int | None = None
 
     def to_json(self, amended: StoredAnalysis) -> JsonObject:
-        """Returns JSON data according to schemas/amendment.schema.json."""
+        """Returns the amendment as JSON data according to schemas/amendment.schema.json."""
         return {
             "planrunner_amendment": FORMAT,
             "amends": amended.number,
@@ -61,13 +61,13 @@ def checked_amendment(amendment: Amendment) -> Amendment:
 
 
 def amended_analysis(reader: RunReader, amendment: Amendment) -> StoredAnalysis:
-    """Returns the analysis that an amendment refers to. Raises `InputError` if the run does not have it."""
+    """Returns the analysis that an amendment amends. Raises `InputError` if the run has no such analysis."""
     return chosen_analysis(reader.path, reader.analyses, amendment.amends)
 
 
 def require_same_measurement(run: Sound, evaluated: Sound) -> None:
-    """Raises `InputError` if the plan of an amendment differs in more than its evaluation, because the samples were recorded with
-    the plan of the run."""
+    """Raises `InputError` if the plan of an amendment differs from the plan of the run in anything except its evaluation. The
+    samples were recorded with the plan of the run, so nothing else can be changed."""
     differ = [name for name, meaning in _measured(evaluated.plan).items() if meaning != _measured(run.plan).get(name)]
     if differ:
         message = f"this plan differs from that of the run in: {', '.join(differ)}"

@@ -1,6 +1,5 @@
-"""Checks whether a plan has the approvals that a bench requires: before the plan runs, when a run is resumed, and afterwards.
-
-On such a bench, only approved plans run: `running.start` executes a plan only if `required_approvals` found enough approvals.
+"""Checks whether a plan has the approvals that a bench requires: before the plan runs, when a run is resumed, and after the run. If
+a bench requires approvals, `running.start` executes a plan only if `required_approvals` found enough of them.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ from planrunner.signing.key_ring import KeyRing, parse_ring
 
 @dataclass(frozen=True, slots=True)
 class RingFile:
-    """Contains a key ring, and the text from which it was read."""
+    """Contains a key ring and the text of its file."""
 
     path: Path
     text: str
@@ -94,9 +93,9 @@ def _ring(rule: ApprovalRule, path: Path) -> RingFile:
 
 @dataclass(frozen=True, slots=True)
 class _Reason:
-    """How a finding states the reason why an approval does not count.
+    """Describes the reason why an approval does not count, in the form in which a finding states it.
 
-    `code`: code of the finding. `hint`: what to do. `key`: the key of the bench's rule for approvals that the reason concerns, if
+    `code`: code of the finding. `hint`: what to do. `key`: the key in the bench's rule for approvals to which the reason refers, if
     any.
     """
 
@@ -173,7 +172,8 @@ class _Differences:
     data: bytes
 
     def words(self, approval: StatedApproval) -> str:
-        """Describes the difference from an approved plan, if the text of that plan is available and still has the approved meaning."""
+        """Describes how the approved plan differs. The difference can be described only if the text of that plan is available and
+        still has the approved meaning."""
         data = approved_text(self.folder, approval)
         if data is None:
             return ""
@@ -233,8 +233,8 @@ def _tell(
 def still_approved(
     reader: RunReader, plan: Plan, bench: Bench, bench_file: Path | None, further: Path | None = None
 ) -> tuple[JsonObject, ...]:
-    """Returns the approvals that were added since the run began or was last continued, as entries for its journal. Raises
-    `InputError` if too few approvals count today.
+    """Returns the approvals that were added since the run began or was last continued, as entries for the journal of the run.
+    Raises `InputError` if too few approvals count today.
 
     `bench_file`: a bench file that replaces the one in the run folder. `further`: plan file; approvals that were given after the
     run began are read from the folder of this file. Without `further`, only the approvals with which the run began or was continued
@@ -275,8 +275,8 @@ def still_approved(
 def _renewals(
     state: JournalState,
 ) -> list[tuple[datetime, tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]]]:
-    """Returns, for each time at which a run was continued with further approvals: the time, these approvals, and the journal
-    entries that are not approvals."""
+    """Returns one tuple for each time at which a run was continued with further approvals. It contains the time, these approvals,
+    and the journal entries that cannot be read as approvals."""
     return [(datetime.fromisoformat(at), entries_of(given)) for at, given in state.renewals]
 
 
@@ -355,7 +355,7 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
 
 
 def _check_override(found: Examined, kept: KeptApprovals, ring: KeyRing) -> None:
-    """Checks whether each signed override of the check standard was valid when the run began with it or was continued with it."""
+    """Checks whether each signed override of the check standard was valid when it was used to begin or to continue the run."""
     begun = found.run.get("check_standard", {})
     created = datetime.fromisoformat(str(found.run["created"]))
     judged_then = [(RUN, created, kept.day, begun)]
@@ -422,8 +422,8 @@ def _name(one: JudgedApproval) -> str:
 
 
 def approved_by(reader: RunReader) -> Iterator[tuple[str, str]]:
-    """Returns, for each approval in the run folder, the name of the person and the text about the approval that reports print. The
-    approvals were verified when the run began or was continued with further approvals."""
+    """Yields two texts for each approval in the run folder: the name of the person, and the description of the approval that
+    reports print. The approvals were verified when the run began or was continued with further approvals."""
     if reader.approvals is None:
         return
     kept, _ = kept_approvals(reader.approvals, reader.path)

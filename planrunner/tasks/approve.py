@@ -140,8 +140,8 @@ def withdraw(plan: Path, signer: Signer, name: str, why: str, storage: Storage |
 
 
 def approvals_on(plan: Path, sound: Sound, ring: KeyRing | None = None) -> BenchApprovals:
-    """Returns those approvals of a plan on a bench that are valid now. `ring`: the key ring to use instead of the ring that the
-    bench names. Raises `InputError` if the approvals or the key ring cannot be read."""
+    """Returns the approvals of a plan on a bench that are valid now. `ring`: the key ring to use instead of the ring that the bench
+    names. Raises `InputError` if the approvals or the key ring cannot be read."""
     rule = sound.bench.approvals
     if ring is None:
         ring = KeyRing({}) if rule is None else ring_of(rule, Path(sound.bench.origin.mark.file)).ring

@@ -29,8 +29,8 @@ _NOISE = {"degC": ("K", 1.0), "degF": ("K", 5 / 9)}
 
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
-    """Returns the message and the hint of a finding about wrong axes: the gyros x, y, z turn about the given axes of the
-    accelerometers."""
+    """Returns the message and the hint of a finding about wrong axes. `axes`: the axes of the accelerometers about which the gyros
+    x, y, z actually turn."""
     turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in zip("xyz", axes, strict=True))
     return (
         f"Gyros and accelerometers have different axes. In the axes of the accelerometers: {turns}.",
@@ -117,7 +117,7 @@ def bench_of(look: Look, name: str) -> str:
 
 
 def _labelled(look: Look) -> list[tuple[str, Span]]:
-    """Returns the dwells of a recording in which a table turned at different rates, each with its label."""
+    """Returns each dwell of a recording in which a table turned at different rates, with a label."""
     return [(f"dwell_{number}", span) for number, span in enumerate(look.dwells, start=1)]
 
 

@@ -1,7 +1,6 @@
-"""Signatures that are made automatically with the key of the bench: of the seal of every run, and of every analysis made on the
-computer of the bench.
+"""Signs automatically, with the key of the bench: the seal of every run, and every analysis made on the computer of the bench.
 
-If signing fails, this never damages a run: the run stays sealed, the command warns, and `sign_later` signs the run when the key is
+A failure to sign never damages a run. The run stays sealed, the command warns, and `sign_later` can sign the run when the key is
 available.
 """
 
@@ -52,7 +51,7 @@ def key_of(bench: Bench) -> PublicKey | None:
 
 def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
     """Adds an error if the public key in the bench file cannot be read. `key_needed`: True if a run on this computer may follow the
-    check. A private key that is not available then causes only a warning, because the run is worth more than its signature."""
+    check. If the private key is not available then, this causes only a warning, because a run is worth more than its signature."""
     if bench.signing is None:
         return
     mark = bench.signing.at("key")
@@ -109,7 +108,7 @@ def sign_analysis(
 
 
 def _require_signed_seal(reader: RunReader) -> None:
-    """Raises `BenchKeyError` unless the present seal is the one that was read before and is signed with the key in the bench file."""
+    """Raises `BenchKeyError` if the seal has changed since it was read, or if it is not signed with the key in the bench file."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     seal = digest(reader.folder.read(seals.NAME, seals.MOST_BYTES))
     good = (one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid")
@@ -153,7 +152,7 @@ def locked(folder: GuardedFolder) -> Iterator[None]:
 
 
 def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[int, Results]) -> None:
-    """Makes the signatures that should have been made automatically: of the seal of a verified run, and of analyses that were
+    """Makes the signatures that should have been made automatically. Signs the seal of a verified run, and the analyses that were
     recomputed. The caller must hold the lock of the run folder. `proven`: maps the number of each recomputed analysis to its
     results. Raises `InputError` if a signature cannot be made, and `OSError` if a file cannot be written."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
@@ -166,8 +165,8 @@ def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[
 
 
 def unsigned_analyses(reader: RunReader) -> tuple[int, ...]:
-    """Numbers of the analyses without a good signature. A signature is good if it is valid, or if it cannot be verified only
-    because no key ring is given. Raises `OSError` if a file cannot be read."""
+    """Returns the numbers of the analyses that have no good signature. A signature is good if it is valid, or if it cannot be
+    verified only because no key ring is given. Raises `OSError` if a file cannot be read."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     good = [one for one in signatures_of(reader.folder, bench=signing) if one.standing != "invalid"]
     covered = {number for one in good for number in one.analyses}

@@ -233,8 +233,8 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
-    """Returns the reason why a run cannot be the one before the adjustment: it is the certified run itself, or it was made with
-    another item. None if neither is the case."""
+    """Returns the reason why a run cannot be the run before the adjustment: it is the certified run itself, or it was made with
+    another item. Returns an empty list if neither is the case."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"
         hint = "give the run of the same item before its adjustment"
@@ -250,5 +250,5 @@ def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader)
 
 
 def names() -> list[str]:
-    """Returns the names of all run information that certificates use."""
+    """Returns the names of all items of run information that certificates use."""
     return [item.name for item in ASKED]

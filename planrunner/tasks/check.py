@@ -49,7 +49,7 @@ HOPELESS = 1e6
 @dataclass(slots=True)
 class Checked:
     """Contains the result of checking a plan: the findings, and the plan and the bench as far as they could be read. `plan_bytes`,
-    `bench_bytes`: the exact bytes that were read; the plan already contains the values that were given for its parameters.
+    `bench_bytes`: the exact bytes that were read. In the plan, the values that were given for its parameters are already entered.
     `approvals`: the approvals that the bench requires; None if it requires none or if the plan lacks them."""
 
     file: str
@@ -88,9 +88,9 @@ class Checked:
 
     @property
     def portable(self) -> bool:
-        """Returns True if the check would give the same result on another computer today. Another computer has no signing key, may
-        have other runs and another time, and may lack files. The result is therefore False if the bench signs its runs, has a check
-        standard or requires approvals, or if the check found an error."""
+        """Returns True if the check would give the same result on another computer today. Another computer has no signing key, and
+        it may have other runs, another time, and fewer files. The result is therefore False if the bench signs its runs, has a
+        check standard or requires approvals, or if the check found an error."""
         bench = self.bench
         if bench is None or not self.ok:
             return False
@@ -166,11 +166,12 @@ def check_plan(
 ) -> Checked:
     """Makes all checks of a plan before it runs. It raises no error, whatever the files contain.
 
-    `plan_file`: path of the plan file, or its contents as a `Document`. For a `Document`, the bench is searched relative to the
-    name that it shows. Approvals are searched only next to the file of a path. A `Document` can therefore pass the checks, but does
-    not run on a bench that requires approvals. `bench`: the bench to use instead of the one in the plan: the name of a shipped
-    bench, a path relative to the working folder, or a `Document`. `today`: the day on which calibrations must be valid; by default,
-    the current day. `parameters`: values for parameters of the plan. Findings about such a value state where the value was given.
+    `plan_file`: path of the plan file, or its contents as a `Document`. If `plan_file` is a `Document`, a bench that it names is
+    searched for relative to the name of the `Document`. Approvals are searched for only if `plan_file` is a path, and then next to
+    the file. A `Document` can therefore pass the checks, but it does not run on a bench that requires approvals. `bench`: the bench
+    to use instead of the one in the plan: the name of a shipped bench, a path relative to the working folder, or a `Document`.
+    `today`: the day on which calibrations must be valid; by default, the current day. `parameters`: values for parameters of the
+    plan. Findings about such a value state where the value was given.
     """
     file = plan_file.shown if isinstance(plan_file, Document) else str(plan_file)
     checked = Checked(file, Findings(), {name: given.value for name, given in parameters.items()})
@@ -234,8 +235,8 @@ def _check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
 
 
 def _check_approvals(checked: Checked, plan_file: Path, plan: Plan, bench: Bench, today: date | None) -> None:
-    """Checks the approvals of a plan that has no errors. Plans with errors are not checked, because they cannot run, and correcting
-    an error may change the meaning."""
+    """Checks the approvals of a plan that has no errors. Plans with errors are not checked, because they cannot run and because the
+    correction of an error may change their meaning."""
     if bench.approvals is None or checked.findings.errors:
         return
     from planrunner.tasks.approvals import required_approvals
@@ -377,7 +378,7 @@ def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
 
 
 def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findings) -> None:
-    """Adds one finding for a group of outputs, if what was found for them requires a finding."""
+    """Adds one finding for a group of outputs, if the outputs have a fault that must be reported."""
     judged, names = alike[0], [one.output for one in alike]
     outputs = f"output {names[0]}" if len(names) == 1 else f"outputs {', '.join(names[:-1])} and {names[-1]}"
     if not judged.sound:

@@ -80,8 +80,9 @@ def sign_override(bench: Bench, override: Override, until: date, signer: Signer)
 
 
 def signature_of(bench: Bench, override: Override) -> JsonObject | None:
-    """Reads the signed statement of an override; returns None if the bench has no key ring, because nobody can then be
-    authenticated. Raises `InputError` if the bench has a key ring but there is no valid signed override next to the bench file."""
+    """Reads the signed statement of an override. Returns None if the bench has no key ring, because a signature cannot then be
+    attributed to a person. Raises `InputError` if the bench has a key ring but there is no valid signed override next to the bench
+    file."""
     rule = bench.check_standard
     if rule is None or bench.approvals is None:
         return None
@@ -112,7 +113,8 @@ def _require_named(bench: Bench, rule: CheckStandardRule, override: Override) ->
 
 
 def shown_name(override: JsonObject) -> str:
-    """Returns the name of the person who gave an override, as run.json states it, and True if this name is authenticated."""
+    """Returns the name of the person who gave an override, as run.json states it. A remark is added to a name that is not
+    authenticated."""
     name = str(override["by"])
     return name if "signature" in override else f"{name} (name not authenticated)"
 

@@ -100,7 +100,8 @@ class SoundSuite:
 
 
 def is_suite(file: Path) -> bool:
-    """Returns True if a file is a suite, that is, has the key `planrunner_suite`. False for a file that cannot be read."""
+    """Returns True if a file is a suite, that is, if it has the key `planrunner_suite`. Returns False for a file that cannot be
+    read."""
     try:
         data = source.read_bytes(file)
         # The whole text is parsed only if it contains the key.
@@ -112,8 +113,8 @@ def is_suite(file: Path) -> bool:
 
 
 def bench_file(suite: Suite, file: str, name: str) -> str:
-    """Returns the name of a shipped bench, or the path of a bench file, to which a bench of a suite refers. A name without a folder
-    or an ending means a shipped bench, as in a plan."""
+    """Returns the name of the shipped bench, or the path of the bench file, that a suite means by the name of a bench. A name
+    without a folder or an ending means a shipped bench, as in a plan."""
     written = suite.benches[name].bench
     return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
 
@@ -276,8 +277,8 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
 
 
 def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
-    """Returns a finding about a plan with the values of the plan's parameters added to its text. They are added because the finding
-    does not occur with other values."""
+    """Returns a finding about a plan, with the values of the plan's parameters added to the text of the finding. They are added
+    because the finding may not occur with other values."""
     values = ", ".join(f"{name} = {value}" for name, value in test.parameter_values.items())
     return replace(finding, message=f"{finding.message} (with {values})")
 

@@ -1,9 +1,9 @@
-"""Closes the gap between recording and simulation: enters the effects that a diagnosis finds into the simulation, simulates the
-plan again, and compares the recording with the simulations without and with these effects. A recording that is played back is
-simulated with its recorded motion, without a bench.
+"""Closes the gap between a recording and its simulation. The effects that a diagnosis finds are entered into the simulation, and
+the plan is simulated again. The recording is then compared with two simulations: one without these effects and one with them. A
+recording that is played back is simulated with its recorded motion, without a bench.
 
-`close` repeats this: it subtracts the effects found from the recording and diagnoses the remaining gap again, until none of it can
-be attributed to a named effect.
+`close` repeats these steps: it subtracts the effects found from the recording, and diagnoses the remaining gap. It ends when no
+part of the remaining gap can be attributed to a named effect.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _OTHER_SEED = 0x5EED
 
 
 class Ending(Enum):
-    """States in words for the user why `close` ended."""
+    """States why `close` ended, in words for the user."""
 
     NOTHING_LEFT = "noise alone explains the remaining gap"
     NO_NAME = "the catalogue does not contain the cause of the remaining gap"
@@ -57,8 +57,8 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class ClosingRound:
-    """Contains one round of `close`: the diagnosis of the remaining gap, and the comparison after the effects of this diagnosis
-    were entered."""
+    """Contains the results of one round of `close`: the diagnosis of the remaining gap, and the comparison after the effects of
+    this diagnosis were entered."""
 
     made: Diagnosed
     comparison: GapComparison
@@ -66,7 +66,7 @@ class ClosingRound:
 
 @dataclass(frozen=True)
 class Closed:
-    """The result of `close`.
+    """Contains the result of `close`.
 
     `first`: diagnosis of the recording. `last`: diagnosis of the gap that remains at the end. `bench`: text of the bench file with
     all effects entered; empty if there are no effects, or if the simulations were computed without a bench.
@@ -83,8 +83,8 @@ class Closed:
 def comparison(
     made: Diagnosed, stop: StopRequest, simulation: str | None = None, stated: Stated | None = None
 ) -> GapComparison:
-    """Compares the recording of a diagnosis with two simulations, without and with effects. `simulation`: the virtual bench that
-    simulates the plan, as a name or a file; by default, the bench of the recording. A bench that plays recordings back cannot
+    """Compares the recording of a diagnosis with two simulations, one without and one with effects. `simulation`: the virtual bench
+    that simulates the plan, as a name or a file; by default, the bench of the recording. A bench that plays recordings back cannot
     simulate; in that case, the simulations are computed for the recorded motion. `stated`: the effects with their parameters, in
     the form in which a diagnosis states them; by default, the effects in its verdict.
 
@@ -128,7 +128,8 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     """Returns two simulations for the recorded motion, one without and one with the effects. Each simulation has its own white
     noise and is rounded to counts. The noise levels and counts are those of the recording. If an effect changes the noise or the
-    count of a channel, the simulation without effects uses the declared value of the channel instead."""
+    count of a channel, the simulation without effects uses the declared value of the channel instead of the value of the
+    recording."""
     from planrunner.error_model.added import stuck
     from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of
 
@@ -167,8 +168,9 @@ def _of_counts(seen: Observed, values: Array, counts: Array) -> Observed:
 
 
 def _before_rounding(level: Array, counts: Array, declared: Array) -> Array:
-    """Standard deviation (K,) that the noise has before the samples are rounded to counts (K,). `level`: standard deviation (K,) of
-    the rounded samples. If a count is so coarse that the samples do not show the noise, the declared level is returned."""
+    """Returns the standard deviation of the noise before the samples are rounded, for each of K channels. `level`: standard
+    deviation (K,) of the rounded samples. `counts`: the counts (K,). If a count is so coarse that the rounded samples do not show
+    the noise, the declared level is returned."""
     from planrunner.gap.evidence.rounding import is_coarse
 
     left = np.sqrt(np.maximum(level**2 - counts**2 / 12, 0.0))
@@ -176,7 +178,7 @@ def _before_rounding(level: Array, counts: Array, declared: Array) -> Array:
 
 
 def _rounded(values: Array, counts: Array) -> Array:
-    """Samples (N, K), rounded to counts (K,). A channel whose count is 0 stays unchanged."""
+    """Returns the samples (N, K), rounded to whole counts (K,). A channel whose count is 0 stays unchanged."""
     whole = np.where(counts > 0, counts, 1.0)
     return np.where(counts > 0, np.round(values / whole) * whole, values)
 
@@ -199,8 +201,8 @@ def close(
     rounds: int = ROUNDS,
     notice: Announce | None = None,
 ) -> Closed:
-    """Repeats four steps until none of the remaining gap can be attributed to a named effect: diagnoses, enters the effects found,
-    simulates, and compares. Raises `InputError` if the recording cannot be diagnosed or simulated."""
+    """Repeats four steps: diagnoses, enters the effects found, simulates, and compares. Ends when no part of the remaining gap can
+    be attributed to a named effect. Raises `InputError` if the recording cannot be diagnosed or simulated."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
     computed = computed_from_recording(recorded, simulation)
@@ -267,7 +269,8 @@ def _sum(first: str | None, second: str) -> str:
 
 
 def _without(made: Diagnosed, stated: Stated) -> Observed:
-    """Returns the samples of a diagnosis after subtracting the effects, whose contribution is computed for the recorded motion."""
+    """Returns the samples of a diagnosis, from which the effects are subtracted. The contribution of the effects is computed for
+    the recorded motion."""
     weighing = made.diagnosis.grounds.weighing
     fitted = weighing.fitted()
     change = _plus(made, fitted, _additions(made, stated)) - fitted
@@ -275,9 +278,9 @@ def _without(made: Diagnosed, stated: Stated) -> Observed:
 
 
 def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
-    """Returns the effects to add to a simulation, each with all its parameters. Some effects act in every simulated world, but the
-    nominal simulation of the diagnosis may lack them. The diagnosed amplitude of such an effect is then added to the full effect of
-    the world."""
+    """Returns the effects to add to a simulation, each with all its parameters. Some effects act in every simulated world, but may
+    be missing in the nominal simulation of the diagnosis. The diagnosed amplitude of such an effect is added to its amplitude in
+    the simulated world."""
     from planrunner.error_model.added import SHARE, addition
     from planrunner.error_model.effects.interface import InEveryWorld
 
@@ -293,7 +296,7 @@ def _additions(made: Diagnosed, stated: Stated) -> list[Addition]:
 
 
 def _plus(made: Diagnosed, fitted: Array, additions: Sequence[Addition]) -> Array:
-    """Returns the output of the nominal simulation, with the effects added, SI, shape (N, K)."""
+    """Returns the output of the nominal simulation with the effects added, in SI units, shape (N, K)."""
     from planrunner.error_model.added import added
 
     return added(replace(made.diagnosis.grounds.weighing.declared, fitted=fitted), fitted, additions, 0)
@@ -320,7 +323,8 @@ def _base(recorded: Recorded, simulation: str | None) -> Sound:
 
 
 def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
-    """Entries that remove the effects that act in every simulated world but that the nominal simulation of the diagnosis lacks."""
+    """Returns entries that remove certain effects from a simulation: those that act in every simulated world but not in the nominal
+    simulation of the diagnosis."""
     from planrunner.error_model.effects.interface import InEveryWorld, effect_named
 
     known = {*nominal, *(name for name, _ in stated)}
@@ -332,7 +336,7 @@ def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
 
 
 def _with(base: Sound, stated: Stated, mark: Mark) -> Sound:
-    """Returns the plan, checked on its bench to which the given effects are added."""
+    """Returns the plan, checked on its bench after the given effects were added to the bench."""
     if not stated:
         return base
     shown = base.bench.origin.mark.file

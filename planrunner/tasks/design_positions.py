@@ -153,7 +153,7 @@ class _Designer:
         )
 
     def _require_rank(self) -> None:
-        """Raises `EstimationError` if the terms cannot be separated by any set of orientations that the table can reach."""
+        """Raises `EstimationError` if no set of orientations that the table can reach separates the terms."""
         seen = rank.look(np.concatenate([self.region_rows, self.sight.fixed]))
         if seen.rank < self.terms:
             blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
@@ -163,8 +163,8 @@ class _Designer:
             )
 
     def _require_time(self) -> None:
-        """Raises `EstimationError`, before the search, if those parts of the plan that do not depend on the positions already take
-        longer than the time budget."""
+        """Raises `EstimationError` if the parts of the plan that do not depend on the positions already take longer than the time
+        budget. This is checked before the search."""
         if self.asked.time is None:
             return
         recorded = [segment for place in self.places for segment in place.segments]
@@ -177,8 +177,8 @@ class _Designer:
         self._left(others, "the other segments take")
 
     def _left(self, spent: float, what: str) -> float:
-        """Time [s] that the budget leaves for the recordings at all positions together, if each position is recorded once. Raises
-        `EstimationError` if this time is too short."""
+        """Returns the time [s] that the budget leaves for the recordings at all positions together, if each position is recorded
+        once. Raises `EstimationError` if this time is too short."""
         assert self.asked.time is not None
         left = (self.asked.time - spent) / len(self.places[0].segments)
         if left < 10 * self.count:
@@ -189,13 +189,15 @@ class _Designer:
 
     @property
     def _decimals(self) -> int:
-        """Number of decimals of the angles [deg] in the orientations that are written to the plan. It is two if the table can reach
-        any attitude. It is larger if axes are missing or limited, because a rounded orientation might then be out of reach."""
+        """Returns the number of decimals for angles [deg] in the orientations that are written to the plan. It is two if the table
+        can reach any attitude. It is larger if axes are missing or limited, because the table might then be unable to reach a
+        rounded orientation."""
         anywhere = len(self.axes) == 3 and all(axis.continuous for axis in self.axes)
         return DECIMALS if anywhere else 7
 
     def _rounded(self, settings: Array) -> Array:
-        """Joint angles, rounded to hundredths of a degree within the limits of the axes, as an operator would set them."""
+        """Returns the angles of the table's axes, rounded to hundredths of a degree, as an operator would set them. The rounded
+        angles stay within the limits of the axes."""
         step = math.radians(10.0**-DECIMALS)
         low, high = np.array([(axis.lowest, axis.highest) for axis in self.axes]).T
         return np.clip(np.round(settings / step) * step, low, high)
@@ -325,7 +327,8 @@ class _Designer:
         )  # fmt: skip
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
-        """Returns the dwell at each position within the time budget, and the D-efficiency of equal dwells relative to these."""
+        """Returns the dwell at each position within the time budget, and the D-efficiency of equal dwells relative to these
+        dwells."""
         if self.asked.time is None:
             return (), 1.0
         used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
@@ -347,8 +350,8 @@ class _Designer:
 
 
 def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
-    """Returns the plan with other orientations, which are given as attitudes (3, 3) by their positions in the plan's text. The
-    result contains the schedule of this plan, with the real transition times, and the information for the plan's estimates. Raises
+    """Replaces orientations of the plan. Returns the schedule of the new plan, with the real transition times, and the designs of
+    its estimates. `attitudes`: maps the position of each orientation in the plan's text to the new attitude (3, 3). Raises
     `EstimationError` if the bench cannot execute this plan."""
     assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
     new = {

@@ -1,9 +1,9 @@
 """Designs the rates of a plan within a time budget. Finds the pairs of rates that give the most information about a scale factor,
-and the recording time of each pair.
+and determines how long to record at each pair.
 
-The estimator gives the information of each rate. The design changes only one sweep of the plan. If only the terms of a straight
-line were used, the design would choose only the largest rates. By default, the columns |rate| and rate³ are therefore added to the
-estimator's terms. They stand for asymmetry and nonlinearity, which a scale-factor test also reports.
+The estimator determines the information that each rate gives. The design changes only one sweep of the plan. With the terms of a
+straight line alone, the design would contain only the largest rates. By default, the columns |rate| and rate³ are therefore added
+to the estimator's terms. These columns describe asymmetry and nonlinearity, which a scale-factor test also reports.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _COPY = "designed rate "
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
-    """Returns True if rates are the only thing that can be designed in a plan: its first estimate over several rates fits a
-    straight line. The rates may form one sweep, which can be designed, or several sweeps, which `design_rates` refuses with a hint."""
+    """Returns True if only the rates of a plan can be designed, that is, if the plan's first estimate over several rates fits a
+    straight line. The rates may form one sweep or several; `design_rates` can design one sweep, and refuses several with a hint."""
     if checked.schedule is None or checked.plan is None:
         return False
     for name in [estimate] if estimate is not None else checked.plan.estimates:
@@ -70,8 +70,8 @@ def design_rates(checked: Checked, asked: Asked, bench: str | None = None, worke
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """One sweep over rates: its segments, and all segments that the estimate uses. `mark`: pair (line, column) of the position at
-    which the rates begin."""
+    """Describes a sweep over rates: its segments, and all segments that the estimate uses. `mark`: line and column in the plan's
+    text at which the rates begin."""
 
     name: str
     mark: tuple[int, int]
@@ -187,8 +187,8 @@ class _RateDesigner:
         return design.blocks
 
     def _information(self, block: DesignBlock, kept: Sequence[bool], rate: float) -> Array:
-        """Information (p, p) from those rows of the block that `kept` selects, weighted with the noise of each row. The unit is the
-        information of one observation at the largest rate."""
+        """Returns the information matrix (p, p) of p terms from the rows of the block that `kept` selects, weighted with the noise
+        of each row. The unit is the information of one observation at the largest rate."""
         mask = np.array(kept, dtype=bool)
         rows = np.asarray(block.matrix)[mask] / self.scale
         if len(self.terms) > rows.shape[1]:
@@ -198,8 +198,9 @@ class _RateDesigner:
         return np.asarray(weighted.T @ weighted)
 
     def _bundles(self, rates: Sequence[float], dwells: Sequence[float] | None = None) -> Array:
-        """Information (n, p, p) at each of n rates, from all repeats of the pair of segments with that rate. The segments are
-        copies of the planned pair at the largest rate, with the rate changed."""
+        """Returns the information matrix (p, p) of p terms at each of n rates, shape (n, p, p). Each matrix contains the
+        information from all repeats of the pair of segments with that rate. The segments are copies of the planned pair at the
+        largest rate, with the rate changed."""
         copies = []
         for number, rate in enumerate(rates):
             seconds = self._dwell(rate) if dwells is None else dwells[number]
@@ -217,7 +218,7 @@ class _RateDesigner:
         )
 
     def _dwell(self, rate: float) -> float:
-        """Returns the dwell [s] at a rate, which follows from the dwell that the plan states for its largest rate."""
+        """Returns the dwell [s] at a rate, computed from the dwell that the plan states for its largest rate."""
         stated = self.stated[self.pattern[0].label].dwell
         if isinstance(stated, Turns):
             period = 2 * math.pi / rate
@@ -228,7 +229,7 @@ class _RateDesigner:
         return self.pattern[0].dwell
 
     def _overhead(self, rate: float) -> float:
-        """Time [s] of one segment at a rate, in addition to its dwell."""
+        """Returns the time [s] that one segment at a rate takes in addition to its dwell."""
         return 2 * spin_up_time(self.axis, rate) + self.pattern[0].settle
 
     # -- the study -----------------------------------------------------------------------------------------------------

@@ -54,9 +54,9 @@ DIAGNOSIS_FORMAT = 1
 class Recorded:
     """Contains a recording and the plan with which it was made.
 
-    `where`: the run folder or the file, for messages. `bench`: name or file of the bench, in a form that another plan can use.
-    `created`: time when the run began. `remarks`: notes about the run folder. `several`: True if recordings of several runs were
-    joined.
+    `where`: the run folder or the file, for messages. `bench`: name or file of the bench, in a form that a plan in another folder
+    can use. `created`: time when the run began. `remarks`: notes about the run folder. `several`: True if recordings of several
+    runs were joined.
     """
 
     sound: Sound
@@ -73,7 +73,7 @@ class Diagnosed:
     """Contains a diagnosis with its recording, findings about the recording, and a proposal of what to measure next. The proposal
     is None if no question is open. `declarations`: wrong declarations that were corrected before the diagnosis. `stated`: maps each
     effect that is known to act to the stated values of its parameters. A value that is stated without a parameter name has the key
-    ''; it applies to the only parameter, or to all amplitudes."""
+    ''. Such a value applies to all amplitudes, or to the only parameter if there is just one."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -133,8 +133,8 @@ def diagnose_recorded(
     `options`: options of the diagnosis; by default, those in the plan. `jobs`: number of threads for linear algebra; more than one
     rarely helps, because the systems are small. `notice`: receives the progress of reading. `given`: effects that are known to act.
     `EFFECT` in this list means that the effect is fitted. `EFFECT=VALUE` and `EFFECT=NAME:VALUE,NAME:VALUE…` mean that the effect
-    with these values is subtracted from the samples. The diagnosis is about the gap that remains after this. Raises `InputError`
-    with all obstacles to a diagnosis.
+    with these values is subtracted from the samples. The gap that remains after subtraction is diagnosed. Raises `InputError` with
+    all obstacles to a diagnosis.
     """
     from threadpoolctl import threadpool_limits
 
@@ -166,8 +166,8 @@ GIVEN = "--given"
 
 
 def _known(given: Sequence[str]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
-    """Reads the effects that are known to act; returns the names of those to fit, and the stated values of those to subtract.
-    Raises `InputError` for an unknown effect or an effect given twice."""
+    """Reads the effects that are known to act. Returns the names of the effects to fit, and the stated values of the effects to
+    subtract. Raises `InputError` for an unknown effect or an effect given twice."""
     from planrunner.tasks.simulate import parsed
 
     fitted: list[str] = []
@@ -208,8 +208,8 @@ _CLEARLY = 2.0
 def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
     """Warns about nominal terms whose values are outside the specification in the bench file. If there is no specification, the
     usual limits of the sensor's grade are used, and the grade is determined from the sensor's noise. The values come from the fit
-    of the simulation or from the diagnosis. A value whose uncertainty is larger than the usual limit is not determined by the plan
-    and shows nothing about the sensor."""
+    of the simulation or from the diagnosis. A value with an uncertainty above the usual limit is ignored: the plan does not
+    determine it, so it shows nothing about the sensor."""
     from planrunner.bench.specification import SENSES, grade_of
     from planrunner.gap.answer.parameters import nominal_values
     from planrunner.reporting.rounding import rounded
@@ -239,8 +239,8 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
 
 
 def _noise(found: Diagnosis) -> dict[Sense, float]:
-    """White noise of the gyros and of the accelerometers, in the units of `Grade.quietest`. It is the median, over the channels, of
-    the declared noise; for a channel without a declaration, the measured noise is used."""
+    """Returns the white noise of the gyros and of the accelerometers, in the units of `Grade.quietest`. Each value is the median
+    over the channels of the declared noise. For a channel without a declaration, the measured noise is used."""
     import math
 
     from planrunner.bench.specification import Sense
@@ -271,8 +271,8 @@ def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptio
 
 
 def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
-    """Proposes what to measure next, for recordings with planned orientations. If no plan can be proposed, the log reports this,
-    and the diagnosis stays valid."""
+    """Proposes what to measure next after a recording with planned orientations. If no plan can be proposed, a finding in the log
+    reports this, and the diagnosis stays valid."""
     from planrunner.tasks.propose import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))
@@ -307,7 +307,7 @@ def _lasting(item: RecordedSegment) -> RecordedSegment:
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
-    """Returns the samples with their planned states, ready for a diagnosis, and warnings about them. Wrong declarations are
+    """Returns the samples with the planned states, ready for a diagnosis, and warnings about the samples. Wrong declarations are
     corrected. `nominal`: the terms that the simulation fits. Raises `InputError` with all obstacles to a diagnosis."""
     seen, _, findings = corrected_observation(recorded, nominal)
     return seen, findings
@@ -316,7 +316,7 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
 def corrected_observation(
     recorded: Recorded, nominal: Sequence[str]
 ) -> tuple[Observed, tuple[WrongDeclaration, ...], Findings]:
-    """Does the same as `observe`, but also returns the corrected wrong declarations."""
+    """Does the same as `observe`, but also returns the wrong declarations that were corrected."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.hypotheses.declarations import corrected
     from planrunner.observation.poses import poses, unknown_orientations
@@ -414,8 +414,8 @@ def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> R
 
 
 def _name_outliers(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
-    """Warns about errors of single samples that only the spectrum of the noise shows, and that the diagnosis does not take into
-    account."""
+    """Warns about errors of single samples that only the spectrum of the noise reveals. The diagnosis does not take these errors
+    into account."""
     import numpy as np
 
     weighing = found.grounds.weighing
@@ -446,8 +446,8 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
 
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
-    """Returns the segments that the plan's `diagnosis` selects by their labels, or the intervals at rest that are detected in these
-    segments, in the order of time."""
+    """Returns the segments that the plan's `diagnosis` selects by their labels, in the order of time. If the plan asks for
+    intervals at rest, returns those detected in these segments instead."""
     return in_time_order(_meant(recorded))
 
 

@@ -67,12 +67,12 @@ class RunOrigin:
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:
-    """The diagnosis of one run.
+    """Contains the diagnosis of one run.
 
-    `plan`: title of the plan. `sensor`: kind of the sensor. `effects`: the effects that the verdict names. `members`: the effects
-    that the plan cannot distinguish; a set of effects is written as 'a+b'. `probability`: maps each set of effects to its
-    probability. `shapes`: maps each effect to its best shape, in the unit of the shape, and to the evidence for this shape in nats.
-    `origin`: whether the samples are measured, simulated or played back.
+    `plan`: title of the plan. `sensor`: kind of the sensor. `effects`: the effects that the verdict names. `members`: sets of
+    effects that the plan cannot distinguish; a set is written as 'a+b'. `probability`: maps each set of effects to its probability.
+    `shapes`: maps each effect to its best shape, in the unit of the shape, and to the evidence for this shape in nats. `origin`:
+    whether the samples are measured, simulated or played back.
     """
 
     plan: str
@@ -103,10 +103,11 @@ class Attributed:
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """The diagnosis of several runs together.
+    """Contains the diagnosis of several runs together.
 
-    `effects`: the effects that were fitted in every run in addition to the nominal terms. `not_attributed`: maps each effect that a
-    run names but that is not attributed to the reason. `shared`: amplitudes that all devices of a production lot have in common.
+    `effects`: the effects that were fitted in every run in addition to the nominal terms. `not_attributed`: for each effect that a
+    run names but that is not attributed, the reason for this. `shared`: amplitudes that all devices of a production lot have in
+    common.
     """
 
     origins: tuple[RunOrigin, ...]
@@ -409,8 +410,8 @@ def _fit_of(held: Json) -> list[AmplitudeEstimate]:
 
 @dataclass(frozen=True, slots=True)
 class _Opened:
-    """A run folder that has passed the check. `bench`: name of the bench. `table`: asset number or serial number of the bench's
-    table, if known."""
+    """Describes a run folder that has passed the check. `bench`: name of the bench. `table`: asset number or serial number of the
+    bench's table, if known."""
 
     run: JsonObject
     bench: str
@@ -431,9 +432,10 @@ def _opened(run: Path) -> _Opened:
 
 
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
-    """Returns every run with the names of its device, bench and occasion. For a run without this result, the obstacles are returned
-    instead. The names come from the run folder and from the user's table, which takes precedence. `skip`: see `_attempted`. Raises
-    `InputError` for a run that is given twice and for a table with errors; without `skip`, also for all obstacles."""
+    """Returns every run with the names of its device, bench and occasion. If these cannot be determined for a run, its obstacles
+    are returned instead. The names come from the user's table and, if it does not state them, from the run folder. `skip`: see
+    `_attempted`. Raises `InputError` for a run that is given twice and for a table with errors; without `skip`, also for all
+    obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):
@@ -460,8 +462,8 @@ def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[Ru
 
 
 def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several: Set[str]) -> RunOrigin | Obstacles:
-    """Returns the run with the names of its device, bench and occasion; or the obstacles to determining these names. `several`:
-    names of benches that have had different tables; the name of the table is appended to these."""
+    """Returns the run with the names of its device, bench and occasion, or the obstacles to determining these names. `several`:
+    names of benches that have had different tables. The name of the table is appended to the name of such a bench."""
     info = opened.run.get("info", {})
     table = f" (table {opened.table or 'without a number'})" if opened.bench in several else ""
     device = stated.get(Source.DEVICE) or device_of(info)
@@ -622,8 +624,8 @@ def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings
 
 def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
     """Returns the effects that at least one run names. If the plan of a run cannot distinguish several effects, one of them is
-    used: the effect that another run names with certainty, otherwise the effect with the highest probability over all runs
-    together."""
+    chosen. This is the effect that another run names with certainty; if there is none, it is the effect with the highest
+    probability over all runs together."""
     certain = {name for one in verdicts if not one.members for name in one.effects}
     chosen = set(certain)
     for one in verdicts:
@@ -653,7 +655,8 @@ def _with_amplitudes(names: Sequence[str]) -> tuple[tuple[str, ...], dict[str, s
 
 
 def _shape(name: str, verdicts: Sequence[RunVerdict]) -> float | None:
-    """Returns the shape of an effect, taken from the run with the most evidence for its shape; None for an effect without a shape."""
+    """Returns the shape of an effect from the run that gives the most evidence for this shape. Returns None for an effect without a
+    shape."""
     found = [one.shapes[name] for one in verdicts if name in one.shapes]
     return max(found, key=lambda item: item[1])[0] if found else None
 
@@ -675,8 +678,8 @@ def _attributed(
 def _one_attributed(
     origins: Sequence[RunOrigin], amplitudes_: int, given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
 ) -> Attributed:
-    """Attributes one amplitude to its sources. `amplitudes_`: number of all amplitudes examined, which the test for changes takes
-    into account. After a change, a device or bench counts as a new one."""
+    """Attributes one amplitude to its sources. `amplitudes_`: number of all amplitudes that are examined; the test for changes
+    takes this number into account. After a change, a device or bench is treated as a new one."""
     from threadpoolctl import threadpool_limits
 
     key, listed = given

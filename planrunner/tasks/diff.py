@@ -1,4 +1,4 @@
-"""Compares two plans, two benches or two runs by meaning, for the command line, pages and other programs.
+"""Compares the meanings of two plans, two benches or two runs, for the command line, pages and other programs.
 
 compared = compare(Path("old.yaml"), Path("new.yaml"))
 compared.different          whether they mean different things
@@ -35,12 +35,12 @@ from planrunner.tasks.run import stored_results
 def compare(
     before: Path, after: Path, bench: str | None = None, *, foresee: bool = True, today: date | None = None
 ) -> Compared:
-    """Compares two files or folders of one kind: plans, benches (also by their shipped names) or run folders. Returns the
-    difference.
+    """Compares two plans, two benches or two run folders, and returns the difference. A bench may also be given by the name of a
+    shipped bench.
 
-    `bench`: the bench on which both plans are checked, instead of the benches that they name. `foresee`: True if both plans are
-    checked on their benches to find the consequences, which takes as long as two runs of `check`. Raises `InputError` if a file
-    cannot be read or has errors of form or meaning, and `IntegrityError` for a damaged run.
+    `bench`: the bench on which both plans are checked, instead of the benches that they name. `foresee`: True to check both plans
+    on their benches and find the consequences of the difference. This takes as long as two runs of `check`. Raises `InputError` if
+    a file cannot be read or has errors of form or meaning, and `IntegrityError` for a damaged run.
     """
     kinds = kind_of(before), kind_of(after)
     if kinds[0] != kinds[1]:
@@ -96,8 +96,8 @@ def kind_of(path: Path) -> ComparedKind:
 
 
 def meaning_of_file(path: Path) -> Meaning:
-    """Returns the meaning of a plan or bench file. The meaning of a plan then contains only the name of its bench. Raises
-    `InputError` if the file cannot be read or has errors."""
+    """Returns the meaning of a plan or bench file. The meaning of a plan contains only the name of its bench, not the contents of
+    the bench file. Raises `InputError` if the file cannot be read or has errors."""
     if kind_of(path) == "bench":
         return meaning_of_bench(_bench(path))
     return meaning_of_plan(_plan(source.read_bytes(path), str(path)))
@@ -120,7 +120,7 @@ def _plan(data: bytes, shown: str) -> Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """One side of the comparison: a plan and its bench. `missing`: the reason why `bench` is None."""
+    """Contains one side of the comparison: a plan and its bench. `missing`: the reason why `bench` is None."""
 
     plan: Plan
     bench: Bench | None
@@ -191,7 +191,7 @@ def _bench_in(reader: RunReader) -> Bench:
 
 
 def _facts(one: RunReader, other: RunReader) -> list[Fact]:
-    """Versions, run information and instruments in which two runs differ."""
+    """Returns the versions, the run information and the instruments in which two runs differ."""
     pairs: dict[str, list[str]] = {}
     for k, reader in enumerate((one, other)):
         stated: JsonObject = {"created": reader.run["created"], "seed": reader.run.get("seed")}
@@ -205,8 +205,8 @@ def _facts(one: RunReader, other: RunReader) -> list[Fact]:
 
 
 def _conditions(one: Sequence[Mapping[str, object]], other: Sequence[Mapping[str, object]]) -> list[Fact]:
-    """Measured conditions in which two runs differ. For each kind of reading, the values in the segment with the largest difference
-    are given. The lost data are given, too."""
+    """Returns the measured conditions in which two runs differ. For each kind of reading, they contain the values in the segment
+    with the largest difference. They also contain the lost data."""
     found = []
     pairs = {str(item["label"]): item for item in other}
     largest: dict[str, tuple[float, str, float, float]] = {}

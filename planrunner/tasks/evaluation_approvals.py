@@ -40,8 +40,8 @@ class EvaluationApproval:
 
 
 def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path) -> bytes | None:
-    """Returns the approval data that the analysis with an amended plan must contain. None if the bench requires no approvals, or if
-    too few of the approvals next to the plan file are valid.
+    """Returns the approval data that the analysis with an amended plan must contain. Returns None if the bench requires no
+    approvals, or if too few of the approvals next to the plan file are valid.
 
     Raises `InputError` if the approvals or the key ring cannot be read, and `IntegrityError` if a file of the run was changed.
     """

@@ -21,10 +21,10 @@ RUNS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class RunList:
-    """A list of runs.
+    """Contains a list of runs.
 
-    `runs`: the runs that pass the filter, the newest first. `total`: number of runs that pass the filter, also those beyond the end
-    of the list. `faults`: folders that could not be read and are therefore not in the index.
+    `runs`: the runs that pass the filter, the newest first. `total`: number of all runs that pass the filter; it may exceed the
+    length of the list. `faults`: folders that could not be read and are therefore not in the index.
     """
 
     runs: tuple[RunRow, ...]
@@ -97,8 +97,8 @@ def trend_of(index: Index, device: str, quantity: str, tolerance: str | None = N
 
 
 def gauge_of(index: Index, quantity: str, wanted: RunFilter) -> tuple[GaugeStudy, str]:
-    """Computes the gauge study of a coefficient in the runs that pass the filter; returns the study and its unit. Raises
-    `InputError` if these runs do not fill the design of a gauge study."""
+    """Computes the gauge study of a coefficient from the runs that pass the filter. Returns the study and the unit of the
+    coefficient. Raises `InputError` if these runs do not fill the design of a gauge study."""
     points = [point for point in index.points(quantity, wanted) if math.isfinite(point.coefficient.value)]
     units = {point.coefficient.unit for point in points}
     hint = "choose runs with --device, --plan, --since and --until that have every combination at least twice"

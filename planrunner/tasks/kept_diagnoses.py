@@ -1,8 +1,7 @@
-"""Stores the results of diagnoses of sealed runs on this computer. After the next night, only the diagnoses of new runs must be
-computed.
+"""Stores the results of diagnoses of sealed runs on this computer. After the next night, only the new runs must be diagnosed.
 
-A diagnosis of a run is a function of the run, of the program with its libraries and plug-ins, and of the options. The name of the
-file with a result is a digest of all three, so any change of them leads to another file. The files are in a folder that only the
+The diagnosis of a run depends on the run, on the program with its libraries and plug-ins, and on the options. The name of the file
+with a result is a digest of all three, so a change of any of them leads to another file. The files are in a folder that only the
 user can change, and can be deleted at any time.
 """
 
@@ -35,8 +34,8 @@ _KEY = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True, slots=True)
 class KeptDiagnoses:
-    """The folder of stored results. `folder`: path of the folder; None if there is no folder that only the user can change. In that
-    case, no results are stored."""
+    """Represents the folder of stored results. `folder`: path of the folder; None if there is no folder that only the user can
+    change. In that case, no results are stored."""
 
     folder: GuardedFolder | None
 

@@ -1,5 +1,5 @@
-"""Runs the tests of a suite at night, unattended, each in a separate process. A night that was interrupted can be continued where
-it stopped.
+"""Runs the tests of a suite at night, unattended. Each test runs in a separate process. A night that was interrupted can be
+continued where it stopped.
 
 The rules that decide when each test runs are in `planrunner.night.timetable`. The night continues after an event only when the
 event has been written to the night's journal. After a kill or a power failure, the journal and the run folders show where the night
@@ -68,11 +68,12 @@ CONTINUED_WITHIN = 24 * 3600.0
 
 
 class NightClock:
-    """Gives the time of a night, which never goes back.
+    """Gives the time of a night. This time never goes back.
 
-    Simulated time advances only by `advance`. Real time comes from the monotonic clock of the computer, from the beginning of this
-    process on. If someone sets the computer's clock forward, the time of the night follows; if someone sets it back, the time of
-    the night does not. `jump`: called with the number of seconds by which the computer's clock was set.
+    Simulated time advances only when `advance` is called. Real time is measured with the monotonic clock of the computer since the
+    beginning of this process. If someone sets the computer's clock forward, the time of the night advances by the same amount; if
+    someone sets it back, the time of the night does not change. `jump`: called with the number of seconds by which the computer's
+    clock was set.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class NightClock:
 
 @dataclass(frozen=True, slots=True)
 class NightOptions:
-    """Options of a night.
+    """Contains the options of a night.
 
     `runs`: folder of the archive. `tell`: called with each line of progress. `program`: the command that starts planrunner.
     """
@@ -123,8 +124,8 @@ class NightOptions:
 
 @dataclass(frozen=True, slots=True)
 class NightResult:
-    """The result of a night. `folder`: folder with the records of the night. `trouble`: the reason why the record could not be
-    written; empty if it was written."""
+    """Contains the result of a night. `folder`: folder with the records of the night. `trouble`: the reason why the record could
+    not be written; empty if it was written."""
 
     folder: Path
     record: JsonObject
@@ -176,7 +177,7 @@ def _archive(options: NightOptions) -> GuardedFolder:
 
 
 class _Lock:
-    """A lock that allows only one night of a suite at a time in an archive. Different suites may run at the same time."""
+    """Locks an archive, so that only one night of a suite runs in it at a time. Different suites may run at the same time."""
 
     def __init__(self, folder: GuardedFolder, name: str, shown: str):
         note = f"process {os.getpid()}, since {datetime.now().astimezone().isoformat(timespec='seconds')}"
@@ -267,8 +268,8 @@ def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: Nig
 def _unfinished(
     nights: GuardedFolder, digest: str, sound: SoundSuite, options: NightOptions, storage: Storage
 ) -> _Night | None:
-    """Returns the newest night of this suite whose journal has no end; None if no such night can be continued. Other unfinished
-    nights are closed."""
+    """Returns the newest night of this suite that has not ended according to its journal; None if no such night can be continued.
+    Other unfinished nights are closed."""
     found: _Night | None = None
     for name, entry in reversed(nights.entries().items()):
         if entry.kind != "folder":
@@ -319,7 +320,7 @@ def _reopened(
 
 
 class _Night:
-    """A night while it is running."""
+    """Represents a night while it is running."""
 
     def __init__(
         self,
@@ -406,7 +407,7 @@ class _Night:
             self._remark(f"the runs could not be diagnosed: {what}")
 
     def _tell_overrides(self) -> None:
-        """Records who permits tests although a check standard is not in control, for the wall display and the report."""
+        """Records, for the wall display and the report, who permits tests although a check standard is not in control."""
         for name, about in self._sound.suite.benches.items():
             given = about.override_check_standard
             if given is None:
@@ -680,7 +681,8 @@ class _Night:
         self._write_reports()
 
     def _judge_standard(self, test: PlannedTest, ending: EndOfTest, reason: str) -> tuple[EndOfTest, str]:
-        """Returns the outcome of a test that measures a check standard: it passed if the check standard is in control now."""
+        """Returns the outcome of a test that measures a check standard. The test has passed if the check standard is in control
+        now."""
         try:
             state = control_state(read_bench(self._sound.bench_of(test), Path())[0], self._options.runs)
         except InputError as error:

@@ -1,10 +1,11 @@
-"""Makes a plan that can settle the open questions of a diagnosis: determines the segments that the bench can execute, chooses among
+"""Makes a plan that can settle the open questions of a diagnosis. Determines the segments that the bench can execute, chooses among
 them, and writes the text of the plan.
 
-The segments are chosen from a menu: a coarse grid of orientations, rates, rocking and temperatures, as lines of a plan. An entry can be
-chosen if the plan language can express it and if scheduling it on the bench gives no findings. The cost of a segment is its scheduled
-time, including the transition. A bench that only plays recordings back shows nothing about the real table and chamber. The segments
-are therefore limited to the rates and temperatures of the recording, and moves are assumed to take as long as in the recording.
+The segments are chosen from a menu: a coarse grid of orientations, rates, rocking and temperatures, as lines of a plan. An entry of
+the menu can be chosen if the plan language can express it, and if it can be scheduled on the bench without findings. The cost of a
+segment is its scheduled time, including the transition. The file of a bench that only plays recordings back contains nothing about
+the real table and chamber. For such a bench, the segments are limited to the rates and temperatures of the recording, and moves are
+assumed to take as long as in the recording.
 """
 
 from __future__ import annotations
@@ -117,7 +118,7 @@ def _orientations(recorded: Sequence[Segment], models: BenchModels) -> list[Arra
 
 
 def _oblique() -> list[Array]:
-    """Orientations with all three axes at equal angles to the vertical, one for each upper octant."""
+    """Returns the orientations in which all three axes have equal angles to the vertical, one for each upper octant."""
     found = []
     for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         up = np.array([x, y, 1.0]) / math.sqrt(3)
@@ -128,8 +129,8 @@ def _oblique() -> list[Array]:
 
 
 def _largest_rate(recorded: Sequence[Segment], models: BenchModels) -> float:
-    """Largest rate [rad/s] that the table and the full scale of the gyros allow. For a recording that is played back, this rate is
-    chosen so that the fastest option has the largest recorded rate."""
+    """Returns the largest rate [rad/s] that the table and the full scale of the gyros allow. For a recording that is played back,
+    this rate is chosen so that the fastest option has the largest recorded rate."""
     visited = max((abs(item.motion.rate) for item in recorded if isinstance(item.motion, Spin)), default=0.0)
     if models.table is None:
         return visited / RATE_SHARES[0]
@@ -142,7 +143,7 @@ def _largest_rate(recorded: Sequence[Segment], models: BenchModels) -> float:
 
 
 def _rocking(recorded: Sequence[Segment], models: BenchModels) -> Iterator[tuple[float, float]]:
-    """Amplitudes [rad] and frequencies [Hz] of rocking about the vertical."""
+    """Yields amplitudes [rad] and frequencies [Hz] of rocking about the vertical."""
     visited = {(m.amplitude, m.frequency) for m in (item.motion for item in recorded) if isinstance(m, Rock)}
     yield from sorted(visited)
     if models.table is None or abs(models.table.axes[0].direction[2]) < 1 or visited:
@@ -154,8 +155,8 @@ def _rocking(recorded: Sequence[Segment], models: BenchModels) -> Iterator[tuple
 
 
 def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[float | None]:
-    """Temperatures [K], the most frequent one first. An entry is None if the plan does not set the chamber. If the plan has fewer
-    than two temperatures, common temperatures are added."""
+    """Returns temperatures [K], with the most frequent temperature of the recording first. An entry is None if the plan does not
+    set the chamber. If the plan has fewer than two temperatures, common temperatures are added."""
     stated = [item.temperature for item in recorded if item.temperature is not None]
     visited = list(dict.fromkeys(round(kelvin, 2) for kelvin in stated))
     visited.sort(key=lambda kelvin: -sum(round(other, 2) == kelvin for other in stated))
@@ -174,7 +175,7 @@ def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[floa
 def _ramps(
     recorded: Sequence[Segment], models: BenchModels, place: Array, warm: Sequence[float | None]
 ) -> Iterator[MenuEntry]:
-    """Temperature ramps during which samples are recorded, starting from the most frequent temperature."""
+    """Yields temperature ramps during which samples are recorded. They start from the most frequent temperature."""
     if models.chamber is None:
         done = {(item.ramp_to, item.dwell) for item in recorded if item.ramp_to is not None}
         ramps = [(kelvin, dwell or 0.0) for kelvin, dwell in done]
@@ -305,7 +306,7 @@ def plan_text(frame: Frame, entries: Sequence[MenuEntry], description: str) -> s
 
 
 class _Options:
-    """The segments that the bench can execute, each with the line that states it in a plan."""
+    """Contains the segments that the bench can execute, each with the line that states it in a plan."""
 
     def __init__(self, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame):
         self.models = models
@@ -323,7 +324,8 @@ class _Options:
         return self._of[segment.label][1]
 
     def seconds(self, before: Segment | None, segment: Segment) -> float:
-        """Time [s] that a segment takes if it follows the segment `before`, or if it is the first one (`before` is None)."""
+        """Returns the time [s] that a segment takes if it follows the segment `before`, or if it is the first segment (`before` is
+        None)."""
         key = ("" if before is None else before.label, segment.label)
         if key not in self._known:
             self._known[key] = self._following(before, segment)
@@ -339,7 +341,7 @@ class _Options:
         return both[-1].seconds
 
     def ordered(self, segments: Sequence[Segment]) -> list[Segment]:
-        """Those of the given segments that the bench can execute in this order."""
+        """Returns the given segments without those that the bench cannot execute in this order."""
         stated = [replace(self._of[item.label][0], label=f"{i}") for i, item in enumerate(segments)]
         kept = build_schedule(stated, self.models, Findings()).segments
         return [segments[int(item.label)] for item in kept]
@@ -367,8 +369,8 @@ def _end(segment: Segment) -> float | None:
 
 
 def _pauses(recording: Sequence[RecordedSegment]) -> tuple[float, float]:
-    """Median time [s] between consecutive recorded segments at the same temperature, and the additional time [s] if the temperature
-    changes."""
+    """Returns the median time [s] between consecutive recorded segments at the same temperature, and the additional time [s] that a
+    change of temperature takes."""
     moves, changes = list[float](), list[float]()
     for before, after in pairwise(recording):
         pause = after.statistics.start - (before.statistics.start + before.statistics.duration)

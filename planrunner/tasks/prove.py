@@ -29,10 +29,10 @@ two digits of the uncertainty, so that a hundredth of the last digit remains."""
 class Proof:
     """Compares recomputed results with the stored results of an analysis.
 
-    `verdict`: `identical` if all bits of every number are equal; `within tolerance` is possible only if other versions computed the
-    stored results. `largest`: the largest change of a value or of a standard uncertainty, in units of the stored standard
-    uncertainty (∞ if something is missing), with the name of the coefficient. `changed`: the versions that differ, each as a pair
-    (stored, now). `stored` is None if the analysis does not state the version.
+    `verdict`: `identical` if all bits of every number are equal. The verdict `within tolerance` is possible only if the stored
+    results were computed by other versions. `largest`: the largest change of a value or of a standard uncertainty, with the name of
+    the coefficient. The change is in units of the stored standard uncertainty, and ∞ if something is missing. `changed`: the
+    versions that differ, each as a pair (stored, now). `stored` is None if the analysis does not state the version.
     """
 
     analysis: int
@@ -73,8 +73,8 @@ def prove(run: Path, number: int | None = None, notice: Announce | None = None, 
 
 
 def _changes(stored: Results, now: Results) -> Iterator[tuple[float, str]]:
-    """Yields, for each coefficient, the change of its value or of its standard uncertainty, whichever is larger, in units of the
-    stored standard uncertainty; also the name of the coefficient."""
+    """Yields, for each coefficient, its change and its name. The change is that of the value or that of the standard uncertainty,
+    whichever is larger, in units of the stored standard uncertainty."""
     for name, estimate in stored.estimates.items():
         again = {} if name not in now.estimates else {one.name: one for one in now.estimates[name].coefficients}
         for one in estimate.coefficients:
@@ -98,7 +98,8 @@ def _change(stored: float, now: float, uncertainty: float) -> float:
 
 
 def _outline(results: Results) -> Json:
-    """Returns the names and verdicts in the results. They must be equal even if the last digits of numbers differ."""
+    """Returns the names and verdicts in the results. They must be equal in both results even if the last digits of numbers
+    differ."""
     return [
         [[name, [one.name for one in item.coefficients]] for name, item in results.estimates.items()],
         [[limit.quantity, limit.verdict] for limit in results.limits],

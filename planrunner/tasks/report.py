@@ -94,19 +94,19 @@ def _bench(sound: Sound) -> dict[str, str]:
 
 
 def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str]:
-    """Returns the identity of an instrument as it reports it, and its asset number from the bench file."""
+    """Returns the identity that an instrument reports, and the asset number of the instrument from the bench file."""
     entry = sound.bench.instruments.get(name)
     return {**said, "asset": entry.asset} if entry is not None and entry.asset else dict(said)
 
 
 def _seeded(sound: Sound) -> bool:
-    """Returns True if the seed of the run had an effect, which is the case if this program simulated an instrument."""
+    """Returns True if the seed of the run had an effect, that is, if this program simulated an instrument."""
     return sound.models.origin == "simulated" and sound.bench.simulation is None
 
 
 def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str) -> Iterator[tuple[str, str]]:
-    """The facts at the top of a report: item, operator, date, duration from the first sample to the last, the number of the
-    analysis, and how many analyses existed when it was made."""
+    """Yields the facts at the top of a report. They are the item, the operator, the date, the duration from the first sample to the
+    last, the number of the analysis, and the number of analyses that existed when it was made."""
     info = {name: _text(value) for name, value in reader.run["info"].items()}
     for name in ("device_serial", "item_identification"):
         if info.get(name):
@@ -136,8 +136,8 @@ def _minute(moment: str, before: str = "") -> str:
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
-    """States where the results come from: times, digests and versions of the run, and those times, digests and versions of the
-    analysis that differ from them. `seeded`: True if the seed of the run had an effect."""
+    """Returns the origin of the results: times, digests and versions of the run. Those of the analysis are added if they differ
+    from those of the run. `seeded`: True if the seed of the run had an effect."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}

@@ -33,8 +33,8 @@ UNUSUAL = ("noticed", "paused", "rescued", "failed", "stopped", "reopened")
 def review_of(
     run: Path, number: int | None = None, notice: Announce | None = None, ring: KeyRing | None = None
 ) -> ReviewContext:
-    """Returns the data for the review page of a run and one of its analyses; by default, the newest. `ring`: key ring with the keys
-    that the user knows.
+    """Returns the data for the review page of a run and one of its analyses. `number`: the analysis; by default, the newest.
+    `ring`: key ring with the keys that the user knows.
 
     Raises `InputError` if the run has no such analysis, and `IntegrityError` if the folder was changed; `planrunner verify` then
     shows the changes.
@@ -134,8 +134,8 @@ def _deviations(
 
 
 def _calibrations(sound: Sound, performed: date) -> Iterator[RunDeviation]:
-    """Yields a deviation for each instrument, and for the site, whose calibration was no longer valid on the day on which the run
-    began."""
+    """Yields a deviation for each instrument whose calibration was no longer valid on the day on which the run began, and for the
+    site if the same holds for it."""
     for item in references(sound.bench):
         due = "" if item.calibration is None else item.calibration.due or ""
         try:

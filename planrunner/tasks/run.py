@@ -70,7 +70,7 @@ RESULTS = NAME
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of a run: its folder and its results.
+    """Contains an analysis of a run: its folder and its results.
 
     `withheld`: reasons why certificates that the plan requests were not written. `remarks`: notes about the run folder. `before`:
     number of the previous analysis, if there is one. `same`: True if the numbers of this analysis are equal to those of the
@@ -90,11 +90,11 @@ class Analysis:
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """An analysis that has been computed but not written.
+    """Contains an analysis that has been computed but not written.
 
-    `bench`: the bench of the run, which signs the analysis if it signs its runs. `basis`: the state of journal and seal that the
-    analysis is based on. `files`: maps the name of each file to its contents. `reports`: names of the files that are reports. The
-    other attributes have the same meaning as in `Analysis`.
+    `bench`: the bench of the run; if it signs its runs, it also signs the analysis. `basis`: the state of the journal and the seal
+    from which the analysis was made. `files`: maps the name of each file to its contents. `reports`: names of the files that are
+    reports. The other attributes have the same meaning as in `Analysis`.
     """
 
     run: Path
@@ -120,9 +120,9 @@ class Retake:
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """Describes a request for reports after a run: the names of the reports, run information given with the request, and the folder
-    of an earlier run of the same item, made before its adjustment. `ring`: key ring with the keys that the user knows; it verifies
-    the signatures that a report prints."""
+    """Describes a request for reports after a run: the names of the reports, the run information given with the request, and an
+    earlier run. The earlier run is the folder of a run of the same item, made before the item was adjusted. `ring`: key ring with
+    the keys that the user knows; it verifies the signatures that a report prints."""
 
     reports: tuple[str, ...] = ()
     given: Mapping[str, str] = field(default_factory=dict)
@@ -192,12 +192,12 @@ def resume(
 ) -> Outcome:
     """Continues an interrupted run with its plan and bench, or repeats segments of a finished or unfinished run.
 
-    `bench`: the name of a shipped bench, or a file, that replaces the bench file in the run folder; it may differ from that file
-    only in the addresses of instruments. For a folder that was not made on this computer, `bench` is required, because a bench file
-    names the devices to connect to; alternatively, `trust_bench` permits using the bench file in the folder. `override`: an
-    override of the check standard of the bench, whose state is checked again. An override with which the run began remains valid.
-    `approvals`: plan file next to which there are approvals that were given after the run began. The journal records the approvals
-    that are used.
+    `bench`: the name of a shipped bench, or a file, that replaces the bench file in the run folder. It may differ from the replaced
+    file only in the addresses of instruments. A bench file names the devices to connect to. For a folder that was not made on this
+    computer, `bench` is therefore required, unless `trust_bench` permits the use of the bench file in the folder. `override`: a
+    decision to continue although the check standard of the bench is not in control; the state of the check standard is determined
+    again. An override with which the run began remains valid. `approvals`: a plan file; approvals that were given after the run
+    began are read from the folder of this file. The journal records the approvals that are used.
 
     The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume the same
     run, one of them is refused before it connects to an instrument.
@@ -230,7 +230,7 @@ def resume(
 def _approved(sound: Sound, runs: Path) -> bytes | None:
     """Returns the approval data that the new run folder will contain; None if the bench requires no approvals.
 
-    Raises `InputError` if approvals are missing. Every run passes this check, however its plan was checked before.
+    Raises `InputError` if approvals are missing. This is checked for every run, even if its plan was checked before.
     """
     bench = sound.bench
     if bench.approvals is None:
@@ -341,8 +341,8 @@ def _carry_out(
     progress: ProgressCallback | None,
     operator: Operator | None,
 ) -> tuple[Path, Outcome]:
-    """Connects the bench, opens the run folder and executes everything that has not been recorded yet. The outcome is recorded even
-    if the bench cannot be made safe."""
+    """Connects the bench, opens the run folder, and executes all segments that have not been recorded yet. The outcome is recorded
+    even if the bench cannot be made safe."""
     ended: tuple[Path, Outcome] | None = None
     try:
         with _ready(sound, data_root, seed, progress) as (bench, warnings), open_writer() as writer:
@@ -446,7 +446,7 @@ def analyse_run(
     notice: Announce | None = None,
     amendment: Amendment | None = None,
 ) -> Analysis:
-    """Makes estimates from the recording of a run alone, and writes the results and reports as a new analysis.
+    """Makes the estimates from the recording of a run, and writes the results and reports as a new analysis.
 
     `checked`: the checked plan of this run; it is not checked again if the folder contains the same plan and bench. `notice`:
     receives the progress of reading.
@@ -455,8 +455,8 @@ def analyse_run(
     only the plan requests is withheld if it cannot be issued. If `issue` requests a certificate that cannot be issued, `InputError`
     with all obstacles is raised.
 
-    `amendment`: who makes the analysis and why, which is stored with it; if the amendment has a plan, its estimates and limits
-    replace those of the run's plan.
+    `amendment`: states who makes the analysis and why; it is stored with the analysis. If the amendment has a plan, the estimates
+    and limits of this plan replace those of the run's plan.
     """
     return keep(evaluate_run(run, issue, checked, notice, amendment))
 
@@ -469,8 +469,8 @@ def evaluate_run(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> Evaluated:
-    """Does the same as `analyse_run`, but writes nothing; `keep` then makes the result an analysis of the run. It may be computed
-    in another process. `workers`: processes that share the Monte Carlo draws."""
+    """Does the same as `analyse_run`, but writes nothing. Afterwards, `keep` stores the result as an analysis of the run. The
+    evaluation may run in another process than `keep`. `workers`: processes that share the Monte Carlo draws."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment, workers=workers)
@@ -555,8 +555,8 @@ def recompute(
 
 
 def evaluated_as(reader: RunReader, analysis: StoredAnalysis) -> Sound:
-    """Returns the checked plan and bench of a run. If the analysis used an amended plan, the plan is that one. Raises `InputError`
-    if that plan no longer passes its checks, and `IntegrityError` if a file of the run was changed."""
+    """Returns the checked plan and bench of a run. If the analysis used an amended plan, returns this plan instead of the plan of
+    the run. Raises `InputError` if that plan no longer passes its checks, and `IntegrityError` if a file of the run was changed."""
     if EVALUATED_PLAN not in analysis.files:
         return sound_run(reader)
     return _evaluated(reader, Document(analysis.read(EVALUATED_PLAN), str(analysis.path / EVALUATED_PLAN)))
@@ -579,8 +579,8 @@ class _Made:
 
 
 def _evaluated(reader: RunReader, plan: Document) -> Sound:
-    """Returns the checked plan and bench of a run, where the plan is replaced by a plan with other estimates or limits. Raises
-    `InputError` if this plan differs from the plan of the run in anything else."""
+    """Returns the bench of a run and a plan with other estimates or limits, after checking both. Raises `InputError` if this plan
+    differs from the plan of the run in anything else."""
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
     bench = Document(reader.bench_bytes, str(reader.path / "bench.yaml"))
     sound = check_plan(plan, bench, made).sound()

@@ -1,5 +1,5 @@
-"""Compares the log of an archive with the runs in the archive; shows which runs were removed, were added without an entry in the
-log, or were replaced."""
+"""Compares the log of an archive with the runs in the archive. The comparison shows which runs were removed, replaced, or added
+without an entry in the log."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ PROOF_FORMAT = 1
 class LogVerification:
     """Contains the result of the verification of a log.
 
-    `content`: entries of the log; None if the log cannot be read. `signed`: the signed tree head in the log, if any. `findings`:
-    errors are changes to the log or to runs; all other findings are remarks.
+    `content`: entries of the log; None if the log cannot be read. `signed`: the signed tree head in the log, if any. `findings`: an
+    error reports a change to the log or to a run; all other findings are remarks.
     """
 
     path: Path
@@ -120,8 +120,8 @@ def verify_log(
     ring: KeyRing | None = None,
     remembered: Mapping[str, RememberedHead] | None = None,
 ) -> LogVerification:
-    """Verifies a log against its own tree head. Optionally, the log is also verified against tree heads that were noted earlier (by
-    the name of the file), and against the runs of the archive."""
+    """Verifies a log against its own tree head. If they are given, it is also verified against the runs of the archive and against
+    tree heads that were noted earlier. `remembered`: maps the name of a file to the tree head that was noted in it."""
     found = LogVerification(log.path)
     try:
         content = found.content = log.read()
@@ -161,7 +161,7 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
 
 @dataclass(slots=True)
 class _History:
-    """The entries of the log about one run.
+    """Contains the entries of the log about one run.
 
     `begun`: True if the run was made in this archive. `journals`: for each entry in the log, maps the number of events that the
     journal had at that time to the digest of the last of these events. `seals`: SHA-256 of each seal of the run.
@@ -193,8 +193,8 @@ class LoggedRun:
     """Contains the data of a run that are compared with the log of its archive.
 
     `name`: name of the run from its journal; if that cannot be read, from run.json, or else the name of the folder. `told`: the
-    tree head that run.json contains. `events`: number of events in the journal; None if the journal cannot be read. `heads`: maps
-    numbers of events to the digest of the last of these events.
+    tree head of the log that run.json contains. `events`: number of events in the journal; None if the journal cannot be read.
+    `heads`: maps numbers of events to the digest of the last of these events.
     """
 
     name: str
@@ -207,7 +207,7 @@ class LoggedRun:
 
 
 def logged_run(run: Examined) -> LoggedRun:
-    """Returns those data of an examined run that are compared with the log of its archive."""
+    """Returns the data of an examined run that are compared with the log of its archive."""
     path, scan = run.folder.path, run.scan
     name = run.state.created["run"] if run.state is not None else run.run.get("run", path.name)
     heads = {} if scan is None else {**scan.heads, scan.count: scan.head}
@@ -254,7 +254,7 @@ def _compare(found: LogVerification, content: LogContent, runs: Sequence[LoggedR
 
 
 def _check_memory(found: LogVerification, content: LogContent, run: LoggedRun, history: _History) -> None:
-    """Checks the log against the tree head that run.json contains."""
+    """Checks the log against the tree head in run.json: the log must still contain the entries that this tree head covers."""
     if run.told is None:
         return
     told, path = run.told, run.path
@@ -280,8 +280,8 @@ def _unlogged(found: LogVerification, run: LoggedRun) -> None:
 
 
 def _contradiction(history: _History, run: LoggedRun) -> str:
-    """States the contradiction between a run and the log; empty if there is none. The run's journal must begin with the events that
-    it had at each entry in the log."""
+    """Returns a description of the contradiction between a run and the log; empty if there is none. For each entry in the log, the
+    journal of the run must begin with the events that it had when the entry was made."""
     if run.events is None:
         return "its journal cannot be read"
     for events, head in history.journals.items():
@@ -296,8 +296,8 @@ def _contradiction(history: _History, run: LoggedRun) -> str:
 
 
 def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
-    """Makes a new log for the runs in the archive. Sealed runs are entered with their seals, all others as runs that have begun.
-    Raises `InputError`, and `IntegrityError` for a run that was changed."""
+    """Makes a new log for the runs in the archive. Sealed runs are entered with their seals, and all others as runs that have
+    begun. Raises `InputError` if the log cannot be made, and `IntegrityError` for a run that was changed."""
     present = [_examined(run, *MENDED) for run in runs]
     log = RunLog.create(archive)
     try:
@@ -340,8 +340,8 @@ def _enter(log: RunLog, run: Examined) -> TreeHead:
 
 
 def retire_run(log: RunLog, run: str, why: str) -> TreeHead:
-    """Records in the log that a run is removed from the archive. `run`: name of the run. Raises `InputError`, and `IntegrityError`
-    for a changed log."""
+    """Records in the log that a run is removed from the archive. `run`: name of the run. Raises `InputError` if the removal cannot
+    be recorded, and `IntegrityError` for a changed log."""
     if not why.strip() or not why.isprintable() or len(why) > 1000:
         message = "the reason must be one line of printable text with at most 1000 characters"
         raise InputError.at(Mark(str(log.path)), "log-why", message, "say who has the run now, and why")

@@ -1,4 +1,4 @@
-"""Validates this installation: reference recordings whose results are known pass through the whole program on the user's computer.
+"""Validates this installation: the whole program evaluates, on the user's computer, reference recordings whose results are known.
 
 Each reference plan in `plans/self_test` is checked, played back, recorded, estimated and compared with `answers.yaml`. Then one
 byte of a recorded file is changed, and the program must detect it.

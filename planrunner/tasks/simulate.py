@@ -1,8 +1,8 @@
-"""Simulates a plan with added effects: an instrument that adds the effects is inserted into the bench, and everything else is as in
-any run.
+"""Simulates a plan with added effects. For this purpose, an instrument that adds the effects is inserted into the bench; everything
+else is as in any run.
 
-The bench file of the run folder contains the added effects. Resuming, estimating and diagnosing therefore use these effects, and
-the bench file can reproduce them later.
+The bench file in the run folder contains the added effects. They are therefore used when the run is resumed, estimated or
+diagnosed, and can be reproduced later.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ INSTRUMENT = "added"
 
 @dataclass(frozen=True)
 class Simulation:
-    """Contains a plan that was checked on a bench with added effects, and these effects."""
+    """Contains the added effects, and the plan, checked on the bench with these effects."""
 
     sound: Sound
     additions: tuple[Addition, ...]

@@ -1,4 +1,5 @@
-"""Stamps runs with the time: makes the object that obtains time stamps for a bench, and stamps a seal when it is written or later."""
+"""Adds time stamps to runs. Makes the object that obtains time stamps for a bench, and stamps a seal when it is written or
+later."""
 
 from __future__ import annotations
 
@@ -41,8 +42,8 @@ def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, stora
 
 
 def after_sealing(folder: GuardedFolder, bench: Bench, stamper: Stamper | None) -> tuple[Finding, ...]:
-    """Stamps the seal of a run that has just been sealed; returns messages to the user about missing time stamps. If stamping
-    fails, this never damages the run."""
+    """Stamps the seal of a run that has just been sealed. Returns messages to the user about missing time stamps. A failure to
+    stamp never damages the run."""
     spec, mark = bench.time_stamps, Mark(str(folder.path))
     if spec is None:
         return ()
@@ -64,8 +65,8 @@ def stamp_run(run: Path, url: str | None = None) -> str:
     """Stamps the seal of a run if it has no time stamp yet; returns the time of the new stamp, or an empty text if there was a
     stamp already.
 
-    `url`: address of the authority; it must be given for a folder that was not made on this computer. Raises `InputError`, and
-    `IntegrityError` for a run that was changed.
+    `url`: address of the authority; it must be given for a folder that was not made on this computer. Raises `InputError` if the
+    seal cannot be stamped, and `IntegrityError` for a run that was changed.
     """
     folder, mark = open_run(run), Mark(str(run))
     try:

@@ -46,8 +46,8 @@ class Verification:
     `changes`: each change, with the finding that describes it. `remarks`: findings that are not changes, for example that the run
     is not sealed. `amendments`: maps the number of each amended analysis to a text that states who amended which analysis, and why.
     `signatures`: all electronic signatures. `stamps`: all time stamps. `approvals`: the approvals under which the plan ran. An
-    invalid signature, stamp or approval also appears in `changes`. `evaluations`: whether approvals cover the evaluation of each
-    analysis, if the bench requires approvals.
+    invalid signature, stamp or approval also appears in `changes`. `evaluations`: states for each analysis whether approvals cover
+    its evaluation; empty if the bench requires no approvals.
     """
 
     found: Examined
@@ -150,8 +150,8 @@ def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignatu
 def verification(
     found: Examined, signatures: tuple[RunSignature, ...] = (), approvals: tuple[RunApproval, ...] = ()
 ) -> Verification:
-    """Derives the result of verifying a run from the result of examining its folder. An error that is no special kind of change
-    counts as an alteration."""
+    """Derives the result of the verification of a run from the examination of its folder. An error that is not one of the special
+    kinds of change is reported as an alteration."""
     changes, remarks = [], []
     for finding in found.findings:
         change = CHANGES.get(finding.code, "altered" if finding.severity == "error" else None)

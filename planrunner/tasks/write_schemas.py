@@ -1,4 +1,5 @@
-"""Writes JSON Schemas (draft 2020-12) of plans, benches and suites. They are generated from the same records that read these files.
+"""Writes JSON Schemas (draft 2020-12) of plans, benches and suites. The schemas are generated from the records with which the
+program reads these files.
 
 The command `python -m planrunner.tasks.write_schemas schemas` writes the schemas; a test checks that the files are up to date.
 """
@@ -77,8 +78,8 @@ def _shared() -> dict[str, Schema]:
 
 
 def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Json:
-    """Returns a copy of `schema` in which references replace all parts that have a name in `names`. Descriptions and examples stay
-    next to the references."""
+    """Returns a copy of `schema`, in which all parts that have a name in `names` are replaced by references. Descriptions and
+    examples stay next to the references."""
     if isinstance(schema, list):
         return [_with_references(item, names, used) for item in schema]
     if not isinstance(schema, dict):

@@ -407,7 +407,7 @@ class _Problem:
         return float(max(ratio.max(), 1 / ratio.min()))
 
     def _of_moved(self, left: Array) -> None:
-        """For segments whose motion comes from the recording, computes the errors of the means from the residuals (N,). The
+        """Computes the errors of the means from the residuals (N,), for segments whose motion comes from the recording. The
         residuals contain the noise of the channels that recorded the motion, but not the motion itself. If there are more segments
         than amplitudes, each error is computed as for white noise, because the scatter between segments includes any other error.
         Otherwise, the error also includes the scatter of batch means."""

@@ -324,7 +324,7 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """If the shape of an effect determines it completely, returns the forms of the effect, by its name. The result is empty for
+    """Returns the forms of an effect, by its name, if the shape of the effect determines it completely. The result is empty for
     other effects, and if no form explains the data better than no effect."""
     effect = shape_alone(candidate)
     found = whole_forms(weighing, effect) if effect is not None else []

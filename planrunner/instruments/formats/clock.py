@@ -100,8 +100,8 @@ def seconds_in(texts: pa.Array, where: PlaceOfText, dates: DateOrder) -> Array:
     """Converts texts to times [s], shape (n,). An empty or missing text gives NaN.
 
     `where`: names the place of a text. `dates`: the order of day and month. Raises `InstrumentError` for a text that is not a time,
-    and if some texts contain a date and others do not; the error is a `NoTimesError` if none of the texts is a time. While `dates`
-    is undecided, a date that does not exist in the usual order gives NaN instead."""
+    and for texts of which only some contain a date. The error is a `NoTimesError` if none of the texts is a time. While `dates` is
+    undecided, a date that does not exist in the usual order gives NaN instead."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
