@@ -31,12 +31,12 @@ class Statistics:
     `count`: number of samples, without rows that have a NaN in any channel. `rejected`: number of these rows. `mean`, `minimum`,
     `maximum`: arrays of shape (k,), mean, smallest and largest sample of each channel. `covariance`: array of shape (k, k),
     covariance of the samples of each pair of channels. `standard_error`: array of shape (k,), standard errors of the means,
-    computed from the scatter of `batches` consecutive batch means; so noise that is correlated within a batch is taken into
+    computed from the scatter of `batches` consecutive batch means; noise that is correlated within a batch is therefore taken into
     account. If a known motion changes the output within the segment, a periodic signal (`course`) is fitted to the output;
     `covariance` and `standard_error` then describe the differences from the fitted signal. `start`, `end`: times of the first and
     of the last sample, s. `largest_gap`: longest time between consecutive samples, s. `course`: array of shape (p, batches),
-    averages over each batch of the p functions of the periodic signal. They are scaled so that, for uncorrelated samples, the sum
-    of their squares is the number of degrees of freedom by which the fit reduces those of the scatter of the batch means.
+    averages over each batch of the p functions of the periodic signal. The fit reduces the degrees of freedom of the scatter of the
+    batch means. The averages are scaled so that, for uncorrelated samples, the sum of their squares is the size of this reduction.
     `mean_covariance`: array of shape (k, k), covariance matrix of the channels' means, from the same batch means as
     `standard_error`; shape (0, 0) if it is unknown.
     """

@@ -266,7 +266,8 @@ class RunLog:
 
 
 def require_growth(content: LogContent, path: Path) -> None:
-    """Checks that the entries continue the tree of the stored head. Raises `IntegrityError` if they do not."""
+    """Checks that the entries continue the tree of the stored head. Raises `IntegrityError` if the entries do not continue this
+    tree."""
     head = content.stored
     if head is None:
         message = f"{path / HEAD}: the tree head of the log is missing; {formats.FROM_BACKUP}"

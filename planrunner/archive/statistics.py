@@ -3,8 +3,8 @@
 Valid samples are processed in chunks of fixed size, counted from the beginning of the segment. The result therefore does not depend
 on the division into blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and
 LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances" (1979). The standard error of the mean is
-computed from the scatter of consecutive batch means (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), so noise
-that is correlated over less than a batch is taken into account.
+computed from the scatter of consecutive batch means (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), so the error
+includes noise that is correlated over less than a batch.
 
 If the table turns or rocks during a segment, the sensor measures the Earth's rate, gravity and its own motion, which cause a
 periodic signal in the samples. In this module, this signal is called the course of the motion. The scatter is that of the

@@ -1,6 +1,6 @@
 """Converts columns of numbers between numpy and pyarrow without pandas.
 
-If pandas is installed, pyarrow's own conversions to and from numpy import it to recognise its types. This import takes half a
+If pandas is installed, pyarrow's own conversions to and from numpy import pandas to recognise its types. This import takes half a
 second in every command that reads or writes samples. The conversions of this module use buffers and DLPack, which do not import
 pandas.
 """

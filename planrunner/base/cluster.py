@@ -150,8 +150,8 @@ def _size(answer: _Answer) -> int:
 
 
 def _packed(work: Callable[[T], R]) -> bytes:
-    """Packs the work so that only the workers unpack it. Otherwise the scheduler would also import its modules and keep its
-    data."""
+    """Packs the work so that only the workers unpack it. Otherwise, the scheduler would also import the modules of the work and
+    keep its data."""
     import cloudpickle
 
     return bytes(cloudpickle.dumps(work))

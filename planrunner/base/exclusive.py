@@ -26,8 +26,8 @@ class ExclusiveFile:
     `note`: a text that states who holds the lock and why; others who request the lock see it. `mode`: permissions of the file if it
     is created. `opened`: descriptor of the file if the caller has already opened it; it is closed with the lock. Raises `HeldError`
     if the lock is held, and `OSError` if the file cannot be opened or is not a regular file with exactly one name. These checks are
-    important in a folder to which all users may write: because of a link, the lock could overwrite another user's file, and opening
-    a pipe could wait for ever.
+    important in a folder to which all users may write: through a link, the lock could overwrite another user's file, and the
+    opening of a pipe could block for ever.
     """
 
     def __init__(self, path: Path, note: str = "", mode: int = 0o644, *, opened: int | None = None):
@@ -67,8 +67,8 @@ NO_LINK = open_flags("O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY")
 
 
 def _open(path: Path, mode: int) -> int:
-    """Opens the file. It first tries to open the file without creating it. The reason is that in a shared folder, a system may
-    permit opening an existing file of another user, but refuse to open it with the option to create it."""
+    """Opens the file. It first tries to open the file without creating it. The reason is that, in a shared folder, a system may
+    permit opening an existing file of another user, but refuse this if the call has the option to create the file."""
     with contextlib.suppress(FileNotFoundError):
         _hold(os.lstat(path), path)
         try:

@@ -1,5 +1,5 @@
-"""Checks a cycle of turns and stops: whether the axis of the table can execute it, and how much of a constant horizontal sensor
-error remains on average over it.
+"""Checks a cycle of turns and stops. Determines whether the axis of the table can execute the cycle, and how much of a constant
+horizontal sensor error remains on average over the cycle.
 
 A cycle cancels constant errors if its residual over the stops, its residual over the turns, and its mean angle are zero. The
 figures come from `planrunner.physics.rotation_cycle`.

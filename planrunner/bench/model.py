@@ -293,7 +293,7 @@ class BenchModels:
 
 
 def driver_of(entry: InstrumentEntry) -> type[Driver[Record]]:
-    """Returns the driver class of an instrument. Raises `InputError` if it is not installed."""
+    """Returns the driver class of an instrument. Raises `InputError` if the driver is not installed."""
     driver: type[Driver[Record]] = plugins.load(plugins.INSTRUMENTS, entry.driver)
     return driver
 

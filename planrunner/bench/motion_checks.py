@@ -33,8 +33,8 @@ class Hold:
     """States how long a motion is held.
 
     `settle`: planned settling time, s. `dwell`: planned dwell, s; None if the dwell lasts as long as the recording. `sampled`:
-    sample rate, Hz; None if the sensor is not known. `sooner`: the time [s] by which the settling may end early, because it ends as
-    soon as measurements allow; 0 if it has a fixed length.
+    sample rate, Hz; None if the sensor is not known. `sooner`: the time [s] by which the settling may end early; 0 if the settling
+    has a fixed length. It may end early if it ends as soon as measurements allow.
     """
 
     settle: float
@@ -88,7 +88,7 @@ def start_motion(
 
 
 def _check_moved(motion: RecordedMotion, models: BenchModels, at: MarkOf, log: Findings) -> None:
-    """Checks a motion that is not commanded: whether it is possible on this bench, and whether the sensor of the bench has the
+    """Checks a motion that is not commanded. The motion must be possible on this bench, and the sensor of the bench must have the
     channels that show the motion."""
     if models.table is not None:
         message = "the table of this bench moves only on command, so the sensor cannot move in a way that only the recording shows"

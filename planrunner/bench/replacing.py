@@ -1,4 +1,4 @@
-"""Checks whether a bench file may replace the one with which a run began: only the addresses of instruments may differ."""
+"""Checks whether a bench file may replace the bench file with which a run began: only the addresses of instruments may differ."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ _HOST_AND_PORT = re.compile(r"\[?([^\]/]+)\]?:(\d+)/?")
 
 def names_of(address: str) -> frozenset[str]:
     """Returns all names under which the instrument at `address` can be addressed on this computer. An address is a VISA resource, a
-    serial port as pyserial names it, or a text that only its driver understands; such a text is its only name. The result is never
-    empty: for an unknown host, it contains the name of the host."""
+    serial port as pyserial names it, or a text that only the driver of the instrument understands. In the last case, the text is
+    the only name of the instrument. The result is never empty: for an unknown host, it contains the name of the host."""
     text = address.strip()
     if found := _SOCKET.fullmatch(text):
         return _of_host(found[1], f"port {int(found[2])}")

@@ -30,7 +30,7 @@ def add_live_page(parser: argparse.ArgumentParser) -> None:
 class TerminalOperator:
     """The operator at the terminal. `notify`: a function that shows a line of text to the operator. A separate thread reads the
     answers, so that the run continues to supervise the bench and reacts to Ctrl-C. This thread reads directly from the file
-    descriptor. Otherwise, if it still waits when the program exits, it would keep the buffer of stdin locked."""
+    descriptor. Otherwise, a thread that still waits when the program exits would keep the buffer of stdin locked."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify

@@ -133,8 +133,8 @@ def judged(
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
     """Makes one step of the fractions, and returns the new fractions. The step is towards the candidate with the largest variance
-    d, or away from the candidate with the smallest d among those with a fraction above zero. Of these two candidates, the one whose
-    d differs more from p is chosen. The length of the step maximises |M|."""
+    d, or away from the candidate with the smallest d. The latter is chosen among the candidates with a fraction above zero. Of
+    these two candidates, the one whose d differs more from p is chosen. The length of the step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
     down = int(held[np.argmin(gain[held])])
@@ -172,7 +172,7 @@ def solve_with_climbing(
     fixed: Array | None = None,
 ) -> Continuous:
     """Returns the best fractions of the observations for points of a continuous region. The search starts with the candidates
-    `rows`, and adds better points found by climbing until climbing finds none.
+    `rows`. It then searches for better points by climbing, and adds them to the candidates, until climbing finds no better point.
 
     `climb`: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
     derivatives there. The excess of the result refers to the whole region, provided that climbing finds the maxima.

@@ -19,7 +19,7 @@ class Identifiability:
 
     `rank`: rank of the design matrix, whose columns are the terms. `condition`: condition number of the columns divided by their
     declared magnitudes; infinite if the rank is deficient. `determinant`: determinant of the information matrix of the divided
-    columns, in which all segments have the same weight; it serves to compare sets of positions. `unidentifiable`: names of the
+    columns, if all segments have the same weight. Sets of positions are compared by this number. `unidentifiable`: names of the
     terms that cannot be identified. `explanation`: a sentence about these terms; empty if all terms can be identified.
     """
 

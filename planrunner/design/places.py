@@ -74,8 +74,8 @@ class Sight:
 
 
 def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[Place, ...], tuple[Segment, ...]]:
-    """Returns the places of the segments that an estimate uses, and the spinning segments that it uses, which the design leaves
-    unchanged. Raises `EstimationError` for segments that a design of positions cannot move."""
+    """Returns the places of the segments that an estimate uses, and the spinning segments that it uses. The design leaves the
+    spinning segments unchanged. Raises `EstimationError` for segments that a design of positions cannot move."""
     chosen = set(select([segment.label for segment in segments], patterns))
     groups: dict[tuple[int, int], list[Segment]] = {}
     spins = tuple(segments[index] for index in sorted(chosen) if isinstance(segments[index].motion, Spin))

@@ -151,10 +151,10 @@ class Amplitude:
 
     `name`: name of the column without the letter of the axis. `several`: True if the effect has other amplitudes for this output.
     `alone`: True if the column acts on this output only. `unit`: unit for display. `factor`: SI value of this unit. `along`: if the
-    column is the input along a sensor axis, the index of this axis (as `Column.along`). `size`: largest absolute value, over all nodes
-    and axes, of those columns of the effect that have this unit; 0 if nothing excites these columns. `origin`: if the amplitude is a
-    change of the shape, the value of the shape [`unit`] from which the change counts. `shape`: True if the amplitude is a change of the
-    effect's shape.
+    column is the input along a sensor axis, the index of this axis (as `Column.along`). `size`: largest absolute value, over all
+    nodes and axes, of the columns of the effect that have this unit; 0 if nothing excites these columns. `origin`: if the amplitude
+    is a change of the shape, the value of the shape [`unit`] from which the change counts. `shape`: True if the amplitude is a
+    change of the effect's shape.
     """
 
     effect: Effect

@@ -2,12 +2,13 @@
 the time or a recorded temperature; the drift of an output may be proportional to it.
 
 A drift function is adopted if its amplitude in one output, or its amplitudes in all outputs together, are larger than chance
-explains. `SIGNIFICANCE` is the level of this test for all tried drift functions together. How large amplitudes can be by chance is
-computed from the noise within the segments and the declared effects, if these explain the residuals of the fit without the drift.
-Otherwise it is computed from these residuals. After the drift is fitted, the noise and the effects must explain the residuals. If
-they do not, the model is incomplete, and the drift is not adopted: a part of the residuals of an incomplete model always looks like
-a drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter would look like a drift. A drift is
-rarely exactly linear: after a power of the time is adopted, the next power is fitted as well if the segments allow it.
+explains. `SIGNIFICANCE` is the level of this test for all tried drift functions together. The size that amplitudes can have by
+chance is computed from the noise within the segments and the declared effects, if these explain the residuals of the fit without
+the drift. Otherwise, it is computed from these residuals. After the drift is fitted, the noise and the effects must explain the
+residuals. If they do not, the model is incomplete, and the drift is not adopted: a part of the residuals of an incomplete model
+always looks like a drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, or any scatter would look like a
+drift. A drift is rarely exactly linear: after a power of the time is adopted, the next power is fitted as well if the segments
+allow it.
 
 A drift is not adopted if a nonlinearity of the outputs explains the data better. To test this, the square of the outputs' fitted
 values is fitted as a further column (regression specification error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969). The
@@ -81,9 +82,9 @@ class SuspectedDrift:
 class DoubtedDrift:
     """Describes a drift function that is not fitted, although there is some evidence for it. `amplitudes`: array of shape (m, r),
     for each output and each column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u.
-    `probability`: the smaller of two probabilities: that chance alone gives amplitudes at least as large as the fitted ones, and
-    that chance alone gives residuals at least as large as those of the fit without drift. It is 1 for a drift function that was not
-    tested."""
+    `probability`: the smaller of two probabilities. One is the probability that chance alone gives amplitudes at least as large as
+    the fitted amplitudes. The other is the probability that chance alone gives residuals at least as large as the residuals of the
+    fit without drift. It is 1 for a drift function that was not tested."""
 
     course: DriftCourse
     amplitudes: Array
@@ -286,8 +287,8 @@ def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
 
 
 def _criterion(found: Sequence[LinearFit], n: int) -> float:
-    """Returns the Bayesian information criterion of fits with n observations each: χ² of all fits plus ln N for each fitted
-    coefficient, where N is the number of observations of all fits."""
+    """Returns the Bayesian information criterion of fits with n observations each. It is χ² of all fits, plus ln N for each fitted
+    coefficient, where N is the number of observations of all fits together."""
     terms = sum(n - one.degrees_of_freedom for one in found)
     return sum(one.chi_squared for one in found) + terms * float(np.log(n * len(found)))
 

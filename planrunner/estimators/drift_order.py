@@ -47,7 +47,7 @@ class FittedWithDrift(Protocol):
 
 def planned_drift(request: DesignRequest[FittedWithDrift], blocks: Sequence[DesignBlock]) -> tuple[Remark, ...]:
     """Returns remarks about the drift that the plan requests, or about a drift that the segments could show. Raises
-    `EstimationError` for options that exclude each other, and for a temperature that the plan requires but that is not recorded.
+    `EstimationError` for options that exclude each other, and if a temperature that the plan requires is not recorded.
 
     If a linear drift is fitted only when the segments show it, the remark is a note. If the plan requests a drift and the order of
     the segments couples it to a coefficient, the remark is a warning. If the requested drift cannot be separated from the terms at

@@ -90,16 +90,16 @@ class Estimate:
     The analysis adds the influences to the covariance of the coefficients, and computes the `budgets`.
 
     `headline`: names of the coefficients that the terminal shows first. `settings`: choices that were made, such as the kind of
-    uncertainty. `extra`: plain data for other estimates that use this one. Coefficients that are known at several temperatures, or
-    at one temperature that all segments have in common, are in extra["by_temperature"], where `temperature_model` reads them. Their
-    form is {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}. These standard
+    uncertainty. `extra`: plain data for other estimates that use this one. Some coefficients are known at several temperatures, or
+    at one temperature that all segments have in common. They are in extra["by_temperature"], where `temperature_model` reads them.
+    Their form is {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}. These standard
     uncertainties are of type A. The mean times of the data may be added as "time_s": [...].
 
     `data_covariance`: the part of the covariance that is of type A. The analysis keeps this part unchanged when it adds the
-    influences. An estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`).
-    Therefore, if an input acts on both of these estimates, it is counted only once, with its sign. `expected`: True if the estimate
-    comes from a schedule instead of a recording. `unstated`: how flicker for which the bench file gives no size affects the
-    coefficients; the analysis warns about this flicker.
+    influences. An estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`). An
+    input that acts on both of these estimates is therefore counted only once, with its sign. `expected`: True if the estimate comes
+    from a schedule instead of a recording. `unstated`: how flicker for which the bench file gives no size affects the coefficients;
+    the analysis warns about this flicker.
     """
 
     name: str

@@ -7,9 +7,9 @@ in Regression, 1982, 2.2.2; for correlated observations Baarda, A Testing Proced
 t value of all segments is tested with Bonferroni's bound. If the largest t value is significant, the search is repeated among the
 other segments, so that two wrong labels do not hide each other.
 
-The redundancy of a segment is the fraction of its error that appears in its residual. If the redundancy is small, this segment
-alone determines a coefficient: an error of the segment changes the coefficient, but does not appear in the residuals (Baarda,
-ibid.).
+The redundancy of a segment is the fraction of an error of this segment that appears in the segment's residual. If the redundancy is
+small, this segment alone determines a coefficient: an error of the segment changes the coefficient, but does not appear in the
+residuals (Baarda, ibid.).
 """
 
 from __future__ import annotations

@@ -244,10 +244,10 @@ def fit_outputs(
     coefficients.
 
     The weights come from the noise within the segments and from the effects. On the basis `residual`, a standard deviation between
-    segments is added to the noise of an output under two conditions: noise and effects together do not explain its residuals, and
-    either the noise differs between segments or there are effects. Without this addition, the segment with the least noise would
-    dominate the fit, although its actual error is as large as the errors of the other segments. Outputs are pooled only if `pooled`
-    is True, their noise is known, and no standard deviation is added to it.
+    segments is added to the noise of an output under two conditions. First, noise and effects together do not explain the residuals
+    of the output. Second, the noise differs between segments, or there are effects. Without this addition, the segment with the
+    least noise would dominate the fit, although its actual error is as large as the errors of the other segments. Outputs are
+    pooled only if `pooled` is True, their noise is known, and no standard deviation is added to it.
 
     `equal`: True if all segments have the same weight. `drift`: the drift functions (powers of the time or recorded temperatures)
     that are fitted too, either always or only if the data show them. `unstated`: effects of unknown size, which are not fitted.
@@ -377,8 +377,8 @@ class _Weighting:
         return _Fitted(fits, gains, spreads, np.zeros(len(fits)), _factors(self.plain()), whitening)
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
-        """Returns the degrees of freedom of the mean of the outputs' variance factors. The degrees of freedom are those of a χ²
-        variable with the same mean and variance (Satterthwaite)."""
+        """Returns the degrees of freedom of the mean of the outputs' variance factors. The degrees of freedom are chosen so that a
+        χ² variable has the same mean and variance (Satterthwaite)."""
         m, p, n = found.gains.shape
         if found.whitening is None:
             return float((n - p) * m**2 / np.sum(correlation**2))

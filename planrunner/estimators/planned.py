@@ -23,7 +23,7 @@ def matrix_at_rest(
     """Returns the design matrix, SI, shape (n, p). All segments must be at rest.
 
     Raises `EstimationError` for a segment that moves, and for an unknown orientation. `needed`: the reason why segments must be at
-    rest, as part of the first message. `otherwise`: a part of the second message.
+    rest, as part of the first message. `otherwise`: a text that is appended to the message about an unknown orientation.
     """
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:

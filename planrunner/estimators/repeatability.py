@@ -499,8 +499,8 @@ def _notes(one: Repeats, split: Variance) -> list[Said]:
 
 
 def chance_of_order(value: Array, group: NDArray[np.int64]) -> float:
-    """Tests whether the order of the values is random. Returns the probability that, in a random order, successive values within
-    groups are at least as similar as here; NaN for fewer than eight values within groups.
+    """Tests whether the order of the values is random. Returns the probability that successive values within groups would be at
+    least as similar if the order were random; NaN for fewer than eight values within groups.
 
     The ratio η = Σ(x_{i+1} − x_i)²/Σ(x_i − x̄)² of n independent normal values has the mean 2 and the variance 4·(n − 2)/(n² − 1)
     (von Neumann); η/4 is close to a symmetric beta variable with these moments. In each group, x̄ is the mean of the group.

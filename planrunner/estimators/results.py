@@ -43,7 +43,7 @@ class Results:
     `estimates`: the estimates by name, in the plan's order. `limits`: the verdicts on the limits. `failures`: maps the name of an
     estimate or limit without a result to a message. `segments`: for each recorded segment, the statistics from
     `segment_statistics`. `origin`: source of the samples; None in results from versions that did not record the source. `unfit`:
-    those names in `failures` for which the recorded data, not the plan, are the reason of the failure.
+    names in `failures` whose failure is caused by the recorded data, not by the plan.
     """
 
     estimates: Mapping[str, Estimate]

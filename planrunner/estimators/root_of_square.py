@@ -1,5 +1,5 @@
-"""Computes a quantity and its uncertainty if the data give an estimate of its square, as for a noise coefficient or a component of
-variance."""
+"""Computes a quantity and its uncertainty from an estimate of the square of the quantity. Such an estimate is usual for a noise
+coefficient or a component of variance."""
 
 from __future__ import annotations
 

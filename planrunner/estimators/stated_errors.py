@@ -2,9 +2,10 @@
 Each input is changed by a small amount, and the model is evaluated again.
 
 Errors of latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is
-added to the contribution of the data. The errors of the table are those of positions, azimuth, right angles between the table's
-axes, and rates. They differ between segments and cause scatter, so they are included in the weights of a fit (`correlated_errors`).
-Changes are computed for an input that is stated too large; for positions, they are computed for the rotation error itself.
+added to the contribution of the data. The errors of the table are the errors of its positions, of its azimuth, of the right angles
+between its axes, and of its rates. They differ between segments and cause scatter, so they are included in the weights of a fit
+(`correlated_errors`). Changes are computed for an input that is stated too large; for positions, they are computed for the rotation
+error itself.
 """
 
 from __future__ import annotations
@@ -60,9 +61,9 @@ def site_errors(
     model: LinearModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
     """Computes the errors of the observations due to latitude and gravity, if these are stated with an uncertainty. Such an error
-    changes the expected outputs, not the readings; an expected output that is too large has the same effect as a reading that is
-    too small. `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit of
-    each column."""
+    changes the expected outputs, not the readings. If an expected output is too large, this has the same effect as a reading that
+    is too small. `coefficients`: array of shape (m, p), for m outputs and p columns of the model, in the outputs' units per SI unit
+    of each column."""
     stated = [one for one in (inputs.get("latitude"), inputs.get("gravity")) if one]
     if not stated:
         return ()

@@ -7,7 +7,7 @@ measure them, settling ends when they have settled. The temperature is set only 
 changes, or after a motion.
 
 Readings of the instruments, under the names that plans use, decide whether a quantity has settled before a segment is recorded. The
-same readings decide whether it stays within its limits while the segment is recorded.
+same readings decide whether the temperature stays within its limits while the segment is recorded.
 """
 
 from __future__ import annotations
@@ -214,7 +214,8 @@ class Reaching:
 
 
 def _heater(chamber: Instrument) -> HoldsTemperature:
-    """Returns the chamber as an instrument that can set a temperature. Raises `InstrumentError` if it cannot."""
+    """Returns the chamber as an instrument that can set a temperature. Raises `InstrumentError` if the driver of the chamber cannot
+    set a temperature."""
     if not isinstance(chamber, HoldsTemperature):
         raise InstrumentError(
             "the chamber's driver cannot set a temperature: use another driver or leave temperature out"

@@ -197,7 +197,8 @@ class HoldsTemperature(Protocol):
 @runtime_checkable
 class Foresees(Protocol):
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Checks, before anything moves, whether the instrument can execute a schedule. Raises `InstrumentError` if it cannot."""
+        """Checks, before anything moves, whether the instrument can execute a schedule. Raises `InstrumentError` if the instrument
+        cannot perform the segments."""
 
 
 @runtime_checkable

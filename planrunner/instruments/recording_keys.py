@@ -149,8 +149,8 @@ class ChannelColumn(Record):
 
 def seconds_in_unit(cell: str, unit: str, where: str, dates: DateOrder) -> float:
     """Returns the time [s] that a cell of a table states. `unit`: one of `TIME_UNITS`. `where`: a text that names the file and the
-    cell; it is used in messages. `dates`: the order of day and month. Raises `ValueError` if the cell is not a number, and
-    `InstrumentError` if it is not a date or a time of day although it should be one."""
+    cell; it is used in messages. `dates`: the order of day and month. Raises `ValueError` if the cell should be a number but is
+    not, and `InstrumentError` if it should be a date or a time of day but is not."""
     return seconds_of(cell, where, dates) if unit in WRITTEN else float(cell) * SECONDS[unit]
 
 

@@ -242,7 +242,7 @@ def _on_rates(found: _Pass, name: str, log: Findings) -> None:
 
 
 def _on_dead(found: _Pass, name: str, live: Collection[str], log: Findings) -> None:
-    """Warns of each channel that has only one value, or no value, although its noise must change its values."""
+    """Warns of each channel that has only one value or no value, although noise must change the values of the channel."""
     hint = "check the sensor, and the column that the bench file gives for the channel"
     for channel in live:
         low, high = found.lowest.get(channel, math.inf), found.highest.get(channel, -math.inf)

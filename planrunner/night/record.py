@@ -26,8 +26,8 @@ FORMAT = 1
 
 
 def holds_nights(folder: Path) -> bool:
-    """Returns True if a folder is the one that contains the records of the nights of an archive. This folder is next to the run
-    folders, so the pattern `runs/*` also matches it."""
+    """Returns True if a folder contains the records of the nights of an archive. This folder is next to the run folders, so the
+    pattern `runs/*` also matches it."""
     return folder.name == FOLDER and folder.is_dir() and not (folder / RUN).exists()
 
 

@@ -5,8 +5,8 @@ caller states the time, and which tests have ended. `planrunner check` simulates
 `planrunner night` updates the state with real events. Both commands therefore follow the same rules. Times are instants, seconds
 since 1970 UTC.
 
-The test that begins next on a bench is the first in the order of the suite that meets three conditions: the tests for which it
-waits have ended, its device is free, and its planned duration lets it end in time.
+The next test on a bench is the first one, in the order of the suite, that meets three conditions: the tests for which it waits have
+ended, its device is free, and it can end in time with its planned duration.
 """
 
 from __future__ import annotations
@@ -361,9 +361,8 @@ class NightCourse:
         return found
 
     def _too_late(self, bench: _Bench, now: float) -> Iterator[int]:
-        """Yields the waiting tests of a bench that no longer fit into the hours of the bench. The tests that need a warm-up, and
-        the tests that need none, are examined in order of decreasing duration, because the longest test is the first that no longer
-        fits."""
+        """Yields the waiting tests of a bench that no longer fit into the hours of the bench. The tests with and without a warm-up
+        are examined separately, each in order of decreasing duration, because the longest test is the first that no longer fits."""
         for heap in bench.longest.values():
             while heap:
                 index = heap[0][1]
@@ -403,8 +402,8 @@ class NightCourse:
         )
 
     def _starts(self, index: int, now: float, *, soonest: bool = False) -> float | None:
-        """Returns the earliest instant, now or later, at which the hours permit a test to begin; None if the test no longer fits.
-        `soonest`: True to ignore the waiting time before a repetition of the test."""
+        """Returns the earliest instant, now or later, at which the suite's hours permit a test to begin; None if the test no longer
+        fits into these hours. `soonest`: True to ignore the waiting time before a repetition of the test."""
         test, state = self.tests[index], self._tests[index]
         limits, bench = self.hours.benches[test.bench], self._benches[test.bench]
         earliest = max(now, self.hours.begins, -math.inf if soonest else state.since, bench.warm_at or -math.inf)

@@ -6,7 +6,7 @@ the three samples after it: the interpolation through these six equally spaced p
 sample to sample, the error of the prediction is (2·sin(φ/2))⁶/20 of the amplitude: 3·10⁻⁴ for 15 samples per period. A sample is a
 spike if two conditions hold. First, neither the noise nor the motion around the sample explains its distance from the prediction.
 Second, all neighbours of the sample agree with the motion once the prediction replaces the sample. The second condition excludes
-steps, and sudden starts and stops of the motion. A small sudden change of the rate looks nearly like a spike; of the two
+steps, and sudden starts and stops of the motion. A small sudden change of the rate looks nearly like a spike. Of these two
 explanations, the one that fits better is chosen.
 
 The samples next to the ends of a segment have fewer than three neighbours on one side. They are compared with the parabola through

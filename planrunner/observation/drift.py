@@ -79,9 +79,9 @@ class DriftCourse:
 class DriftCourses:
     """The drift functions that may be fitted.
 
-    `by_evidence`: True if only those drift functions are fitted that the data show; False if all are fitted. `fits`: number of
-    separate fits that search for the same drift. `shown`: names of the drift functions that at least one of these fits shows; every
-    fit whose segments allow it then includes them.
+    `by_evidence`: True if only the drift functions that the data show are fitted; False if all drift functions are fitted. `fits`:
+    number of separate fits that search for the same drift. `shown`: names of the drift functions that at least one of these fits
+    shows; every fit whose segments allow it then includes them.
     """
 
     courses: tuple[DriftCourse, ...] = ()
@@ -258,7 +258,7 @@ def _is_temperature(text: str) -> bool:
 
 
 def _common(segments: Sequence[RecordedSegment]) -> dict[str, str]:
-    """Returns the units of those channels that every segment has."""
+    """Returns the units of the channels that every segment has."""
     if not segments:
         return {}
     shared = set.intersection(*(set(one.statistics.channels) for one in segments))

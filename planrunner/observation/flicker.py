@@ -50,8 +50,7 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
 def _effects(
     observations: Observations, stated: Mapping[int, InputQuantity], span: float
 ) -> tuple[CorrelatedError, ...]:
-    """Returns the flicker of those outputs whose bias instability is given. `stated`: bias instability by the index of the
-    output."""
+    """Returns the flicker of the outputs whose bias instability is given. `stated`: bias instability by the index of the output."""
     if not stated:
         return ()
     root = _root(mean_covariance(observations.start, observations.end, span))
@@ -136,10 +135,10 @@ def _mean_logarithm(low: Array, high: Array) -> Array:
 def _between(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
     """Returns the average of ln|t − t′| over t in one of n intervals and t′ in one of m other intervals, shape (n, m).
 
-    The second antiderivative of ln|x| is F(x) = x²·ln|x|/2 − 3x²/4. The average is a sum of four values of F, at the differences
-    between the ends of one interval and those of the other. If the lengths a and b of the intervals are small compared with their
-    distance d, the four values nearly cancel. The average is then computed as ln d − (a² + b²)/(24·d²), with an error of fourth
-    order in a/d and b/d.
+    The second antiderivative of ln|x| is F(x) = x²·ln|x|/2 − 3x²/4. The average is a sum of four values of F, each at the
+    difference between an end of one interval and an end of the other. If the lengths a and b of the intervals are small compared
+    with their distance d, the four values nearly cancel. The average is then computed as ln d − (a² + b²)/(24·d²), with an error of
+    fourth order in a/d and b/d.
     """
     if len(low) > _ROWS:
         parts = [slice(first, first + _ROWS) for first in range(0, len(low), _ROWS)]

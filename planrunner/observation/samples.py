@@ -58,8 +58,8 @@ def observed(
     accelerometer (acceleration). `angle_channel`: channel of the table's encoder. `temperature_channel`: channel of the
     thermometer. `supply_channel`: channel of the voltmeter for the supply. `pressure_channel`: channel of the barometer. If the
     channel of a quantity is not given, the values of this quantity in the plan are used. `power_on`: time of power-on, in the time
-    of the recording, s. `free_angle`: determines the angle of a table without encoder. If True, the angle that agrees best with the
-    Earth's rate is used; an input that varies once per turn with an unknown phase then counts as noise, as in a diagnosis
+    of the recording, s. `free_angle`: determines the angle of a table without encoder. If it is True, the angle that agrees best
+    with the Earth's rate is used. An input that varies once per turn with an unknown phase then counts as noise, as in a diagnosis
     (`Observed.unknown_phase`). If False, the angle is zero at the first sample, unless gravity shows the angle. Raises
     `ObservationError` if the recording cannot be diagnosed.
     """
@@ -187,7 +187,8 @@ def _start_angle(
     free_angle: bool,
 ) -> float:
     """Returns the angle [rad] of a table without encoder at the first sample. If gravity shows the angle, it is found from the
-    accelerometers. Otherwise, it is found from all channels if `free_angle` is True; if not, it is zero."""
+    accelerometers. Otherwise, the angle is found from all channels if `free_angle` is True, and is zero if `free_angle` is
+    False."""
     accelerometers = [channel.axis for channel in channels if channel.kind == "accel"]
     by_gravity = angle_from(motion, attitude, site, accelerometers) is AngleFrom.GRAVITY
     if not by_gravity and not free_angle:

@@ -285,7 +285,8 @@ class _Runs:
             self._hold(values, rows, times, -1, len(values) - 1, self.length)
 
     def stuck(self) -> list[_Run]:
-        """Returns the stuck runs: those that are longer than the noise of the channel and the size of its count can explain."""
+        """Returns the stuck runs, that is, the runs that are longer than the noise of the channel and the size of its count can
+        explain."""
         runs = int(self.lengths.sum())
         usual = int(np.searchsorted(np.cumsum(self.lengths), 0.99 * runs))
         longer = [one for one in self.long if one.length > RUN * max(usual, 1)]
@@ -655,8 +656,8 @@ class Screening:
         return replace(one, bad=False) if one.kind is FindKind.BURST and at_an_end else one
 
     def _stretch(self, k: int, run: _Run) -> Find:
-        """Makes the finding for a run of equal samples. The run counts as clipped if its value is the full scale. It also counts as
-        clipped if its value is an extreme of the segment that occurs outside the run as well."""
+        """Makes the finding for a run of equal samples. The run counts as clipped if its value is the full scale. A run also counts
+        as clipped if its value is an extreme of the segment and occurs outside the run as well."""
         extremes = ((self.largest[k], self.at_top[0, k]), (self.smallest[k], self.at_bottom[0, k]))
         limit = 0.99 * self.full_scales.get(self.channels[k], math.inf)
         clipped = abs(run.value) >= limit or any(run.value == value and at > run.length + 1 for value, at in extremes)
@@ -770,7 +771,7 @@ def _widened(steps: tuple[float, float], others: tuple[float, float]) -> tuple[f
 
 
 def _stands_out(window: _Window) -> bool:
-    """Returns True if there are many large changes, or if a sample next to one of them lies far from the samples around it. A
+    """Returns True if there are many large changes, or if a sample next to a large change lies far from the samples around it. A
     single large change proves nothing, because two opposite deviations of ordinary size can cause it."""
     if len(window.places) > _FEW:
         return True

@@ -94,8 +94,8 @@ def joint_angles(
     reaches fastest from the joint angles `near`.
 
     The angle of a limited axis counts in full turns, so that cables unwind if necessary. A continuous axis turns the shorter way.
-    Of several equally fast solutions, the one whose limited axes are nearest to zero is chosen; of these, the one that turns in the
-    positive direction. Raises `Unreachable`, which states the reason, if there is no solution.
+    Of several equally fast solutions, the one whose limited axes are nearest to zero is chosen. If several solutions are left, the
+    one that turns in the positive direction is chosen. Raises `Unreachable`, which states the reason, if there is no solution.
     """
     return quickest_move(axes, target, near, azimuth)[0]
 
@@ -161,8 +161,9 @@ def _solutions(axes: tuple[TableAxis, ...], target: bytes, near: Angles | None, 
 
 
 def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> Angles:
-    """Chooses the fastest of several moves to joint angles. Of equally fast moves, it chooses the shortest; of these, the one whose
-    limited axes are nearest to zero; and of these, the one in which the first axis that differs turns in the positive direction."""
+    """Chooses the fastest of several moves to joint angles. Of equally fast moves, it chooses the shortest. If several moves are
+    left, it chooses the move whose limited axes are nearest to zero. If several are still left, it chooses the move in which the
+    first axis that differs turns in the positive direction."""
     if len(ways) == 1:
         return ways[0]
     ways = _least(ways, [transition_time(axes, near, way) for way in ways])
@@ -345,8 +346,8 @@ def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[flo
     such angle within the limits, also returns the distance to the limits and a text with the reason.
 
     If two angles are half a turn away, they are equally near. In this case, a continuous axis turns in the positive direction, and
-    a limited axis goes to the angle that is nearer to zero, even if the other angle is nearer to `near` by up to `NEARLY`. If both
-    angles are equally far from zero, it goes to the positive one.
+    a limited axis goes to the angle that is nearer to zero. The limited axis does so even if the other angle is nearer to `near` by
+    up to `NEARLY`. If both angles are equally far from zero, it goes to the positive one.
     """
     nearest = angle + TURN * math.floor((near - angle + ALIKE) / TURN + 0.5)
     if axis.continuous:

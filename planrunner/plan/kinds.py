@@ -399,9 +399,8 @@ class Origin:
 
     @cached_property
     def keys(self) -> Mapping[str, Mark]:
-        """Maps the path of each key to a position in the file. For example, the path `report` gives the position at which the value
-        of this key begins, `report[1]` that of the second entry of its list, and `limits.x` that of the value of `x` in the mapping
-        `limits`."""
+        """Maps the path of each key to a position in the file. For example, the path `report` means the value of this key,
+        `report[1]` the second entry of its list, and `limits.x` the value of `x` in the mapping `limits`."""
         marks: dict[str, Mark] = {}
         for name, item in self._node.entries if self._node else ():
             marks[name.text] = _used(name, item)
@@ -448,9 +447,9 @@ def key(
 ) -> Any:
     """Makes a dataclass field that is also a key of the language. Every key has a description and an example.
 
-    `name`: spelling of the key in YAML, if it differs from the name of the field because it is not a valid Python name. `fallback`:
-    value that replaces a required value that is missing or wrong, so that the rest of the record can still be checked. `traits`:
-    properties that the module of the record needs, such as whether the key may be swept.
+    `name`: spelling of the key in YAML, if it is not a valid Python name and therefore differs from the name of the field.
+    `fallback`: value that replaces a required value that is missing or wrong, so that the rest of the record can still be checked.
+    `traits`: properties that the module of the record needs, such as whether the key may be swept.
     """
     metadata = {
         "kind": kind,

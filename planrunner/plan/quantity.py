@@ -281,8 +281,8 @@ def states_uncertainty(text: str) -> bool:
 
 
 def uncertain_piece(text: str) -> str | None:
-    """Finds the first value in the text of a sweep that states an uncertainty. Returns it without its leading ±, or None if no
-    value states one."""
+    """Finds the first value in the text of a sweep that states an uncertainty. Returns the uncertainty without its leading ±, or
+    None if no value states an uncertainty."""
     pieces = [signed[2] if (signed := _SIGNED.fullmatch(piece)) else piece for piece in text.split(",")]
     return next((piece for piece in pieces if states_uncertainty(piece)), None)
 

@@ -273,7 +273,7 @@ class State(Record):
     """A state to reach and hold. Nested steps inherit the keys that they do not set.
 
     To add a key, declare it here with its traits. The schema, reading, inheritance, sweeps, labels and the reference of keys follow
-    from this declaration. What the bench does for a key is defined in the schedule.
+    from this declaration. The schedule defines what the bench does for a key.
     """
 
     orientation: Orientation | None = optional(

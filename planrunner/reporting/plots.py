@@ -135,9 +135,9 @@ def _draw_courses(axes: Axes, plot: Plot) -> None:
 
 
 def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Returns the indices of those values (n,) of a curve that are drawn. A curve of up to `most` values is drawn completely. A
-    longer curve is divided into many equal intervals. Its first and last value are drawn, and the lowest, the highest and the first
-    non-finite value of each interval, so that no peak and no gap is lost."""
+    """Returns the indices of the values of a curve that are drawn. The curve has n values. A curve of up to `most` values is drawn
+    completely. A longer curve is divided into many equal intervals. Its first and last value are drawn, and the lowest, the highest
+    and the first non-finite value of each interval, so that no peak and no gap is lost."""
     if len(values) <= most:
         return np.arange(len(values))
     kept = {0, len(values) - 1}

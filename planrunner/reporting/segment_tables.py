@@ -1,4 +1,4 @@
-"""Makes tables of segments. Each segment has a row with its planned state and the statistics of its channels.
+"""Makes tables of segments. Each segment has a row, with the planned state and the statistics of the channels.
 
 Because paper and screens have a limited width, many channels are distributed over several tables.
 """

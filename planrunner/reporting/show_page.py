@@ -186,7 +186,7 @@ def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
     """Returns a table with one row for each segment: start, transition, state, duration. Columns without information are omitted.
 
     `brief`: True to make the table narrow enough for a terminal. Soaking and settling then share a column, and the end time is left
-    out; if there is only one orientation, it is left out as well.
+    out. If there is only one orientation, the column of orientations is left out as well.
     """
     segments = schedule.segments
     ends = {span.segment.index: words.clock(span.end) for span in spans(schedule) if span.segment.dwell is not None}

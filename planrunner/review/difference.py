@@ -336,7 +336,8 @@ def _by_quantity(limits: Sequence[Branch]) -> dict[str, list[dict[str, Branch]]]
 
 
 def _limit_in_words(limit: dict[str, Branch] | None, other: dict[str, Branch] | None) -> str:
-    """Returns the bounds of a limit in words, and those other properties in which it differs from the other limit."""
+    """Returns in words the bounds of a limit, and the other properties in which the limit differs from the limit with which it is
+    compared."""
     if limit is None:
         return ""
     low, high = limit["at_least"], limit["at_most"]

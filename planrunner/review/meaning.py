@@ -101,8 +101,8 @@ def canonical_json(value: Json) -> bytes:
 def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
     """Returns the SHA-256 of the meaning of a plan, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
 
-    `bench`: the bench on which the plan runs. If it is given, the digest also covers its meaning; otherwise, it covers only the
-    name of the bench in the plan.
+    `bench`: the bench on which the plan runs. If a bench is given, the digest also covers the meaning of the bench; otherwise, it
+    covers only the name of the bench in the plan.
     """
     return meaning_of_plan(plan, bench).digest()
 

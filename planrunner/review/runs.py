@@ -49,7 +49,7 @@ class CoefficientDifference:
 @dataclass(frozen=True, slots=True)
 class RunDifference:
     """The difference between two runs. `coefficients`: the coefficients that both runs have. `only`: names of the coefficients that
-    only the first run has, and of those that only the second run has."""
+    only the first run has, and names of the coefficients that only the second run has."""
 
     coefficients: tuple[CoefficientDifference, ...]
     only: tuple[tuple[str, ...], tuple[str, ...]]
@@ -82,8 +82,8 @@ Lines = Mapping[tuple[object, ...], BudgetLine]
 
 
 def _lines(estimate: Estimate, coefficient: str) -> Lines:
-    """Returns those type B lines of a coefficient's budget that each stand for a single input. Lines of two runs with the same
-    input have the same key."""
+    """Returns the type B lines of a coefficient's budget that stand for a single input each. Lines of two runs with the same input
+    have the same key."""
     return {
         (line.quantity, line.value, line.unit, line.standard_uncertainty, line.distribution, line.source): line
         for budget in estimate.budgets

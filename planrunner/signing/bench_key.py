@@ -1,8 +1,8 @@
 """Finds the private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent
 holds.
 
-Runs may end when nobody is present, so the program never asks for the passphrase of such a key. There are two possibilities: the
-key file has no passphrase, and only its owner can read it (like the host keys of SSH); or the passphrase is in an environment
+Runs may end when nobody is present, so the program never asks for the passphrase of such a key. There are two possibilities. Either
+the key file has no passphrase, and only its owner can read it (like the host keys of SSH); or the passphrase is in an environment
 variable.
 """
 

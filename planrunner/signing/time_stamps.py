@@ -38,8 +38,8 @@ class StampError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class StampAuthority:
-    """Contains the certificates that verify time stamps: the certificate of the authority itself, or those of the root and
-    intermediate authorities above it. `revocations`: lists of revoked certificates; each list is signed with one of these
+    """Contains the certificates that verify time stamps: the certificate of the authority itself, or the certificates of the root
+    and intermediate authorities above it. `revocations`: lists of revoked certificates; each list is signed with one of these
     certificates."""
 
     certificates: tuple[x509.Certificate, ...]

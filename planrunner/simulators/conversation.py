@@ -33,7 +33,7 @@ def first_with(word: str, options: tuple[str, ...]) -> str:
 
 
 def number(word: str) -> float:
-    """Converts a word of a message to a number. Raises `NotUnderstoodError` if it is not a number."""
+    """Converts a word of a message to a number. Raises `NotUnderstoodError` if the text is not a number."""
     try:
         return float(word)
     except ValueError:

@@ -133,8 +133,8 @@ def read_script(path: Path, roles: Mapping[str, str]) -> tuple[Fault, ...]:
 
 
 def read_fault(text: str, roles: Mapping[str, str]) -> Fault:
-    """Reads one fault, as YAML or JSON, such as `{instrument: table, fault: silent, for: 5 s}`. Raises `InputError` if it is not
-    valid."""
+    """Reads one fault, as YAML or JSON, such as `{instrument: table, fault: silent, for: 5 s}`. Raises `InputError` if the fault is
+    not valid."""
     log = Findings()
     fault: Fault | None = RecordOf(Fault).read(source.parse(text, "<fault>"), log)
     if fault is not None:

@@ -127,8 +127,8 @@ def _run_twice(made: Diagnosed, stated: Stated, simulation: str | None, stop: St
 
 def _computed(made: Diagnosed, stated: Stated) -> tuple[Observed, Observed]:
     """Returns two simulations for the recorded motion, one without and one with the effects. Each simulation has its own white
-    noise and is rounded to counts. The noise levels and counts are those of the recording. If an effect changes the noise or the
-    count of a channel, the simulation without effects uses the declared value of the channel instead of the value of the
+    noise and is rounded to counts. The noise levels and the counts are taken from the recording. If an effect changes the noise or
+    the count of a channel, the simulation without effects uses the declared value of the channel instead of the value of the
     recording."""
     from planrunner.error_model.added import stuck
     from planrunner.error_model.effects.interface import OutsideCoefficients, triad_of

@@ -188,8 +188,8 @@ def t_draws(
 def _scaled_to_t(
     root: Array, groups: Sequence[tuple[NDArray[np.intp], float]], rng: np.random.Generator, n: int
 ) -> Array:
-    """Scales jointly normal draws to Student's t, group by group. `groups`: for each estimated variance, the rows that depend on it
-    and its degrees of freedom."""
+    """Scales jointly normal draws to Student's t, group by group. `groups`: for each estimated variance, its degrees of freedom and
+    the rows that depend on it."""
     values = root @ rng.standard_normal((root.shape[1], n))
     for rows, freedom in groups:
         scale = t_scale(rng, freedom, n)

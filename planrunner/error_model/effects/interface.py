@@ -1,10 +1,10 @@
 """Defines the interface of effects. An effect describes errors of a sensor or of its surroundings by columns over the samples of a
 recording.
 
-An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator `error_model` fits
-their amplitudes to the means of segments, and the diagnosis decides whether the data support them. An effect may act on several channels
-simultaneously, have a shape (such as a time constant), or change the noise. An estimate fits effects without a shape, and those effects
-with a shape that last longer than a segment.
+An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator
+`error_model` fits their amplitudes to the means of segments, and the diagnosis decides whether the data support them. An effect may
+act on several channels simultaneously, have a shape (such as a time constant), or change the noise. An estimate fits all effects
+without a shape. An effect with a shape is fitted only if it lasts longer than a segment.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -181,9 +181,9 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
-    """An effect that does not appear in the coefficients to which a diagnosis reduces a recording: an effect on the noise, a line
-    interference, or samples that repeat their values. A diagnosis looks for it elsewhere. An effect with the stage covariance has no
-    columns at all. A line interference has columns, which only a simulation uses."""
+    """Describes an effect that does not appear in the coefficients to which a diagnosis reduces a recording. Such an effect is an
+    effect on the noise, a line interference, or samples that repeat their values. A diagnosis looks for it elsewhere. An effect
+    with the stage covariance has no columns at all. A line interference does have columns, but only a simulation uses them."""
 
     outside: OutsideKind
 
@@ -236,8 +236,9 @@ class DependsOnPast(HasShape, Protocol):
     blocks of samples."""
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """Returns one short past that replaces both the past before `observed` and the samples of `observed`: at this value of the shape,
-        it has the same effect on later samples. The length of the short past does not grow with the number of samples."""
+        """Returns a short past that replaces both the past before `observed` and the samples of `observed`. For this value of the
+        shape, the short past has the same effect on later samples. The length of the short past does not grow with the number of
+        samples."""
 
 
 @runtime_checkable

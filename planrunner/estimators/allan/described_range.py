@@ -37,7 +37,7 @@ class DescribedRange:
 
     `fitted`: the deviations to which `fit` was fitted; these are Hadamard deviations if `drift` is given. `shorter`, `longer`:
     number of averaging times omitted at the short and at the long end. `fits`: True if the model describes the remaining averaging
-    times. `probability`: probability of a χ² at least as large as the one found, if the model is right.
+    times. `probability`: if the model is right, the probability of a χ² at least as large as the χ² found.
     """
 
     fit: NoiseFit
@@ -91,7 +91,7 @@ class _Ranges:
         self.whole = self.without(0, 0)
 
     def widest(self) -> DescribedRange:
-        """Returns the largest range that the model describes well. Of several ranges of equal size, it returns the one with the
+        """Returns the largest range that the model describes well. If several ranges have the same size, returns the range with the
         longest averaging times. If the model does not describe any range, it returns all averaging times."""
         if self.whole.fits:
             return self.whole

@@ -90,7 +90,7 @@ class VarianceCovariance:
                 self.parts[i, j] = self.parts[j, i] = part
 
     def among(self, first: int, last: int) -> VarianceCovariance:
-        """Returns the `VarianceCovariance` of only those averaging factors whose index is at least `first` and less than `last`."""
+        """Returns the `VarianceCovariance` of the averaging factors whose index is at least `first` and less than `last`."""
         fewer = copy(self)
         fewer.parts = self.parts[first:last, first:last]
         return fewer
@@ -244,9 +244,9 @@ def fit_noise(
 def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
-    """Returns the covariance of the squared coefficients, shape (4, 4). It is enlarged for a coefficient that cannot be
-    distinguished from zero: its covariance is computed for a larger coefficient, two standard uncertainties above the estimate.
-    Otherwise, if a coefficient is too small by chance, its uncertainty would be too small as well."""
+    """Returns the covariance of the squared coefficients, shape (4, 4). If a coefficient cannot be distinguished from zero, its
+    covariance is enlarged: it is computed for a larger coefficient, two standard uncertainties above the estimate. Otherwise, if a
+    coefficient is too small by chance, its uncertainty would be too small as well."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])

@@ -33,8 +33,8 @@ class CommonAmplitudes:
 
     @property
     def contrasts(self) -> Array:
-        """Returns the matrix R, shape (r, p). It computes, for each common amplitude, the differences between its other members and
-        its first member."""
+        """Returns the matrix R, shape (r, p). For each common amplitude, the matrix computes the differences between the other
+        members and the first member."""
         rows = []
         for places in self.members:
             for place in places[1:]:

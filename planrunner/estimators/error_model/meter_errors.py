@@ -44,8 +44,8 @@ def meter_errors(
 def _moved(
     states: SegmentStates, estimate: str, parameters: ErrorModelParameters, nominal_supply: float
 ) -> Iterator[tuple[InputQuantity, SegmentStates, SegmentStates]]:
-    """Yields each stated error with two versions of the segments' states: one for a reading that is too small by the standard
-    uncertainty of the error, and one for a reading that is too large by it."""
+    """Yields each stated error with two versions of the segments' states. In the first, the reading is too small by the standard
+    uncertainty of the error; in the second, it is too large by the same amount."""
     for field, unit, reference, errors in (
         ("overvoltage", "V", nominal_supply, ("supply_zero_uncertainty", "supply_reading_uncertainty")),
         ("overpressure", "Pa", STANDARD_PRESSURE, ("pressure_zero_uncertainty", "pressure_reading_uncertainty")),

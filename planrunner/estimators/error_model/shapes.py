@@ -5,8 +5,8 @@ Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973). The fit searches for the s
 the final fit, the derivative with respect to the shape is a further column, so that all uncertainties include the uncertainty of
 the shape.
 
-An effect with a shape also changes the output within a segment. This change is not noise. It is estimated by a first fit; the noise
-is then computed from the scatter of the samples about it, and a second fit uses this noise.
+An effect with a shape also changes the output within a segment. This change is not noise. The change is estimated by a first fit.
+The noise is then computed from the scatter of the samples about this fit, and a second fit uses this noise.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ The samples of a segment are split into their mean and the differences from this
 the amplitudes are fitted linearly, so that the χ² of this fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J.
 Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At this minimum, the model y is
 linearised in amplitudes and shapes: J = ∂y/∂(amplitudes, shapes). A contrast is a weighted sum of the differences of the samples
-from the means of their segments. If the noise is white, a few contrasts, as many as J has columns, contain everything that the
-samples within the segments contribute to the fit. Let JᵀJ = V·S·Vᵀ after the means have been subtracted from the columns of J. The
+from the means of their segments. If the noise is white, all that the samples within the segments contribute to the fit is contained
+in a few contrasts, one for each column of J. Let JᵀJ = V·S·Vᵀ after the means have been subtracted from the columns of J. The
 contrasts S^(−1/2)·Vᵀ·Jᵀ·y then have the design matrix √S·Vᵀ, and their noise is uncorrelated with the standard deviation σ of the
 samples. The contrasts are added to the means of the segments as further observations of the generalised least-squares fit
 (`outputs_fit`). Drift, errors of the table and scatter between segments therefore act on the means as in every other fit.
@@ -154,7 +154,7 @@ class SampledOutput:
 
 
 def shapes_of(model: ErrorsAtSamples) -> tuple[Shape, ...]:
-    """Returns the shapes in a model, except those of effects that cannot act in this plan."""
+    """Returns the shapes in a model, without the shapes of effects that cannot act in this plan."""
     found = []
     for part in model.errors.chosen:
         if shaped(part):
@@ -409,8 +409,8 @@ class _Problem:
     def _of_moved(self, left: Array) -> None:
         """Computes the errors of the means from the residuals (N,), for segments whose motion comes from the recording. The
         residuals contain the noise of the channels that recorded the motion, but not the motion itself. If there are more segments
-        than amplitudes, each error is computed as for white noise, because the scatter between segments includes any other error.
-        Otherwise, the error also includes the scatter of batch means."""
+        than amplitudes, each error is computed as if the noise were white. All other errors of the means then appear in the scatter
+        between segments. Otherwise, the error also includes the scatter of batch means."""
         alone = len(self.counts) <= len(self.amplitudes)
         for s in np.flatnonzero(self.output.observed.moved):
             own = left[self.output.observed.segments()[s]]

@@ -1,9 +1,9 @@
 """Computes the influences of declared inputs on residuals after compensation, and on the sums of squares of these residuals.
 
 Let c be one set of coefficients, X the design matrix of the verification positions, and i the outputs there. The residual is r =
-M⁻¹·(i − X·c), where the matrix M is computed from c. An error of an input affects r in two ways: directly, through X; and through
-c, because the calibration that gave c used the same latitude, gravity, azimuth and table. Both contributions come from the same
-error, so they are added with their signs.
+M⁻¹·(i − X·c), where the matrix M is computed from c. An error of an input affects r in two ways. It acts directly, through X. It
+also acts through c, because c comes from a calibration with the same latitude, gravity, azimuth and table. Both contributions come
+from the same error, so they are added with their signs.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class Prediction:
 def noise_maps(verification: Array, sets: Mapping[str, Array], roots: Sequence[Array]) -> dict[str, Array]:
     """Returns, for each set of coefficients, the matrix of a linear map, shape (2·v, z). The map converts z independent inputs with
     the standard deviation 1 to the prediction errors at the v verification positions. A prediction error is the measured output
-    minus the output that the set's coefficients predict. The rows of the first output come before those of the second.
+    minus the output that the set's coefficients predict. The rows of the first output come before the rows of the second output.
 
     `verification`: array of shape (v, p), design matrix of the verification positions. `sets`: maps the name of a set to matrices
     (2, p, n), which compute the coefficients of each output from the n observations of the calibration. `roots`: for each output, a

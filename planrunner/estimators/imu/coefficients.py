@@ -175,8 +175,8 @@ def _must_turn(responses: Sequence[Response]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """One reported quantity of one output. Its value is `factor` times the result of `of`, a function of the output's responses;
-    these are in the output's unit per SI unit of the term."""
+    """One reported quantity of one output. The value of the quantity is `factor` times the result of `of`. The function `of` takes
+    the responses of the output, in the output's unit per SI unit of the term."""
 
     reported: Reported
     of: RowFormula

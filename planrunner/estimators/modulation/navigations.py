@@ -74,8 +74,8 @@ def rotation(motion: Motion, table: TableModel | None) -> RotationCycle | None:
 
 
 def compared(request: EstimateRequest[object]) -> list[Navigation]:
-    """Reads the navigations of `uses`, in their order, over the time that all of them cover. Raises `EstimationError` if they
-    cannot be compared."""
+    """Reads the navigations of `uses`, in their order, over the time that all of them cover. Raises `EstimationError` if the
+    navigations cannot be compared."""
     segments = {recorded.label: recorded.segment for recorded in request.segments}
     table = request.setup.table
     courses = {name: _course(name, used) for name, used in request.uses.items()}

@@ -2,8 +2,8 @@
 causes.
 
 The fit has a separate constant for each position in which the sensor stops; the drift is the same function for all positions. The
-drift functions and the test of a drift are those of the static methods (`observation.drift`, `drift_fit`). The navigation is not
-corrected for the drift, because its errors are the errors of this sensor on this day. With constant biases, the errors would be
+drift functions and the test of a drift are the same as in the static methods (`observation.drift`, `drift_fit`). The navigation is
+not corrected for the drift, because its errors are the errors of this sensor on this day. With constant biases, the errors would be
 different; this difference is stated as an error that is not corrected (JCGM 100:2008, F.2.4.5). It is computed with the linear
 error equations (`wandering`).
 """
@@ -76,8 +76,8 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
 
     def judged(scale: Array) -> tuple[FittedDrift, Sequence[LinearFit], Sequence[LinearFit], bool]:
         """Returns four values: the fitted drift; the fits with this drift; the fits with all drift functions; and True if noise
-        explains the residuals of the latter. `scale`: array of shape (6,), assumed standard deviations of the readings, divided by
-        the expected standard deviations."""
+        explains the residuals of the fits with all drift functions. `scale`: array of shape (6,), assumed standard deviations of
+        the readings, divided by the expected standard deviations."""
         spread, whitening = scale[:, None] * sigma, None
         if flicker:
             noise = np.array([np.diag(one**2) for one in spread])

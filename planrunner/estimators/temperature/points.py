@@ -134,8 +134,8 @@ def from_channels(
     inputs: Inputs,
     span: float,
 ) -> list[Points]:
-    """Computes the means of channels at different temperatures. If there is a thermometer, a value is the mean of those samples of
-    a ramp whose temperatures are in the same bin of `width` [K]. Without a thermometer, a value is the mean of a segment at its
+    """Computes the means of channels at different temperatures. If there is a thermometer, a value is the mean of the samples of a
+    ramp whose temperatures lie in the same bin of width `width` [K]. Without a thermometer, a value is the mean of a segment at its
     planned temperature. `inputs`: contain the declared flicker. `span`: the time over which a constant error is defined as an
     average, s. Raises `EstimationError` for channels that are missing or unsuitable."""
     for recorded in segments:

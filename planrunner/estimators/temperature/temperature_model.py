@@ -340,8 +340,8 @@ def _separable(columns: Array, courses: Sequence[DriftCourse]) -> bool:
 
 
 def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDrift | None:
-    """Examines a linear drift. Returns it if fitting it would multiply the standard uncertainty of a coefficient of the curve by
-    `COUPLED` or more; otherwise returns None."""
+    """Examines a linear drift. Returns this drift if fitting it would multiply the standard uncertainty of a coefficient of the
+    curve by `COUPLED` or more; otherwise, returns None."""
     if not len(points.time) or not np.ptp(points.time):
         return None
     [course, *_] = in_time(points.time, points.time, 1 / points.sigma**2)

@@ -156,8 +156,8 @@ def evaluate(
     groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
 ) -> TiltedResults:
     """Computes all results of an evaluation. `reference`: index of the group whose scale factor K is the reference for the other
-    groups. `worst`: the rates and temperatures that determine the largest values; they are given if only the conditions change, so
-    that the same rates and temperatures are used."""
+    groups. `worst`: the rates and temperatures that determine the largest values. They are given if the evaluation is repeated with
+    changed conditions, so that the same rates and temperatures are used."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
     held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))
@@ -217,7 +217,7 @@ def slope_weights(kelvin: Array) -> Array:
 
 
 def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Worst) -> tuple[Array, ...]:
-    """Returns, for each group, the sensitivities of its quantities to its outputs: ∂(mean over the repeats)/∂(output at a rate,
+    """Returns the sensitivities of the quantities to the outputs, for each group: ∂(mean over the repeats)/∂(output at a rate,
     changed in all repeats). Each array has the shape (n, m, 5)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
 

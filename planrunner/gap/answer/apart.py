@@ -95,10 +95,10 @@ _STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with 
 class Apart:
     """Contains the effects that were found outside the coefficients of the recording.
 
-    `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: those of the
-    effects that are tones. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if no
-    effect was found. `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if it must be
-    computed again because `removed` changes it.
+    `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: the effects among
+    them that are tones. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if no effect
+    was found. `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if it must be computed
+    again because `removed` changes it.
     """
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)

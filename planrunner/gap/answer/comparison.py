@@ -147,8 +147,8 @@ class _Common:
 
 
 def _common(labels: Sequence[str], *three: _Reduced) -> _Common:
-    """Finds the common rows. These are all coefficients of a segment if its basis is the same in the recording and in both
-    simulations, otherwise only its mean."""
+    """Finds the common rows. If the basis of a segment is the same in the recording and in both simulations, these are all
+    coefficients of the segment; otherwise, only its mean."""
     found: list[list[NDArray[np.int64]]] = [[], [], []]
     means = []
     for label in labels:

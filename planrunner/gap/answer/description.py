@@ -117,8 +117,8 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
 
 def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> JsonObject:
     """Returns the one-sided amplitude spectral density in each frequency band, before and after the effect is fitted, and the
-    density of the white noise. Segment means are not included, because their frequency is zero. If segments have bins of different
-    sizes, only those with the largest bins are used; the spectrum ends at half the rate of these bins."""
+    density of the white noise. Segment means are not included, because their frequency is zero. If the bins of the segments have
+    different sizes, only the segments with the largest bins are used; the spectrum ends at half the rate of these bins."""
     observed, spectrum = weighing.observed, weighing.spectrum
     size = observed.bin_size.max()
     shown = observed.bin_size == size

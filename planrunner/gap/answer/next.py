@@ -1,5 +1,5 @@
-"""Proposes what to measure next: segments that the bench can execute and that distinguish the remaining explanations in the
-shortest time, or an instrument that the bench lacks.
+"""Proposes what to measure next. The proposal is either segments that distinguish the remaining explanations in the shortest time
+on this bench, or an instrument that the bench lacks.
 
 The information that a segment would give is computed before the segment is measured. To save time, only a few seconds of each
 segment, with whole turns or periods, are computed at the sampling rate of the recording. The rest of the segment counts as a
@@ -178,8 +178,8 @@ def following(
 
 
 def _times(segment: Segment, rate: float) -> Array:
-    """Returns the sample times, counted from the start of the segment: all sample times for a ramp; for other motions, those of a
-    few seconds with whole turns or periods."""
+    """Returns the sample times, counted from the start of the segment. For a ramp, these are all sample times; for other motions,
+    the sample times of a few seconds with whole turns or periods."""
     assert segment.dwell is not None
     span, begin = _SAMPLED, 0.0
     if segment.ramp_to is not None:
@@ -381,8 +381,8 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """Removes those of the chosen segments without which the target probability is still reached. If all chosen segments together
-    do not reach the target, the probability that they reach takes its place."""
+    """Removes chosen segments that are not needed to reach the target probability. If all chosen segments together do not reach the
+    target, the probability that they reach takes its place."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:
@@ -402,8 +402,8 @@ def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
     """Returns the test time [s] for which the recorded segments must be repeated until the true explanation has the expected
-    probability `aim`, and the expected probability that is then reached. If no number of repetitions is enough, both values are
-    those for the largest number considered."""
+    probability `aim`, and the expected probability that is then reached. If no number of repetitions is enough, returns both values
+    for the largest number considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:

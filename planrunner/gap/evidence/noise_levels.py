@@ -139,7 +139,7 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 def _within_two(x: Array | float) -> Array:
     """Returns the value at x of a probability density. It is uniform between −ln 2 and ln 2, which is a factor of two in either
-    direction; it has soft edges of 10 %, and a small constant value beyond them."""
+    direction. It has soft edges of 10 %; beyond these, it has a small constant value."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)

@@ -1,5 +1,5 @@
-"""Describes slow noise: the exact covariances of its means over segments, and its spectra, which describe the remainder within a
-segment.
+"""Describes slow noise by the exact covariances of its means over segments, and by its spectra. The spectra describe what remains
+of the noise within a segment.
 
 Flicker is represented by a sum of Ornstein–Uhlenbeck processes whose correlation times are two octaves apart (Keshner, "1/f noise",
 Proc. IEEE 70, 1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form.

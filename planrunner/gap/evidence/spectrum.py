@@ -4,10 +4,10 @@ the remainder in each frequency band.
 The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
 and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If an encoder
 shows the motion, the angular rates take the place of the harmonics. In this case, the part of the samples that is proportional to
-the angular accelerations is removed and not used as evidence: an unknown delay between the encoder and the sensor causes such a
-part, which would otherwise count as noise at the frequencies of the rates. Deterministic effects lie in the span of this basis. The
-remainder is noise or a tone; only its energies in bands of the DCT-II are stored. Outliers far outside the noise are replaced by
-the fit of the basis and counted, because a single outlier would affect all coefficients.
+the angular accelerations is removed and not used as evidence. An unknown delay between the encoder and the sensor causes such a
+part; if it were kept, it would count as noise at the frequencies of the rates. Deterministic effects lie in the span of this basis.
+The remainder is noise or a tone; only its energies in bands of the DCT-II are stored. Outliers far outside the noise are replaced
+by the fit of the basis and counted, because a single outlier would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 
 def _by_axis(motion: Array) -> list[Array]:
-    """Returns the components (n,) of a recorded motion (n, 3) about those axes about which there is motion. Their means are
+    """Returns the components (n,) of a recorded motion (n, 3), for each axis about which there is motion. Their means are
     subtracted. Scale factors and misalignments act in proportion to the angular rates. A delay, like the first-order lag of a
     filter, acts nearly in proportion to the angular accelerations. Only motion that an encoder shows is used. The reference of a
     free motion is not used, because it has its own delays and filters, which act at the same frequencies."""

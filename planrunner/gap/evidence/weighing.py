@@ -110,9 +110,9 @@ def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]
     the random walks of a triad have a common scale, but each axis has its own density.
 
     For a scale q, the density of an axis has the prior |N(0, q²)|. The likelihood is averaged over the density levels with this
-    prior, and the weights are those of the most probable level. The data from which this level is estimated may also contain an
-    effect. If a strong effect is present, random walks with the same density in all axes are closer to the truth. Settings with
-    such random walks (`alike`) are therefore included as well.
+    prior. The returned weights are the weights of the most probable level. The data from which this level is estimated may also
+    contain an effect. If a strong effect is present, random walks with the same density in all axes are closer to the truth.
+    Settings with such random walks (`alike`) are therefore included as well.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])
@@ -477,7 +477,7 @@ def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
 
 
 def _seen(values: Array, along: Array, largest: float) -> Eigen:
-    """Removes the eigenvalues and squared scores of those directions that the nominal parameters absorb completely. `largest`:
+    """Removes the eigenvalues and squared scores of the directions that the nominal parameters absorb completely. `largest`:
     largest energy of a column before the projection."""
     seen = values > _NOTHING**2 * largest
     return values[seen], along[seen]

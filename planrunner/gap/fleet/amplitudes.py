@@ -50,7 +50,7 @@ class AmplitudeEstimate:
 def amplitudes(
     weighing: Weighing, nominal: Sequence[str], effects: Sequence[tuple[Effect, float | None]]
 ) -> list[AmplitudeEstimate]:
-    """Estimates those amplitudes that the data of a run determine. `nominal`: terms that the nominal simulation fits. `effects`:
+    """Estimates the amplitudes that the data of a run determine. `nominal`: terms that the nominal simulation fits. `effects`:
     further effects, each with the value of its shape, or None if it has no shape."""
     observed = weighing.observed
     listed = [(key, column) for key, column in zip(_terms(observed, nominal), weighing.nominal_columns, strict=True)]

@@ -34,9 +34,9 @@ class SharedByLot:
 def shared_by_lots(
     key: AmplitudeKey, levels: Mapping[str, Sequence[Uncertain]], lots: Mapping[str, str]
 ) -> Iterator[SharedByLot]:
-    """Finds the lots whose devices all have larger amplitudes than all other devices, or all have smaller ones; the intervals of
-    the two groups must not overlap. `levels`: amplitudes of each device: a single amplitude, or one for each period between steps
-    of the device. `lots`: the lot of each device for which it is known."""
+    """Finds the lots that differ from all other devices: all devices of the lot have larger amplitudes than all other devices, or
+    all have smaller amplitudes. The intervals of the two groups must not overlap. `levels`: amplitudes of each device: a single
+    amplitude, or one for each period between steps of the device. `lots`: the lot of each device for which it is known."""
     for lot in sorted(set(lots.values())):
         own = [name for name in levels if lots.get(name) == lot]
         others = [name for name in levels if lots.get(name) != lot]

@@ -152,7 +152,8 @@ def text_of(seconds: float) -> str:
 
 
 def seconds_of(text: str, where: str, dates: DateOrder) -> float:
-    """Returns the time [s] that a text states. `dates`: the order of day and month. Raises `InstrumentError` if it is not a time."""
+    """Returns the time [s] that a text states. `dates`: the order of day and month. Raises `InstrumentError` if the text is not a
+    time."""
     import pyarrow as pa
 
     found = float(seconds_in(pa.array([text], pa.string()), lambda _: where, dates)[0])

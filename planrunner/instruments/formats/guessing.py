@@ -245,8 +245,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
 
 def _text_keys(start: str, encoding: str) -> TextKeys | None:
     """Guesses the layout of a text file from its first lines. The chosen separator is the one for which most lines have the same
-    number of columns; if several separators are equally good, it is the one that gives the most columns. Returns None if the lines
-    contain no columns of numbers."""
+    number of columns. If several separators are equally good, the separator that gives the most columns is chosen. Returns None if
+    the lines contain no columns of numbers."""
     lines = start.splitlines()[:-1] or start.splitlines()
     best: tuple[int, int, TextKeys] | None = None
     for word, separator in SEPARATORS.items():
@@ -536,7 +536,7 @@ def wrap_of(backwards: Array, step: float, least: float, most: float) -> float |
 
 
 def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
-    """Returns the steps of the time between those rows that contain a sample of a gyro or an accelerometer.
+    """Returns the steps of the time between the rows that contain a sample of a gyro or an accelerometer.
 
     In a log of several instruments, other rows contain no such sample. `steps`: array of shape (n - 1,), steps of the time between
     all rows."""

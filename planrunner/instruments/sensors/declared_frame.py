@@ -163,7 +163,8 @@ class DeclaredFrame(SerialSensor[DeclaredFrameParameters]):
 
 
 def _check(parameters: DeclaredFrameParameters) -> None:
-    """Checks that all fields are within the frame. Raises `InputError` if one is not."""
+    """Checks that all fields are between the sync and the checksum of the frame, and that the checksum covers some bytes. Raises
+    `InputError` if this is not the case."""
     check = CHECKSUMS[parameters.checksum.type].width // 8 if parameters.checksum is not None else 0
     places: dict[str, tuple[PartOfFrame, int]] = {
         name: (item, TYPES[item.type][0]) for name, item in parameters.fields.items()

@@ -24,7 +24,8 @@ class Samples:
 
     `received`: time of reception, s. `counter`: counter of the frame, as the sensor sent it. `latency`: latency that the sensor
     reports, s. `channels`: values (n,) of each channel, by name. `doubtful`: True for frames that a status bit marks as doubtful.
-    `doubts`: meanings of those status bits. `refused`: number of frames that cannot be decoded although their checksum is correct.
+    `doubts`: meanings of the status bits that mark frames as doubtful. `refused`: number of frames that cannot be decoded although
+    their checksum is correct.
     """
 
     received: Array

@@ -35,7 +35,7 @@ class SegmentStream:
 
     `byte_time`: time per byte on the line, s. `skew`: relative skew of the sensor's clock, as determined from earlier frames.
     `haste`: seconds of the bench's clock per second of real time. `over`: True after all samples have been returned. `heard`:
-    number of good frames in the last call of `advance`. `fresh`: number of those good frames whose counter is later than that of
+    number of good frames in the last call of `advance`. `fresh`: number of good frames whose counter is later than the counters of
     all earlier frames.
     """
 

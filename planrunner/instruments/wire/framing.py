@@ -1,8 +1,8 @@
 """Finds frames in a stream of bytes by their sync, length and checksum. Bytes that are not part of a frame are skipped and counted.
 
 A frame is valid if its checksum is correct. If the checksum of a frame is wrong, or if no frame is found where one is expected, a
-corrupt frame is counted. The search then continues one byte later, so that a frame after a false sync is never skipped. Fewer bytes
-than those of the longest frame are kept between two calls.
+corrupt frame is counted. The search then continues one byte later, so that a frame after a false sync is never skipped. Between two
+calls, fewer bytes are kept than the longest frame has.
 """
 
 from __future__ import annotations

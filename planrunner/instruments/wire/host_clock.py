@@ -1,10 +1,10 @@
 """Computes the times of samples from the counter of a sensor, and from the times at which the computer read its frames.
 
-A frame cannot be read early, but buffers and the operating system can delay the reading. If the times of reading are plotted over
-the counter, the line that relates the counter to the computer's clock is therefore the highest line below all points, which is an
-edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and removal of clock skew from network delay measurements,
-INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements, INFOCOM 2002). A constant delay cannot
-be found in this way. Therefore the transmission time, and the latency that the sensor reports, are subtracted first."""
+A frame cannot be read early, but buffers and the operating system can delay the reading. Let the times of reading be plotted over
+the counter. The line that relates the counter to the computer's clock is then the highest line below all points; it is an edge of
+their lower convex hull (Moon, Skelly and Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM
+1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements, INFOCOM 2002). A constant delay cannot be found
+in this way. Therefore the transmission time, and the latency that the sensor reports, are subtracted first."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would have a later time than that at which they
-        were read. `delay`: delays of reading, s, relative to a common constant."""
+        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would have a time later than the moment at which
+        they were read. `delay`: delays of reading, s, relative to a common constant."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"

@@ -437,7 +437,8 @@ class LinkKeys(Record):
     )
 
     def check_identity(self, said: str, expected: str) -> None:
-        """Raises `InstrumentError` if the instrument at this address is not the one that the driver, or the bench file, expects."""
+        """Raises `InstrumentError` if the instrument at this address is not the instrument that the driver or the bench file
+        expects."""
         wanted = self.model_contains or expected
         if wanted.casefold() not in said.casefold():
             raise InstrumentError(

@@ -31,8 +31,8 @@ LEVEL = 0.01
 class CauseCandidate:
     """A circumstance that changed when the level changed. `before`, `after`: the circumstance in the last run before the change and
     in the first run after it. `shared`: the fraction of runs that agree with the change. A run before the change agrees if it has
-    the circumstance `before`; a run after it agrees if it has the circumstance `after`. A fraction of 1 means that the circumstance
-    distinguishes the two groups of runs completely."""
+    the circumstance `before`; a run after the change agrees if it has the circumstance `after`. A fraction of 1 means that the
+    circumstance distinguishes the two groups of runs completely."""
 
     kind: CircumstanceKind
     name: str
@@ -125,8 +125,8 @@ def _misfit(values: Array, weight: Array, design: Array) -> float:
 
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
-    """Returns the circumstances that changed when the level changed. The circumstance that best distinguishes the runs before the
-    change from those after it comes first. `circumstances`: the circumstances of every run, in the order of the values."""
+    """Returns the circumstances that changed when the level changed. The first circumstance is the one that best distinguishes the
+    runs before the change from the runs after it. `circumstances`: the circumstances of every run, in the order of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin
     before, after = known[split - 1], known[split]
