@@ -84,8 +84,8 @@ class Journal:
         """Adds one event; returns the digest of its line.
 
         `acknowledge`: True to wait, in durable mode, until the event is on the disk. Use False for an event that only announces
-        something; it reaches the disk together with the next acknowledged event. Raises `OSError`, and ValueError for data that
-        JSON cannot represent.
+        something; such an event reaches the disk together with the next acknowledged event. Raises `OSError`, and ValueError for
+        data that JSON cannot represent.
         """
         if self._broken:
             raise OSError("the journal could not be repaired after a failed write; resume the run to repair it")

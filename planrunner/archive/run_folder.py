@@ -220,8 +220,8 @@ class RunWriter:
     ) -> RunWriter:
         """Continues an interrupted run: removes an incomplete last line and settles the segment in progress.
 
-        `run`: path of the run folder. To avoid a second verification, `run` may instead be the result of `examine` for the folder,
-        if the samples were included and the given lock was held.
+        `run`: path of the run folder. To avoid a second verification, `run` may instead be the result of `examine` for the folder.
+        The samples must have been examined too, and the given lock must have been held during the examination.
 
         `reason`: reason for reopening a finished, sealed run; required for such a run. `lock`: lock of the folder, if the caller
         already holds it; the writer then becomes responsible for it. `bench`: a bench file that replaces the one in the folder; the

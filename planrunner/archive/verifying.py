@@ -180,7 +180,7 @@ def examine(folder: GuardedFolder, *, samples: SampleCheck = "sizes") -> Examine
     """Examines a run folder. `samples`: how to check the files of samples.
 
     A run that is being written can be examined as well. The files are listed before the journal is read. The journal may therefore
-    name files that are not in the list, but names all files in the list.
+    name files that are not in the list, but it names every file in the list.
     """
     found = Examined(folder)
     standing = _entries(found)
@@ -211,8 +211,8 @@ def _entries(found: Examined) -> RecordedEntries | None:
 
 
 def _recorded(found: Examined, standing: RecordedEntries) -> RecordedEntries:
-    """Lists the entries in the folder of samples. It is called before the journal is read, so that the journal names every listed
-    file that has an event."""
+    """Lists the entries in the folder of samples. The function is called before the journal is read. Every listed file that has an
+    event is therefore in the journal."""
     if SEGMENTS not in standing:
         found.error("run-file-missing", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
         return {}

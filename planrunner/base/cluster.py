@@ -138,7 +138,7 @@ def computed_on_cluster(
 
 
 def _shared(size: int, left: int, threads: int) -> int:
-    """Returns the number of items in the next task. It is at most `size`, and so small that the remaining items are enough for
+    """Returns the number of items in the next task. The number is at most `size`. It is so small that the remaining items give
     several tasks for each thread of the cluster."""
     return min(size, math.ceil(left / (_SHARES_LEFT * max(1, threads))))
 

@@ -3,9 +3,9 @@
 Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all findings in one run. The codes are
 documented in `docs/findings.md`; a test checks that no code is missing in this file.
 
-A check that depends on other parts of the file names these parts with `Findings.resting_on`. If one of them already has an error,
-the findings of the check are consequences of this error: the list contains them together with their cause, but shows only the
-cause.
+A check that depends on other parts of the file names these parts with `Findings.resting_on`. If one of these parts already has an
+error, the findings of the check are consequences of this error. The list contains the consequences together with the error, but
+shows only the error.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ AGAIN_AFTER = 0.01
 
 
 class EndedError(KeyboardInterrupt):
-    """Reports that a signal ended the command. The class exists because of `exec`, which creates dataclasses: after a plain
+    """Reports that a signal ended the command. The class is needed because dataclasses are created with `exec`. After a plain
     `KeyboardInterrupt` within `exec`, Python ends the process by SIGINT and ignores the exit code."""
 
 

@@ -226,7 +226,7 @@ def _whole_turns(
     motion: Spin, dwell: float, input_axes: Array | None, models: BenchModels, mark: Mark, log: Findings
 ) -> None:
     """Warns if the spin ends with an incomplete turn that biases the mean of the samples. The bias occurs if an input axis is not
-    parallel to the rotation axis, because it then senses a part of the Earth rate that varies during a turn."""
+    parallel to the rotation axis. Such an axis senses a part of the Earth rate that varies during a turn."""
     turns = abs(motion.rate) * dwell / (2 * math.pi)
     if abs(turns - round(turns)) < 1e-3 or input_axes is None:
         return

@@ -60,8 +60,8 @@ PROTECTION = RecordOf(Protection, _check)
 
 
 def kept_table(table: TableModel, protection: Protection) -> TableModel:
-    """Returns the table with the limits that plans must observe. A limit is that of the table or that of the protection, whichever
-    is lower."""
+    """Returns the table with the limits that plans must observe. Each limit is the lower of two limits: the limit of the table and
+    the limit of the protection."""
     rate = math.inf if protection.rate is None else protection.rate.value
     acceleration = math.inf if protection.acceleration is None else protection.acceleration.value
     axes = tuple(

@@ -59,8 +59,8 @@ class TableState:
         """Returns joint angles (n, joints) [rad] at which the table may be instead of `centre`. They are spaced so closely that
         every possible choice between two ways to an orientation occurs.
 
-        For a continuous joint that may be at any angle, the angles do not depend on the planned angle, so that the moves from them
-        are computed only once.
+        If a continuous joint may be at any angle, the returned angles do not depend on the planned angle. The moves from these
+        angles are then computed only once.
         """
         if not self._inexact:
             return np.empty((0, len(centre)))

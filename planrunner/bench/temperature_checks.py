@@ -11,7 +11,7 @@ _FORGOTTEN = 40.0  # time constants after which the rest of a change is negligib
 
 
 class Temperatures:
-    """Follows the setpoint of the chamber, and the temperature of the sensor, which lags behind that of the air."""
+    """Follows the setpoint of the chamber, and the temperature of the sensor, which lags behind the temperature of the air."""
 
     def __init__(self, models: BenchModels, log: Findings):
         self._chamber, self._replays, self._log = models.chamber, models.replays, log
@@ -55,8 +55,8 @@ class Temperatures:
 
     def check_soaked(self, label: str, now: float, soak: float, mark: Mark) -> None:
         """Warns if, at the beginning of the dwell, the temperature of the sensor differs from the setpoint by more than the
-        chamber's tolerance. It is computed with the declared lag of the sensor. The warning is given once per change of the
-        setpoint, because a soak that is long enough for the first segment suffices for the following ones."""
+        chamber's tolerance. It is computed with the declared lag of the sensor. The warning is given once for each change of the
+        setpoint, because a soak that is long enough for the first segment is also long enough for the following segments."""
         if self._chamber is None or not self._lag or self._warned == self._reached:
             return
         left = self._behind(now)

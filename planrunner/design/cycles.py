@@ -89,11 +89,11 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers = ALONE) -> FoundCycle:
-    """Searches for cycles through the planned stops in the planned order. A turn may have either sense. The length of a turn is
-    limited to that of the longest planned turn, but is permitted to be at least half a turn.
+    """Searches for cycles through the planned stops in the planned order. A turn may have either sense. A turn may be as long as
+    the longest planned turn, or half a turn if that is longer.
 
-    Raises `CycleError` if the stops themselves are not balanced, which no choice of turns can correct, or if there are too many
-    choices.
+    Raises `CycleError` if there are too many choices, or if the stops themselves are not balanced, because no choice of turns can
+    correct this.
     """
     if abs(planned.integral()[0]) > NOTHING * planned.period:
         raise CycleError(

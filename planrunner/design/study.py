@@ -88,9 +88,9 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The bounds of the criteria. `merit`: for each criterion, a value that is at least as good as that of any set with this number
-    of positions. `certificate`: largest variance of a predicted output for the D-optimal continuous design; it equals the number of
-    terms if the optimum is exact."""
+    """The bounds of the criteria. `merit`: for each criterion, a value that no set with this number of positions can improve on.
+    `certificate`: largest variance of a predicted output for the D-optimal continuous design; it equals the number of terms if the
+    optimum is exact."""
 
     merit: Merit
     certificate: float
@@ -130,8 +130,8 @@ class RateSet:
     rate. `loss`: −ln|M| or tr M⁻¹, for terms divided by their magnitudes.
 
     `efficiency`: efficiency relative to the best rates found for the same number of observations. `per_hour`: efficiency relative
-    to the best use of the same time. `variance`: variance of a predicted output at each of the rates `FoundRates.course`, in units
-    of the variance of one observation at the largest rate. `predicted`: predicted results of the plan with these rates. `total`:
+    to the best use of the same time. `variance`: variance of a predicted output at each rate in `FoundRates.course`. The unit is
+    the variance of one observation at the largest rate. `predicted`: predicted results of the plan with these rates. `total`:
     duration [s] of this plan.
     """
 

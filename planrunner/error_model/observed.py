@@ -170,7 +170,7 @@ class Observed:
     `along`: for a sensor in unknown orientations, an array of shape (S, 3), the direction of gravity in the sensor's axes, estimated from
         the readings. The accelerometers of such a sensor are observed only along gravity, as one channel: perpendicular to gravity, errors
         cannot be distinguished from the unknown orientation.
-    `bins`: the bins of a long recording, whose "samples" are means over consecutive samples; None for single samples.
+    `bins`: the bins of a long recording; the "samples" are then means over consecutive samples. None for single samples.
     `felt`: angular rate (N, 3) and specific force (N, 3), if they do not follow from site, attitude and table.
     `fitted`: array of shape (N, K), output of the fitted nominal model.
     `response`: array of shape (K, 3), change of each output per rate about each sensor axis in the fitted nominal model; None for an ideal
@@ -247,9 +247,9 @@ class Observed:
 
     @cached_property
     def unknown_phase(self) -> Array:
-        """Returns a complex amplitude for each segment and channel, SI, shape (S, K). The amplitude describes the part of the channel's
-        nominal input that varies once per turn. If the angle θ of the table were known, this part would be the real part of the amplitude
-        times exp(iθ). Where the angle is known, or gravity shows it, nothing is unknown and the amplitude is zero."""
+        """Returns a complex amplitude for each segment and channel, SI, shape (S, K). The amplitude describes the part of the
+        channel's nominal input that varies once per turn. If the angle θ of the table were known, this part would be the real part
+        of the amplitude times exp(iθ). If the angle is known, or if gravity shows it, the amplitude is zero."""
         out = np.zeros((len(self), len(self.channels)), dtype=complex)
         for index, (motion, source) in enumerate(zip(self.motions, self.angle_from, strict=True)):
             if source is AngleFrom.NOTHING and isinstance(motion, Spin):

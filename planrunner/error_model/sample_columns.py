@@ -129,7 +129,8 @@ class ErrorsAtSamples:
         return made
 
     def _felt(self, shapes: Mapping[str, float], stimulus: Mapping[tuple[str, str], float]) -> Observed:
-        """Returns the samples with a changed stimulus: first with the effects of the stimulus, then with the effects on the rate."""
+        """Returns the samples with a changed stimulus. The effects of the stimulus are applied first, then the effects on the
+        rate."""
         observed = self.observed
         change = np.zeros((len(TRIADS), len(observed.time)))
         for part in self.errors.chosen:
@@ -157,8 +158,8 @@ class ErrorsAtSamples:
 
 
 def of_stimulus(effect: Effect) -> bool:
-    """Returns True if amplitudes of an effect change the stimulus of the sensor. An effect that delays the output counts as well, because
-    a delay is applied to the stimulus, on which scale factor and misalignments then act."""
+    """Returns True if amplitudes of an effect change the stimulus of the sensor. This includes an effect that delays the output,
+    because a delay is applied to the stimulus, and scale factor and misalignments then act on the delayed stimulus."""
     delays = effect.stage == "acquisition" and isinstance(effect, Curved)
     return (effect.stage == "stimulus" or delays) and not _fixed(effect)
 

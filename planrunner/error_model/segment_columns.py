@@ -118,10 +118,10 @@ def _last_changes(begin: Array, end: Array) -> Array:
 class EffectPart:
     """Describes one effect in the model of one output.
 
-    `only`: names of the effect's columns in the model, without the letter of the axis; empty if the model contains all columns of the
-    effect. `shape`: value of the effect's shape; None for an effect without shape. `sizes`: maps the name of a column, without the letter
-    of the axis, to an amplitude in SI units. At these amplitudes, the derivative of the output with respect to the shape is computed,
-    which is a further column of the model. Empty if the model has no such column.
+    `only`: names of the effect's columns in the model, without the letter of the axis; empty if the model contains all columns of
+    the effect. `shape`: value of the effect's shape; None for an effect without shape. `sizes`: maps the name of a column, without
+    the letter of the axis, to an amplitude in SI units. The derivative of the output with respect to the shape is computed at these
+    amplitudes; it is a further column of the model. `sizes` is empty if the model has no such column.
     """
 
     effect: Effect

@@ -241,8 +241,8 @@ class Design:
 
     `blocks`: one block per output; empty if the estimator has no linear model. `notes`: notes on the planned segments. `extra`:
     plain data for the designs of other estimates that use this one. An estimator that gives coefficients at certain temperatures
-    adds these `temperatures` [K] to `extra` (an empty list if there are none), and `names_by_temperature` if the names of the
-    coefficients are known. `foresight`: a function that computes the prediction of a run. The prediction takes longer than the rest
+    adds the list `temperatures` [K] to `extra`; the list may be empty. If the names of these coefficients are known, it also adds
+    `names_by_temperature`. `foresight`: a function that computes the prediction of a run. The prediction takes longer than the rest
     of a design, so it is computed only when a limit, an estimate that uses this one, or a reader needs it.
     """
 

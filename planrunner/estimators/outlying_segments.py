@@ -1,5 +1,5 @@
-"""Finds segments that do not agree with the other segments. Also finds segments that the other segments do not check, so that an
-error would remain unnoticed.
+"""Finds segments that do not agree with the other segments. Also finds segments in which an error would remain unnoticed, because
+the other segments do not check them.
 
 The test uses the mean-shift model: segment i of an output has an error δ. An additional column, which is 1 in row i and 0
 elsewhere, describes this error. The t value of δ is the externally studentised residual (Cook and Weisberg, Residuals and Influence
@@ -74,8 +74,8 @@ def agreement(fit: OutputsFit, basis: str) -> Agreement:
 
 
 def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
-    """Finds the outliers of one output. `whole`: for each segment, the effects of an additional column when no segment has such a
-    column yet."""
+    """Finds the outliers of one output. `whole`: for each segment, the effects of an additional column, computed while no segment
+    has such a column yet."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []

@@ -156,8 +156,8 @@ class OutputsFit:
         return (*weighted, *(one.through(acting) for one in self.unweighted), *doubted)
 
     def _doubted_drift(self) -> Iterator[CorrelatedError]:
-        """Yields the doubted drift functions, which are not fitted although there is some evidence for them, as errors of the
-        observations. The size of such an error is computed from the amplitude that a fit of the drift function gives."""
+        """Yields the doubted drift functions as errors of the observations. These drift functions are not fitted, although there is
+        some evidence for them. The size of such an error is computed from the amplitude that a fit of the drift function gives."""
         for one in self.drift.doubted:
             for output, (name, own) in enumerate(zip(self.outputs, one.amplitudes, strict=True)):
                 for part, amplitude, column in zip(one.course.parts, own.tolist(), one.course.columns.T, strict=True):
@@ -365,8 +365,8 @@ class _Weighting:
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
     def equal(self) -> _Fitted:
-        """Returns the fits in which all segments have equal weights. The comparison of the residuals with the noise uses a second
-        fit, which is weighted by noise and effects, because with equal weights a few large residuals would decide the
+        """Returns the fits in which all segments have equal weights. For the comparison of the residuals with the noise, a second
+        fit is made, which is weighted by noise and effects. With equal weights, a few large residuals would decide the
         comparison."""
         spreads = np.broadcast_to(np.sqrt(np.mean(self.sigma**2, axis=1, keepdims=True)), self.sigma.shape)
         whitening = _whitening(spreads, self.roots)

@@ -75,8 +75,8 @@ class LikelyChannel:
     """A column that is probably a channel.
 
     `unit`: the probable unit. `counts`: True if the numbers are raw counts, of which `per_unit` are one unit. `noise`: standard
-    deviation of a sample at rest, in `unit`; 0 if the channel is constant at rest, NaN if the noise is unknown. `source`: the
-    evidence for the unit. It is `name` if the name of the column states the unit, `size` if the size of the values suggests the
+    deviation of a sample at rest, in `unit`. It is 0 if the channel is constant at rest, and NaN if the noise is unknown. `source`:
+    the evidence for the unit. It is `name` if the name of the column states the unit, `size` if the size of the values suggests the
     unit, and `motion` if turns that the accelerometers also show confirm the unit. `stands`: True if the values of the channel
     never change. `increments`: True if the column contains the integral over one sample period; in this case, `per_unit` is this
     period."""
@@ -307,7 +307,7 @@ class _Clock:
         return None if self._stamp is None or self.backwards else replace(self._stamp, wraps=self._wraps)
 
     def unwrapped(self, times: Array) -> Array:
-        """Corrects times [s] if the return of the counter to zero was recognised only after the last row: adds one period of the
+        """Corrects times [s] if it was recognised only after the last row that the counter returns to zero. Adds one period of the
         counter for each return."""
         if self._stamp is None or self._stamp.wraps is not None or self._wraps is None:
             return times
@@ -339,8 +339,8 @@ class _Clock:
         self.times = own - self._first
 
     def rate(self, rows: int, median: float) -> float:
-        """Returns the number of rows per second [Hz], averaged over the whole recording. If this average differs from `median`, the
-        rate of the median step, because of pauses, returns `median`."""
+        """Returns the number of rows per second [Hz], averaged over the whole recording. If pauses make this average differ from
+        `median`, which is the rate of the median step, returns `median`."""
         whole = (rows - 1) / (self._last - self._first) if self._last > self._first else median
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 

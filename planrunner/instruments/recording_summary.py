@@ -32,8 +32,8 @@ class SummaryRow:
     """Contains the row of a segment in the table.
 
     `line`: line in the file. `start`: start time, s. `count`: number of samples. `means`, `deviations`: mean and standard deviation
-    of each channel, in the unit of the channel. If the table states a standard error instead, it is converted to that standard
-    deviation for which the mean of `count` independent samples has the stated standard error.
+    of each channel, in the unit of the channel. If the table states a standard error instead, it is converted to a standard
+    deviation: that of `count` independent samples whose mean has the stated standard error.
     """
 
     line: int

@@ -157,8 +157,8 @@ class FineAlignment:
         return found
 
     def finish(self, rotation: Array) -> Alignment:
-        """Returns the result of the alignment. `rotation`: array of shape (3, 3), attitude of the navigator at the end, which is
-        less than one knot interval after the last knot."""
+        """Returns the result of the alignment. `rotation`: array of shape (3, 3), attitude of the navigator at the end of the
+        alignment. The end is less than one knot interval after the last knot."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
         constant = self._state[SIZE : SIZE + INPUTS].copy()

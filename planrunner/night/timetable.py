@@ -208,7 +208,7 @@ class NightCourse:
         self._benches[self.tests[test].bench].running = None
 
     def abandon(self, test: int) -> EndOfTest | None:
-        """Records that a waiting test will not run. If the test waited for a repetition, returns how its last attempt ended, which
+        """Records that a waiting test will not run. If the test waited for a repetition, returns how its last attempt ended; this
         is then the result of the test."""
         self._withdraw(test)
         state = self._tests[test]
@@ -468,7 +468,7 @@ class NightForecast:
 
     @property
     def ends(self) -> float:
-        """Returns the predicted end of the night; if no test runs, the beginning of the night."""
+        """Returns the predicted end of the night or, if no test runs, the beginning of the night."""
         return max((slot.ends for slot in self.slots), default=self.hours.begins)
 
     @property

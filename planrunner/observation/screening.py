@@ -14,8 +14,8 @@ is the median absolute deviation from the local median (Rousseeuw and Croux, "Al
 lower limits: a trimmed mean of the deviations, half a count, and a part of the usual change from sample to sample.
 
 *Stuck.* Runs of equal samples are compared with the other runs of the same segment. A run is stuck if it is more than `RUN` times
-as long as 99 % of the others, and if the noise of the segment would have moved its samples to another count. A channel whose noise
-does not reach the next count is therefore never reported as stuck; nor is a smooth signal.
+as long as 99 % of the others, and if the noise of the segment would have moved its samples to another count. A smooth signal, or a
+channel whose noise does not reach the next count, is therefore never reported as stuck.
 
 *Segments without wrong samples.* The mean, the standard deviation and the extremes of a channel are computed without its bad
 samples. Integration and filtering read samples one by one. For them, a short bad stretch is filled by a straight line from the
@@ -682,8 +682,8 @@ class Screening:
         return found
 
     def _steps(self, k: int, found: Sequence[Find]) -> list[Find]:
-        """Finds lasting changes of the level: places where the difference between neighbouring means is far larger than elsewhere
-        in the segment."""
+        """Finds lasting changes of the level. At such a place, the difference between neighbouring means is far larger than
+        elsewhere in the segment."""
         if not self.steady or not self.means[k]:
             return []
         means, times = np.concatenate(self.means[k]), np.concatenate(self.bin_times)

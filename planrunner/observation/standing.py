@@ -2,8 +2,8 @@
 
 Such a segment does not show the noise of the channel. The noise is therefore taken from the bench file, or from other segments at
 rest or at a constant rate in which the channel changes. The channel counts as stuck if noise of this size would have moved it to
-another count. Three cases are therefore not reported: channels with coarse counts at rest, signals without noise, and channels that
-keep one value in most segments, such as setpoints.
+another count. Three cases are therefore not reported: channels with coarse counts at rest, signals without noise, and channels
+(such as setpoints) that keep one value in most segments.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def with_standing(
     """Adds a finding to a segment for each channel that keeps one value although its noise would have changed this value. The
     finding does not count as bad, because the channel would otherwise have no data left. A person must decide what to do.
 
-    `chance`: the largest probability, of a constant value in spite of the noise, at which a channel counts as stuck.
+    `chance`: a channel counts as stuck if noise leaves its value constant with at most this probability.
     """
     found: dict[int, list[Find]] = {}
     for name in channels:

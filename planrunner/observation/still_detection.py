@@ -24,8 +24,8 @@ _MOST_BATCHES = 64
 @dataclass(frozen=True, slots=True)
 class StillSpan:
     """Describes a span of time in which the sensor is still. `count`: number of samples. `mean`, `standard_error`: arrays of shape
-    (k,), the means of the channels of the detection and the standard errors of these means, in the units of the channels. The
-    standard errors are computed from `batches` consecutive batch means; NaN if there are fewer than two batches."""
+    (k,), the means of the channels that the detection uses, and the standard errors of these means, in the units of the channels.
+    The standard errors are computed from `batches` consecutive batch means; NaN if there are fewer than two batches."""
 
     span: Span
     count: int

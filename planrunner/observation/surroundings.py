@@ -114,7 +114,8 @@ def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Arr
 
 @dataclass(frozen=True, slots=True)
 class Monitors:
-    """Names the channels that show the state of the sensor besides its motion; a name is None if this state comes from the plan.
+    """Names the channels that show further states of the sensor besides its motion. A name is None if the state comes from the
+    plan.
 
     `thermometer`: channel with the temperature of the sensor. `voltmeter`: channel with the supply voltage of the sensor.
     `barometer`: channel with the ambient pressure. `nominal_supply`: nominal supply voltage, V.

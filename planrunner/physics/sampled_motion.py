@@ -25,11 +25,9 @@ FOREIGN = 3.0
 
 
 class AngleFrom(StrEnum):
-    """States how the angle of the table is known.
-
-    `PLAN`: from an encoder or, if the table does not turn continuously, from the plan. `GRAVITY`: from the accelerometers, because
-    the table turns about an axis that is not vertical. `NOTHING`: not at all, because the table turns and its angle at the start of
-    the segment is unknown."""
+    """States from what the angle of the table is known. `PLAN`: the angle is known from an encoder or, if the table does not turn
+    continuously, from the plan. `GRAVITY`: it is known from the accelerometers, because the table turns about an axis that is not
+    vertical. `NOTHING`: it is not known, because the table turns and its angle at the start of the segment is unknown."""
 
     PLAN = "plan"
     GRAVITY = "gravity"

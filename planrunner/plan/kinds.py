@@ -424,8 +424,8 @@ class Origin:
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
-        """Returns the mark of a key, or of an entry in the list or mapping that is the key's value. An entry without a mark has the
-        mark of its key; a key without a mark has the mark of the record."""
+        """Returns the mark of a key, or of an entry in the list or mapping that is the key's value. If an entry has no mark,
+        returns the mark of its key; if a key has no mark, returns the mark of the record."""
         if key in self.keys:
             return self.keys[key]
         return self.keys.get(key.partition("[")[0].partition(".")[0], self.mark)

@@ -275,7 +275,7 @@ def read_quantity(
 
 
 def states_uncertainty(text: str) -> bool:
-    """Returns True if the text of a quantity has a ± that is followed by anything, even by zero."""
+    """Returns True if the text of a quantity contains a ± with a text after it, even if this text is zero."""
     parts = _parts(text)
     return parts is not None and parts[3] is not None
 

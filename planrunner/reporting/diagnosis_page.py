@@ -184,7 +184,7 @@ def _cause(found: Data) -> str:
 
 
 def _open(found: Data) -> bool:
-    """Returns True if, judged from the pattern or the size of the residual gap, something acts in addition to the named effects."""
+    """Returns True if the pattern or the size of the residual gap shows that something acts in addition to the named effects."""
     rest = found.get("rest")
     visible = rest is not None and not rest["passes"] and float(rest["share"]) >= SMALL_REST
     return visible or (found["verdict"].get("something_else") is True and not _form(found))

@@ -113,8 +113,8 @@ def _of_amplitude(found: Data, amplitude: Data) -> Iterator[str]:
 
 
 def _clear(part: Data) -> float:
-    """Returns how clear a part is: its difference from the other parts, divided by the expanded uncertainty of this difference. If
-    there are no other parts, returns the value of the part divided by its expanded uncertainty."""
+    """Returns a measure of how clear a part is: the difference from the other parts, divided by the expanded uncertainty of this
+    difference. If there are no other parts, returns the value of the part divided by its expanded uncertainty."""
     one = part["difference"] or part["part"]
     return abs(float(one["value"])) / float(one["expanded_uncertainty"])
 

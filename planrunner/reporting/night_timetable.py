@@ -54,7 +54,7 @@ class Timetable:
 
 
 def headline(table: Timetable) -> str:
-    """States the number of tests and benches, and when the night begins, ends according to the forecast, and must end."""
+    """States the number of tests and benches, and the times at which the night begins, is expected to end, and must end."""
     night = table.forecast
     benches = len({slot.bench for slot in night.slots})
     runs = sum(slot.test is not None for slot in night.slots)

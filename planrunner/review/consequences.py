@@ -140,8 +140,7 @@ def _sound_terms(forecast: Forecast) -> dict[tuple[str, str], frozenset[str]]:
 
 
 def _undetermined(forecast: Forecast, known: Mapping[tuple[str, str], frozenset[str]]) -> Iterator[Undetermined]:
-    """Yields the terms that this plan cannot determine, although the other plan estimates the same outputs and can determine these
-    terms."""
+    """Yields the terms that this plan cannot determine, although the other plan determines them for the same outputs."""
     for name, judged in forecast.judged.items():
         for one in judged:
             other = known.get((name, one.output))

@@ -395,8 +395,8 @@ def _bound(branch: Branch, absent: float) -> float:
 
 
 def _changes(place: KeyPath, a: Branch, b: Branch, rounded: list[PartChange]) -> Iterator[PartChange]:
-    """Yields the parts in which two branches of a meaning differ. The comparison continues in their parts as long as the two
-    branches have the same form."""
+    """Yields the parts in which two branches of a meaning differ. As long as the two branches have the same form, their parts are
+    compared in turn."""
     if isinstance(a, StatedValue) and isinstance(b, StatedValue):
         if a.content == b.content:
             return

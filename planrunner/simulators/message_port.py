@@ -1,5 +1,5 @@
-"""Connects a message-based instrument to a port. Received bytes are divided into messages at their terminators, terminators and
-framing are added to replies, and faults are applied."""
+"""Connects a message-based instrument to a port. Divides received bytes into messages at their terminators, adds terminators and
+framing to replies, and applies faults."""
 
 from __future__ import annotations
 

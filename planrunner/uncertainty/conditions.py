@@ -4,7 +4,7 @@ results are then computed by evaluating the method's formula.
 A result must be a pure function of observations and conditions. Each input with a stated uncertainty is a `StatedCondition`. It
 contains the input quantity and functions that change the conditions. The formula is evaluated twice: with the input increased, and
 with the input decreased by its standard uncertainty. Half of the difference between the two results is the contribution of the
-input (JCGM 100:2008, 5.1.3, note 2). As the step is the standard uncertainty, rounding errors of the formula remain small for every
+input (JCGM 100:2008, 5.1.3, note 2). The step is the standard uncertainty, so rounding errors of the formula remain small for every
 unit and size of the input.
 """
 

@@ -59,9 +59,9 @@ class Influence:
 
     `sensitivities`: array of shape (m, r), ∂coefficient/∂input in the unit of the coefficient per `quantity.unit`. There are r
     columns for r independent inputs with the same uncertainty, such as the errors of the table at r positions, and one column if
-    all segments share one input. `in_scatter`: True if the scatter of the data already contains the effect of the input; budgets
-    then list the input but do not add it. `parts`: names of the r inputs, such as orientations. Inputs of two influences with the
-    same name are the same input; inputs without names are different inputs.
+    all segments share one input. `in_scatter`: True if the scatter of the data already contains the effect of the input. Budgets
+    then list the input, but do not add its contribution. `parts`: names of the r inputs, such as orientations. Inputs of two
+    influences with the same name are the same input; inputs without names are different inputs.
     """
 
     quantity: InputQuantity

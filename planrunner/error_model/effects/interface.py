@@ -290,7 +290,7 @@ class Shaped:
 @runtime_checkable
 class HasAlternatives(Effect, Protocol):
     """An effect that acts in one of several ways, such as clipping at an upper or at a lower limit. Each way has its own shape. A
-    diagnosis names the most probable way; a simulation may combine several ways, namely all ways whose shapes are stated.
+    diagnosis names the most probable way. A simulation may combine several ways: it uses all ways whose shapes are stated.
     `alternatives`: one effect for each way. All of them have the same `id` and `stage`, but each has its own `shape_name`, and each
     is fully determined by its shape."""
 

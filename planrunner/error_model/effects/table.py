@@ -63,7 +63,7 @@ class TableTilt:
 
 
 class TableAzimuth:
-    """The assumed north direction of the table is not true north: the base is turned by one angle about up."""
+    """The assumed north direction of the table is not true north: the base is turned by an angle about the vertical."""
 
     id, stage = "table_azimuth", "stimulus"
     about = About(

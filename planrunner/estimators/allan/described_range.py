@@ -3,8 +3,8 @@
 A record may contain more than noise. A filter or a periodic disturbance changes the deviations at short averaging times; a warm-up
 changes the deviations at long averaging times; a steady drift looks like a random walk. The first fit uses all averaging times. If
 some averaging times contradict the model, averaging times are omitted at the ends of the range, but as few as possible. Allan
-variances cannot distinguish a random walk from a drift. If they show one of the two, Hadamard variances are fitted instead: the
-coefficients are then right in both cases, and only a little less certain.
+variances cannot distinguish a random walk from a drift. If they show a drift or a random walk, Hadamard variances are fitted
+instead. The coefficients are then right in both cases, and only a little less certain.
 """
 
 from __future__ import annotations

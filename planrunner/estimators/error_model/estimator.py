@@ -262,7 +262,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
 
 
 def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str]:
-    """Returns the effects whose shape is fitted to samples and for whose shape the plan states no expected value."""
+    """Returns the effects whose shape is fitted to samples, if the plan states no expected value for the shape."""
     if one.within is None:
         return []
     shaped = [amplitude.effect.id for amplitude in one.columns.amplitudes if amplitude.shape]
@@ -280,8 +280,8 @@ def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ..
 
 
 def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParameters]) -> list[str]:
-    """Returns the quantities that an output's effects need, but that no segment states because only a channel of the recording
-    shows them."""
+    """Returns the quantities that the effects on an output need but that no segment states. Only a channel of the recording shows
+    these quantities."""
     channels = {
         Follows.SUPPLY: request.parameters.supply_channel,
         Follows.PRESSURE: request.parameters.pressure_channel,

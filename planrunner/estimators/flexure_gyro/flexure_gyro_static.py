@@ -335,7 +335,7 @@ def _drift(axis: str, rate: str, kind: str) -> Said:
 
 def information(design: PositionsDesign) -> tuple[dict[str, object], Said]:
     """Returns the values `determinant` and `condition` of a set of positions, and a sentence that states them. The values serve to
-    compare sets of positions. For them, rates are in units of the Earth rate, and accelerations in units of g."""
+    compare sets of positions. For these values, rates are in units of the Earth rate, and accelerations in units of g."""
     sight = rank.look(design.matrix / design.magnitudes)
     determinant, condition = sight.determinant, sight.condition
     note = said(

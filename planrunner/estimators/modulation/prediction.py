@@ -2,9 +2,9 @@
 error equations, the other uses harmonics.
 
 An alignment at rest cannot observe some sensor errors. It adjusts tilt and azimuth so that they compensate these errors
-(`ErrorEquations.levelled`), which therefore mostly cancel while the sensor stays at rest. An alignment during a cycle compensates
-only the residual of the cycle. After the alignment, the errors of gyros and accelerometers rotate with the table. These errors are
-the input of the equations.
+(`ErrorEquations.levelled`). While the sensor stays at rest, the errors therefore mostly cancel. An alignment during a cycle
+compensates only the residual of the cycle. After the alignment, the errors of gyros and accelerometers rotate with the table. These
+errors are the input of the equations.
 """
 
 from __future__ import annotations

@@ -136,8 +136,8 @@ class StrapdownNavigationParameters(Record):
 
     @property
     def constant_errors(self) -> Array:
-        """Returns the standard uncertainties of the constant errors, rad/s and m/s², shape (6,). These are the stated values; if
-        none are stated, they are so large that the data alone determine the errors."""
+        """Returns the standard uncertainties of the constant errors, rad/s and m/s², shape (6,). If the plan states no values, the
+        uncertainties are so large that the data alone determine the errors."""
         gyro = self.gyro_uncertainty.value if self.gyro_uncertainty else _GYRO
         accelerometer = self.accelerometer_uncertainty.value if self.accelerometer_uncertainty else _ACCELEROMETER
         return np.array([gyro] * 3 + [accelerometer] * 3)

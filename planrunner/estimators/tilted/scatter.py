@@ -106,9 +106,9 @@ def scatter_between_repeats(
 
 
 def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
-    """Returns the variances that the part of the flicker common to different repeats causes in the means over the repeats, shape
-    (5·m,). A variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, or zero if this mean is negative. fᵣ is the
-    sensitivity of the quantities of repeat r to the means of segments, and C is the covariance of the flicker."""
+    """Returns the variances of the means over the repeats due to the flicker that different repeats have in common, shape (5·m,). A
+    variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, or zero if this mean is negative. fᵣ is the sensitivity of the
+    quantities of repeat r to the means of segments, and C is the covariance of the flicker."""
     gains, q = answers_to_averages(answers), len(group.spins)
     found = np.zeros(gains.shape[1:])
     for effect in flicker:
@@ -169,9 +169,9 @@ def scatter_of_means(
 def _about_the_line(
     group: Group, residuals: Array, noise: Array, flicker: Sequence[CorrelatedError]
 ) -> tuple[Array, Array]:
-    """Computes the scatter of the outputs at the rates from the residuals (n, m). Returns the standard uncertainties (n, m), which
-    are equal at all rates for each output, and the covariances (m, n + 1, n + 1) that flicker causes between the averages of
-    `Group.averages`.
+    """Computes the scatter of the outputs at the rates from the residuals (n, m). Returns two arrays. The first, of shape (n, m),
+    contains the standard uncertainties of the outputs; for each output, they are equal at all rates. The second, of shape (m, n +
+    1, n + 1), contains the covariances that flicker causes between the averages of `Group.averages`.
 
     Without declared flicker, the variance is s² = Σν²/(n − 2) for the residuals ν. With flicker, the covariance of the rates is
     proportional to V = σ²·1 + C, where σ² is the mean square of `noise` (n, m), and C the covariance of the flicker. The residuals
@@ -204,8 +204,8 @@ def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other
 
 
 def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
-    """Returns the derivatives ∂`TiltedResults.vector`/∂(means of all groups), (count, g·m·5). The repeatability is not a function
-    of the means, so its rows are zero."""
+    """Returns the derivatives ∂`TiltedResults.vector`/∂(means of all groups), shape (count, g·m·5), for g groups, m axes and five
+    quantities of each axis. The repeatability is not a function of the means, so its rows are zero."""
     g, m, p = found.means.shape
     each = m * p
     gradient = np.zeros((len(found.vector), g * each))

@@ -1,7 +1,7 @@
 """Finds effects that do not appear in the coefficients to which a recording is reduced (`evidence.spectrum`), for example a line of
 one frequency.
 
-Such effects are found first and removed from the samples, so that the other effects are evaluated without them. Each of them is
+Such effects are found first and removed from the samples, so that the other effects are evaluated without them. Each such effect is
 present or absent independently of the other effects, so its log evidence is added to the log evidence of the others.
 
 One effect of this kind is a stuck output, which keeps one value for longer than its noise allows. The evidence compares stuck

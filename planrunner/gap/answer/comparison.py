@@ -1,9 +1,9 @@
 """Compares a recording with two simulations of its plan: one without the effects that a diagnosis found, and one with them.
 
 The recording and both simulations are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow
-changes, and the harmonics of turns and of rocking. From each of them, the outputs that follow from its nominal motion are
-subtracted first, so that times and table angles need not agree exactly. The simulated sensor has other nominal parameters than the
-recorded one; therefore the nominal columns are fitted to the difference.
+changes, and the harmonics of turns and of rocking. First, the outputs that follow from the nominal motion are subtracted from the
+recording and from each simulation. Times and table angles therefore need not agree exactly. The simulated sensor has other nominal
+parameters than the recorded one; therefore the nominal columns are fitted to the difference.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 on this bench, or an instrument that the bench lacks.
 
 The information that a segment would give is computed before the segment is measured. To save time, only a few seconds of each
-segment, with whole turns or periods, are computed at the sampling rate of the recording. The rest of the segment counts as a
+segment, with whole turns or periods, are computed at the sampling rate of the recording. The rest of the segment is treated as a
 repetition of these seconds.
 
 The choice is greedy: each step takes the segment with the most expected evidence per second of test time, which includes moves and
@@ -11,7 +11,7 @@ A repetition of the recorded segments is evaluated in the same way, for comparis
 
 If the segments of the bench cannot distinguish the explanations, additional instruments are evaluated in the same way as segments.
 Effects of the table and of the site act on every instrument on the table. Effects of the sensor under test and of its data
-acquisition do not act on them.
+acquisition do not act on these instruments.
 """
 
 from __future__ import annotations
@@ -382,7 +382,7 @@ def _warmth(segment: Segment) -> float | None:
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
     """Removes chosen segments that are not needed to reach the target probability. If all chosen segments together do not reach the
-    target, the probability that they reach takes its place."""
+    target, the target is replaced by the probability that they do reach."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:
@@ -401,9 +401,9 @@ def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
 
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
-    """Returns the test time [s] for which the recorded segments must be repeated until the true explanation has the expected
-    probability `aim`, and the expected probability that is then reached. If no number of repetitions is enough, returns both values
-    for the largest number considered."""
+    """Returns the test time [s] for which the recorded segments must be repeated, and the expected probability of the true
+    explanation that is then reached. The repetitions end when this probability is at least `aim`. If no number of repetitions is
+    enough, returns both values for the largest number considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:
@@ -453,8 +453,8 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
 def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
-    """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all options
-    if they are measured with this instrument in addition."""
+    """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all options,
+    if this instrument measures them in addition."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)

@@ -9,9 +9,9 @@ If the test shows that noise alone does not explain the residuals, their dispers
 noise, the differences between log evidences are too large by this ratio, because the evidence treats the samples as independent,
 while the errors of an explanation are the same in all samples. In this case, the evidence is computed with a noise variance that is
 multiplied by the dispersion. This is the dispersion of quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989,
-section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932). It corresponds to a likelihood raised to
-the power ν/χ² (Miller and Dunson, Journal of the American Statistical Association 114, 2019). If chance can explain the ratio, the
-dispersion is 1. Without a misfit, the evidence therefore remains unchanged.
+section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932). This correction corresponds to a
+likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical Association 114, 2019). If chance can
+explain the ratio, the dispersion is 1. Without a misfit, the evidence therefore remains unchanged.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
     over the means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
 
     `rest`: array of shape (M,), the whitened residuals. `degrees`: degrees of freedom of `rest`. `means`: array of shape (S,),
-    indices of the coefficients of order 0. They are tested separately because errors in the form of an effect accumulate in them.
-    `tests`: number of tests in all channels, for Bonferroni's correction.
+    indices of the coefficients of order 0. The means are tested separately, because errors in the form of an effect accumulate in
+    them. `tests`: number of tests in all channels, for Bonferroni's correction.
     """
     from scipy.special import chdtrc
 

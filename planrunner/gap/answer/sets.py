@@ -225,8 +225,8 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
-    """Assumes that the effect `a` acts with its most probable size. Yields, for each of the other effects, the form that then fits
-    best, and the log Bayes factor that this form adds."""
+    """Assumes that the effect `a` acts with its most probable size. Yields, for each of the other effects, the best form under this
+    condition, and the log Bayes factor that this form adds."""
     if not others:
         return
     mean, covariance = a.amplitudes

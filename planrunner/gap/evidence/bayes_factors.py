@@ -70,7 +70,8 @@ def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array
 
 
 def gaussian(grown: Array, gain: Array) -> Array:
-    """Computes the log Bayes factor of amplitudes θ with the prior N(0, s²·D), shape (…); amplitudes of any energy count.
+    """Computes the log Bayes factor of amplitudes θ with the prior N(0, s²·D), shape (…). The energy of the amplitudes is not
+    restricted.
 
     `grown`: array of shape (…, p): 1 + s²·λ for each eigenvalue λ of the Gram matrix. `gain`: array of shape (…, p): s² multiplied
     by the squared score and divided by `grown`."""

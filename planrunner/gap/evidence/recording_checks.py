@@ -184,8 +184,8 @@ def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, flo
     the fraction of the segment in which the output deviates because the rate changes, and the largest such deviation relative to
     the rate. Both numbers are 0 if the rate is steady. For the comparison, the segment is divided into `PARTS` parts. The size of
     changes of the output for other reasons, such as an uneven motion, is judged from the scatter between the means of the parts in
-    the middle half. If this scatter is large, the result is as if no part of the segment were steady. `earth_rate`: amplitude of
-    the input that the Earth's rotation may cause once per turn, rad/s."""
+    the middle half. If this scatter is large, the function returns the values for a segment without any steady part. `earth_rate`:
+    amplitude of the input that the Earth's rotation may cause once per turn, rad/s."""
     if len(values) < 4 * PARTS:
         return 0.0, 0.0
     means = np.array([part.mean() for part in np.array_split(values, PARTS)])

@@ -107,7 +107,7 @@ def _sharing(readings: Array, count: float) -> Array:
 
 def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
     """Returns the weights and the log likelihood (G,) of a channel at each setting of the noise. In settings that are not `alike`,
-    the random walks of a triad have a common scale, but each axis has its own density.
+    the densities of the random walks of a triad have a common scale, but each axis has its own density.
 
     For a scale q, the density of an axis has the prior |N(0, q²)|. The likelihood is averaged over the density levels with this
     prior. The returned weights are the weights of the most probable level. The data from which this level is estimated may also

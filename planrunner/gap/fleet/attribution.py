@@ -5,7 +5,7 @@ declarations).
 The estimate in run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, where e_r ~ N(0, s_r²) is known from the
 fit of the run. The parts of one kind of source, such as those of all devices, are independent draws from N(0, σ²); each kind has
 its own σ. This is a random-effects model (Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9). The common
-part c has a σ as well. It has no flat prior, because zero is a special value: the run then agrees with the simulation.
+part c has a σ as well. It has no flat prior, because zero is a special value: with zero, the run agrees with the simulation.
 
 The hypotheses are all subsets of the sources, including the empty set. For given σ, the evidence is Gaussian:
 
@@ -168,7 +168,7 @@ class Attribution:
 
     @property
     def open(self) -> tuple[Contribution, ...]:
-        """Returns the components for which the data do not decide: they are neither named nor excluded."""
+        """Returns the components that are neither named nor excluded, because the data do not decide about them."""
         return tuple(one for one in self.contributions if 1 - SURE < one.probability < SURE)
 
 

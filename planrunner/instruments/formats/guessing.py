@@ -351,8 +351,8 @@ def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]
 
 def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, str]:
     """Finds columns that cannot be read, although their names state that they are a time or a channel. Returns the reason for each
-    of them. The reason of a column that contains dates or times of day is the first wrong time. `numbers`: the columns of numbers,
-    which are left out. Raises `InstrumentError` if the file cannot be read."""
+    of them. For a column of dates or times of day, the reason names the first wrong time. `numbers`: the columns of numbers, which
+    are left out. Raises `InstrumentError` if the file cannot be read."""
     known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
     found: dict[str, str] = {}
     for column in dict.fromkeys(known):

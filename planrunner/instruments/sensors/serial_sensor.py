@@ -41,7 +41,7 @@ class FirstFrames:
     """Contains the first frames after connecting, and what they show.
 
     `seconds`: time between the first and the last good frame; frames that waited in buffers do not count. `heard`: time of the last
-    good frame. `haste`: seconds of the bench's clock per second of real time; it is needed because buffers are filled and read in
+    good frame. `haste`: seconds of the bench's clock per second of real time. It is needed because buffers are filled and read in
     real time.
     """
 
@@ -242,8 +242,8 @@ class SerialSensor(Generic[P]):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _patience(self) -> float:
-        """Returns the longest permitted silence, in seconds of the bench's clock. The key in the bench file states it in real time,
-        because delays in cables and computers do not depend on the bench's clock."""
+        """Returns the longest permitted silence, in seconds of the bench's clock. The key in the bench file states this time in
+        real time, because delays in cables and computers do not depend on the bench's clock."""
         return self.parameters.silence.value * self._speed
 
     def _byte_time(self) -> float:

@@ -109,7 +109,7 @@ def gauge_study(
 
     `factors`: maps each factor to the labels of the n values; a factor with only one level is left out. `item`: the factor that
     distinguishes the measured items. If a cell has more values than others, only its first values are used. `pooled`: True if
-    interactions count as repeatability, which is usual if they are not significant. Raises `UnbalancedError` if a cell has no
+    interactions are counted as repeatability. This is usual if they are not significant. Raises `UnbalancedError` if a cell has no
     value.
     """
     used = {name: list(labels) for name, labels in factors.items() if len(set(labels)) > 1}
