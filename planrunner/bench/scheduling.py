@@ -4,8 +4,9 @@ state.
 The findings that are added here concern physics: what the bench can reach, and how it is sampled. Motions are checked in
 `planrunner.bench.motion_checks`, temperatures in `planrunner.bench.temperature_checks`.
 
-Settling conditions and limits are converted to SI units. It is checked that the bench can measure the quantities that they limit.
-With simulated time, nothing is measured: a state is steady as soon as the simulated instrument reports it.
+Settling conditions and limits are converted to SI units. The module also checks that the bench can measure the quantities to which
+these conditions and limits apply. With simulated time, nothing is measured: a state is steady as soon as the simulated instrument
+reports it.
 """
 
 from __future__ import annotations

@@ -230,7 +230,8 @@ class AddedEffects:
         return replace(made, past=dict(self.past))
 
     def _remember(self, observed: Observed) -> None:
-        """Stores what effects with a memory need of earlier samples. Every checkpoint contains this stored part, so it must not grow."""
+        """Stores the part of earlier samples that effects with a memory need. Every checkpoint contains this stored part, so it
+        must not grow."""
         from planrunner.error_model.effects.interface import DependsOnPast
 
         for item in self.additions:

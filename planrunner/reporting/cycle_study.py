@@ -101,7 +101,7 @@ def vector(left: complex) -> str:
 
 
 def notes(found: FoundCycles) -> tuple[str, ...]:
-    """Explanations of the numbers, in sentences."""
+    """Explains the numbers, in sentences."""
     said = [f"{TITLES[name].capitalize()}: {reason}." for name, reason in found.reasons.items()]
     for name, search in found.searches.items():
         title = TITLES[name].capitalize()

@@ -41,8 +41,8 @@ _REMEDY = {
 
 
 def sentences(found: Data) -> list[str]:
-    """Sentences about changes and their times, about properties that the devices of a lot have in common, and about the sources to
-    which effects are attributed."""
+    """Returns sentences about changes and their times, about properties that the devices of a lot have in common, and about the
+    sources to which effects are attributed."""
     return [*news(found), *(text for amplitude in found["amplitudes"] for text in _of_amplitude(found, amplitude))]
 
 

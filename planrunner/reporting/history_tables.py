@@ -176,7 +176,7 @@ def sentences(found: Trend) -> list[str]:
 
 
 def _stamps(found: Trend) -> Iterator[str]:
-    """Notes on the runs whose samples were not measured in the run itself, for example simulated samples."""
+    """Returns notes on the runs whose samples were not measured in the run itself, for example simulated samples."""
     origins = [point.run.origin for point in found.points]
     for origin in _NOT_MEASURED:
         mark = stamp(origin)

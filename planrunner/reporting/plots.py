@@ -118,7 +118,8 @@ def _draw_points(axes: Axes, plot: Plot, labels: list[str]) -> None:
 
 
 def _draw_courses(axes: Axes, plot: Plot) -> None:
-    """Draws each series as a line, and its standard uncertainty, if given, as a band of ±1. A non-finite value interrupts the line."""
+    """Draws each series as a line, and its standard uncertainty, if given, as a band about the line. A non-finite value interrupts
+    the line."""
     xs = np.array([float(x) for x in plot.x])
     for index, (name, values) in enumerate(plot.series.items()):
         colour = COLOURS[index % len(COLOURS)]
@@ -221,7 +222,7 @@ def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
 
 
 def strong(names: Sequence[str], matrix: Array, at_least: float = 0.3) -> list[tuple[str, str, float]]:
-    """Pairs of names whose correlation has an absolute value of at least `at_least`, the strongest first."""
+    """Returns the pairs of names whose correlation has an absolute value of at least `at_least`, the strongest first."""
     pairs = [
         (names[i], names[j], float(matrix[i, j]))
         for i in range(len(names))

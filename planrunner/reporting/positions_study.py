@@ -57,7 +57,7 @@ def facts(found: FoundPositions) -> dict[str, str]:
 
 
 def tables(found: FoundPositions) -> tuple[Table, ...]:
-    """Tables of the criteria, the efficiencies, the chosen positions, the expected uncertainties and the residual ratios."""
+    """Makes tables of the criteria, the efficiencies, the chosen positions, the expected uncertainties and the residual ratios."""
     return (_criteria(found), _efficiencies(found), _positions(found), *_uncertainties(found), *_ratios(found))
 
 

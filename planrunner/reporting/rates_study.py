@@ -48,7 +48,7 @@ def facts(found: FoundRates) -> dict[str, str]:
 
 
 def tables(found: FoundRates) -> tuple[Table, ...]:
-    """Tables of the efficiencies, the rates with their recording times, and the expected uncertainties."""
+    """Makes tables of the efficiencies, the rates with their recording times, and the expected uncertainties."""
     compared = tuple(
         (TITLES[name], _percent(one.efficiency), _percent(one.per_hour), words.duration(one.total))
         for name, one in found.sets.items()

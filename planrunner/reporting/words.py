@@ -23,7 +23,7 @@ def number(value: float, digits: int = 6) -> str:
 
 
 def listed(names: Sequence[str], word: str = "and") -> str:
-    """Items as a list in words: `a`, `a and b`, or `a, b and c`. `word`: the word before the last item."""
+    """Returns the items as a list in words: `a`, `a and b`, or `a, b and c`. `word`: the word before the last item."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 

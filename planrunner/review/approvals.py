@@ -345,7 +345,7 @@ def unknown_authors(author: Sequence[str], ring: KeyRing) -> tuple[str, ...]:
 
 
 def _withdrawn(stated: Iterable[ApprovalRecord], ring: KeyRing) -> set[str]:
-    """Digests of the approvals that were withdrawn with the key that signed them."""
+    """Returns the digests of the approvals that were withdrawn with the key that signed them."""
     files = list(stated)
     given = {one.digest: one.envelope.key for one in files if isinstance(one, StatedApproval)}
     found = set()

@@ -309,8 +309,8 @@ def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count
 
 
 def _figures(course: Array) -> Array:
-    """Computes those results that come after the angles in `NAMES`, for k sets of navigation errors (5, n, k). Returns an array of
-    shape (m, k). The errors are in the form of `ErrorRecord.points`, without the first point."""
+    """Computes the results that follow the angles in `NAMES`, for k sets of navigation errors (5, n, k). Returns an array of shape
+    (m, k). The errors are in the form of `ErrorRecord.points`, without the first point."""
     time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
     largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
     each = np.arange(course.shape[2])

@@ -222,10 +222,11 @@ class SegmentProposal:
     """Contains the segments that a diagnosis proposes to measure next.
 
     `segments`: the proposed segments in order; empty if nothing on the bench helps. `rivals`: names and present probabilities of
-    the explanations that remain possible. `now`: expected probability that is given to the true explanation at present.
-    `probability`: the same after the proposed segments, which take `seconds` of test time. `repeating`: for comparison, the time
-    [s] for which the recorded segments would have to be repeated, and the expected probability of the true explanation after this
-    time. `sensor`: description of an instrument that could distinguish the explanations, if the segments of the bench cannot.
+    the explanations that remain possible. `now`: expected probability of the true explanation at present. `probability`: expected
+    probability of the true explanation after the proposed segments. `seconds`: test time that these segments take, s. `repeating`:
+    for comparison, the time [s] for which the recorded segments would have to be repeated, and the expected probability of the true
+    explanation after this time. `sensor`: description of an instrument that could distinguish the explanations, if the segments of
+    the bench cannot.
     """
 
     segments: tuple[Segment, ...]

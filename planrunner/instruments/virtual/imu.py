@@ -52,8 +52,8 @@ _SWITCH_ON = 1  # second part of the key of a generator: apart from those of seg
 
 @dataclass(frozen=True, slots=True)
 class _Dwell:
-    """State of the sensor while one segment is recorded. `chances`: array of shape (axes, 2), random numbers for the repeatability
-    of bias and scale factor, which are drawn at switch-on. `counters`: pulse counters of the outputs that count pulses."""
+    """State of the sensor while one segment is recorded. `chances`: array of shape (axes, 2), random numbers that are drawn at
+    switch-on, for the repeatability of bias and scale factor. `counters`: pulse counters of the outputs that count pulses."""
 
     segment: Segment | None
     sampling: Sampling

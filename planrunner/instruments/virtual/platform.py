@@ -213,7 +213,7 @@ class VirtualPlatform:
         )
 
     def _cage(self) -> None:
-        """Cages the element. After that, it is level within the dead region of the levelling loops, and its azimuth differs from
+        """Cages the element. The caged element is level within the dead region of the levelling loops. Its azimuth differs from
         caging to caging by the stated repeatability."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]
