@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.noise_within import moderated
@@ -47,6 +48,29 @@ def test_a_line_of_the_noise_at_a_harmonic_of_the_motion_counts() -> None:
     found = np.column_stack([own.variances for own in blocks])[at]
     assert at.sum() == 6
     assert found.mean() > 0.3 * expected
+
+
+def test_a_resonance_that_is_narrower_than_a_band_counts() -> None:
+    """Besides white noise, a structure resonates at 0.25 Hz, the frequency of a harmonic of one of the rates. The band about it is
+    several times as wide as the resonance."""
+
+    def noise(observed: Observed, draw: np.random.Generator) -> Array:
+        turn, decay = 2 * np.pi * 0.25 / observed.sample_rate, np.exp(-2 * np.pi * 0.01 / observed.sample_rate)
+        white = draw.standard_normal((2, *observed.values.shape))
+        swinging = lfilter([1.0], [1.0, -2 * decay * np.cos(turn), decay**2], white[1], axis=0)
+        return np.asarray(white[0] + 0.2 * swinging / swinging.std(axis=0))
+
+    ratios = []
+    for seed in range(4):
+        weighing = Weighing(noisy(noise, seed=seed + 1))
+        variance = np.column_stack(
+            [own.variances for own in weighing.noise.of_coefficients(weighing.observed, weighing.spectrum)]
+        )
+        at = (weighing.spectrum.harmonic > 0) & (np.abs(weighing.spectrum.frequency - 0.25) < 0.005)
+        ratios.append(((weighing.spectrum.values[at] / weighing.white) ** 2 / variance[at]).ravel())
+    found = np.concatenate(ratios)
+    assert found.size >= 96
+    assert 0.6 < found.mean() < 1.4
 
 
 def test_slow_vibration_that_differs_between_segments_counts_where_it_acts() -> None:

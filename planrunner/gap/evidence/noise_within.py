@@ -12,7 +12,7 @@ white noise does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -37,6 +37,7 @@ _COUNTED = 2.0  # coefficients of a band with which the variance of a segment in
 _SEGMENTS = 4  # segments with such a band from which the scatter between segments can be measured
 _VARIOUS = 4.0  # degrees of freedom of the scatter between segments, at least
 _SAME = 1e3  # degrees of freedom from which on the segments count as alike
+_NARROW = 4.0  # degrees of freedom with which the noise near the frequency of a harmonic can be measured
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
 )
@@ -52,7 +53,8 @@ class NoiseWithin:
     `level`: array of shape (S, K), level of each segment. `own`: array of shape (S, B, K), variance in each band of a segment,
     divided by the product of `spectrum` and `level`. `moving`: array of shape (S,), index of the spectrum that applies to each
     segment: 0 at rest, 1 in motion. `coloured`: array of shape (2, K), True if a spectrum is not white. `differing`: array of shape
-    (K,), True if the level differs between segments.
+    (K,), True if the level differs between segments. `peaks`: array of shape (M, K), the least variance of each harmonic
+    of the motion, relative to the level of its segment; zero for other coefficients.
     """
 
     frequency: Array
@@ -64,6 +66,7 @@ class NoiseWithin:
     moving: NDArray[np.int64]
     coloured: NDArray[np.bool_]
     differing: NDArray[np.bool_]
+    peaks: Array
 
     @property
     def lowest(self) -> float:
@@ -90,7 +93,7 @@ class NoiseWithin:
         """
         size = [len(basis.frequency) for basis in spectrum.bases]
         found = [Blocks.diagonal(size, self.level[:, channel]) for channel in range(self.level.shape[1])]
-        coloured = np.flatnonzero(self.coloured.any(0) | self.differing)
+        coloured = np.flatnonzero(self.coloured.any(0) | self.differing | self.peaks.any(0))
         known: dict[tuple[int, int], Array] = {}
         common = (self.own == 1.0).all(axis=(1, 2))
         for index, basis in enumerate(spectrum.bases if len(coloured) else ()):
@@ -98,15 +101,16 @@ class NoiseWithin:
             covariance = known.get(key) if common[index] else None
             if covariance is None:
                 half = observed.sample_rate / int(observed.bin_size[index]) / 2
-                covariance = self._covariance(index, basis, half)
+                covariance = self._covariance(index, basis, half, self.peaks[spectrum.segment == index])
             if common[index]:
                 known[key] = covariance
             for channel in coloured.tolist():
                 found[channel].of_segment(index)[:] = self.level[index, channel] * covariance[channel]
         return found
 
-    def _covariance(self, segment: int, basis: SpectralBasis, half: float) -> Array:
+    def _covariance(self, segment: int, basis: SpectralBasis, half: float, peaks: Array) -> Array:
         """Covariance (K, m, m) of the coefficients of a segment, relative to its level. `half`: half of the sampling rate, Hz.
+        `peaks`: array of shape (m, K), the rows of the attribute `peaks` for this segment.
 
         The harmonics of the motion take up all coefficients near their frequencies, so that a segment in motion does not show a line
         of the noise there. The spectrum at rest shows such a line. Where it is larger, the difference is added to the variance.
@@ -129,11 +133,17 @@ class NoiseWithin:
         if kind and at_rest.any() and len(harmonics):
             more = np.maximum(self._of_kind(self.density, 0, segment, frequency) - density, 0.0) * at_rest
             found[:, harmonics, harmonics] += (np.abs(waves[:, harmonics]) ** 2).T.dot(more).T
+        found[:, harmonics, harmonics] = np.maximum(found[:, harmonics, harmonics], peaks[harmonics].T)
         return found
 
     def of_segment(self, segment: int, frequency: Array) -> Array:
         """Returns the variance of the noise of a segment at n frequencies [Hz], relative to the white level, shape (n, K)."""
         return np.asarray(self.level[segment] * self._relative(segment, frequency))
+
+    def of_kind(self, kind: int, frequency: float) -> Array:
+        """Returns the spectrum (K,) at rest (kind 0) or in motion (kind 1) at a frequency [Hz], without the levels of segments."""
+        place = np.log(max(frequency, self.lowest))
+        return np.exp([np.interp(place, np.log(self.frequency), one) for one in np.log(self.spectrum[kind]).T])
 
     def _relative(self, segment: int, frequency: Array) -> Array:
         """Returns the spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz. It is constant beyond the outermost
@@ -207,7 +217,57 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
         leakage = _leakage(sampled, float(here.sum() / np.sum(1 / samples)))
         for channel in np.flatnonzero(coloured[state]).tolist():
             density[state, :, channel] = _without_leakage(spectra[state, :, channel], leakage)
-    return NoiseWithin(centre, count.sum(0), spectra, density, level, own, moving, coloured, differing)
+    nothing = np.zeros((len(spectrum.segment), len(white)))
+    found = NoiseWithin(centre, count.sum(0), spectra, density, level, own, moving, coloured, differing, nothing)
+    return replace(found, peaks=_peaks(found, observed, spectrum, white))
+
+
+def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Array) -> Array:
+    """Least variance (M, K) of the harmonics of the motion, relative to the level of the segment; zero for other coefficients.
+
+    The least variance is the spectrum of all segments, at rest and in motion: the few neighbours of a harmonic in its own segment
+    may be small by chance. In addition, a resonance or a line of the noise can be much narrower than a band. The cosine transform
+    of the remainder shows it with the resolution of a segment's length. At rest, the variance of a harmonic that is observed for
+    the time T is the mean of the squares of these coefficients with the weight sinc²(T·(f − f₀)). In motion, the harmonic itself is
+    missing in the remainder; its neighbours up to the distance 2/T take its place. A peak counts if Schwarz's criterion prefers it
+    to the spectrum of the bands: among these coefficients if the noise is known to be coloured, otherwise among all coefficients.
+    """
+    from scipy.fft import dct
+
+    found = np.zeros((len(spectrum.segment), len(white)))
+    harmonics: dict[tuple[float, float], list[int]] = {}
+    for row in np.flatnonzero(spectrum.harmonic > 0).tolist():
+        lasting = float(observed.counts[spectrum.segment[row]] / observed.sample_rate)
+        harmonics.setdefault((float(spectrum.frequency[row]), lasting), []).append(row)
+    if not harmonics:
+        return found
+    frequencies, energies, counts = [], [], []
+    for index, (part, basis) in enumerate(zip(observed.segments(), spectrum.bases, strict=True)):
+        half, size = observed.sample_rate / int(observed.bin_size[index]) / 2, part.stop - part.start
+        frequencies.append(np.arange(size) * half / size)
+        squares = dct(spectrum.remainder[part], type=2, norm="ortho", axis=0) ** 2 / np.maximum(white, 1e-300) ** 2
+        energies.append(squares / noise.of_segment(index, frequencies[-1]))
+        counts.append(np.ones(size))
+        np.subtract.at(counts[-1], np.minimum(np.round(basis.frequency / half * size).astype(np.int64), size - 1), 1.0)
+    still = np.flatnonzero(noise.moving == 0).tolist()
+    for (about, lasting), rows in harmonics.items():
+        for kind, segments, reach in ((0, still, 1.0), (1, np.unique(spectrum.segment[rows]).tolist(), 2.0)):
+            energy, size, squared = np.zeros(len(white)), 0.0, 0.0
+            for index in segments:
+                near = slice(*np.searchsorted(frequencies[index], about + np.array([-reach, reach]) / lasting))
+                distance = (frequencies[index][near] - about) * lasting
+                weight = np.ones(len(distance)) if kind else np.sinc(distance) ** 2
+                energy += weight @ energies[index][near]
+                size += float(weight @ counts[index][near])
+                squared += float(weight**2 @ counts[index][near])
+            least = noise.coloured[kind] * noise.of_kind(kind, about)
+            if size > 0 and squared > 0 and size**2 / squared >= _NARROW:
+                degrees, ratio = size**2 / squared, np.maximum(energy / size, _SMALLEST)
+                among = np.where(noise.coloured.any(0), degrees, noise.weight.sum())
+                peak = (ratio > 1) & (degrees * (ratio - 1 - np.log(ratio)) > np.log(among))
+                least = np.where(peak, ratio * noise.of_kind(kind, about), least)
+            found[rows] = np.maximum(found[rows], least)
+    return found
 
 
 def _leakage(turns: Array, count: float) -> Array:
