@@ -8,6 +8,8 @@ The number of samples at each count does show the size of the noise, because onl
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,11 +18,14 @@ from planrunner.error_model.observed import Observed
 from planrunner.plan.schedule import Rest
 
 NOISES = np.geomspace(0.02, 1.0, 24)  # standard deviations that are compared, in counts
+SPREADS = np.geomspace(0.02, 4.0, 32)  # standard deviations of the noises of a mixture, in counts
+MIXED = 1.5  # scatter of a channel, in counts, above which no mixture is considered
 PLACES = np.linspace(-1.0, 1.0, 801)  # positions of a true mean about a count, in counts
 DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend on the reading
 DOUBT = float(np.log(2.0))  # standard deviation of the logarithm of the declared noise
 STRAY = 1e-4  # share of samples that are not explained by the noise
 HARMONICS = np.arange(1, 101)  # of the saw-tooth
+_ROUNDS, _STEPS = 4, 30  # of expectation maximisation; the true means are computed again in every round
 _MOST = 60  # counts that a segment at rest may reach
 
 
@@ -30,16 +35,18 @@ def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
-def dithering(sigma: Array | float) -> Array:
+def dithering(sigma: Array | float, share: Array | None = None) -> Array:
     """Returns the variance of the rounding error in the mean of many samples, divided by its value without noise. `sigma`: standard
-    deviation of the noise, in counts.
+    deviation of the noise, in counts, of any shape. `share`: array of the same shape, if the noise is a mixture of Gaussian noises
+    with these shares; the result is then a single value.
 
-    The error is a saw-tooth function of the mean's position within a count. Gaussian noise multiplies harmonic number k of this
-    function by exp(−2π²k²σ²) (Widrow and Kollár, Quantization Noise, 2008, section 19.3). Without noise, the variance is 1/12 of a
-    squared count.
+    The error is a saw-tooth function of the mean's position within a count. Noise multiplies its harmonic k by the characteristic
+    function of the noise at 2πk, which is exp(−2π²k²σ²) for Gaussian noise (Widrow and Kollár, Quantization Noise, 2008, section
+    19.3) and the weighted mean of these factors for a mixture. Without noise, the variance is 1/12 of a squared count.
     """
     weight = 6 / (np.pi * HARMONICS) ** 2
-    return np.asarray(np.exp(-4 * (np.pi * np.multiply.outer(sigma, HARMONICS)) ** 2) @ weight)
+    factors = np.exp(-2 * (np.pi * np.multiply.outer(sigma, HARMONICS)) ** 2)
+    return np.asarray((factors if share is None else share @ factors) ** 2 @ weight)
 
 
 def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
@@ -53,10 +60,13 @@ def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> A
         count = channel.resolution
         if count <= 0:
             continue
-        if coarse[index] and (observed.bins is None or channel.white > 0):
+        share = _mixture(observed, index) if white[index] < MIXED * count else None
+        if share is not None:
+            factor = float(dithering(SPREADS, share))
+        elif coarse[index] and (observed.bins is None or channel.white > 0):
             log = _of_declared(channel.white * np.sqrt(observed.sample_rate) / count) + _of_counts(observed, index)
-            share = np.exp(log - log.max())
-            factor = float(share @ dithering(NOISES) / share.sum())
+            likely = np.exp(log - log.max())
+            factor = float(likely @ dithering(NOISES) / likely.sum())
         else:
             before = np.sqrt(max(white[index] ** 2 - count**2 / 12, 0.0)) / count
             factor = float(dithering(before))
@@ -70,25 +80,65 @@ def _of_declared(sigma: float) -> Array:
     return np.zeros(len(NOISES)) if sigma <= 0 else -0.5 * (np.log(NOISES / sigma) / DOUBT) ** 2
 
 
-def _of_counts(observed: Observed, index: int) -> Array:
-    """Returns the log likelihood (S,) of the noise levels `NOISES`, computed from the numbers of samples at each count in segments
-    at rest. For each noise level, the true mean of a segment is assumed to be the value that would give the observed mean
-    reading."""
-    found = np.zeros(len(NOISES))
+@dataclass(frozen=True)
+class _Counted:
+    """The readings of a segment at rest. `mean`: mean reading, in counts from a reading near it. `levels`: array of shape (n,), the
+    counts that were reached, from the same reading. `times`: array of shape (n,), number of samples at each of them."""
+
+    mean: float
+    levels: Array
+    times: NDArray[np.int64]
+
+
+def _counted(observed: Observed, index: int) -> list[_Counted]:
+    """Counts the readings of a channel in segments at rest. Empty if samples were averaged over bins."""
+    found: list[_Counted] = []
     if observed.bins is not None:
         return found
     count = observed.channels[index].resolution
-    readings = [_reading(sigma) for sigma in NOISES]
     for motion, part in zip(observed.motions, observed.segments(), strict=True):
         levels = np.round((observed.values[part, index] - observed.values[part.start, index]) / count)
         reached, times = np.unique(levels, return_counts=True)
-        if not isinstance(motion, Rest) or len(reached) > _MOST:
-            continue
-        mean = float(levels.mean())
-        nearest = np.round(mean)
-        for place, sigma in enumerate(NOISES):
-            true = nearest + np.interp(mean - nearest, readings[place], PLACES)
-            found[place] += np.log(STRAY + (1 - STRAY) * _chances(reached - true, sigma)) @ times
+        if isinstance(motion, Rest) and len(reached) <= _MOST:
+            nearest = np.round(levels.mean())
+            found.append(_Counted(float(levels.mean() - nearest), reached - nearest, times))
+    return found
+
+
+def _of_counts(observed: Observed, index: int) -> Array:
+    """Log likelihood (S,) of the noise levels `NOISES`, from the numbers of samples at each count in segments at rest. For each
+    noise level, the true mean of a segment is the one that gives the mean reading of the segment."""
+    segments = _counted(observed, index)
+    return np.array([_log_likelihood(segments, np.array([sigma]), np.ones(1), _reading(sigma)) for sigma in NOISES])
+
+
+def _mixture(observed: Observed, index: int) -> Array | None:
+    """Returns the shares of the noises `SPREADS` in the noise of a channel, shape (S,), from the numbers of samples at each count in
+    segments at rest; None if one Gaussian noise describes them as well by Schwarz's criterion (two parameters more)."""
+    segments = _counted(observed, index)
+    if not segments:
+        return None
+    readings = np.array([_reading(sigma) for sigma in SPREADS])
+    single = max(_log_likelihood(segments, SPREADS[[k]], np.ones(1), reading) for k, reading in enumerate(readings))
+    share = np.full(len(SPREADS), 1 / len(SPREADS))
+    for _ in range(_ROUNDS):
+        places = [np.interp(one.mean, share @ readings, PLACES) for one in segments]
+        levels = np.concatenate([one.levels - place for one, place in zip(segments, places, strict=True)])
+        times = np.concatenate([one.times for one in segments])
+        chances = _chances(levels, SPREADS[:, None]) + 1e-300
+        for _ in range(_STEPS):
+            share = share * (chances @ (times / (share @ chances))) / times.sum()
+    mixed = _log_likelihood(segments, SPREADS, share, share @ readings)
+    return share if mixed - single > np.log(sum(int(one.times.sum()) for one in segments)) else None
+
+
+def _log_likelihood(segments: list[_Counted], sigma: Array, share: Array, reading: Array) -> float:
+    """Log likelihood of the counts if the noise is a mixture of Gaussian noises `sigma` (S,) with the shares `share` (S,). `reading`:
+    array of shape (P,), mean reading for each of the true means `PLACES`."""
+    found = 0.0
+    for one in segments:
+        true = np.interp(one.mean, reading, PLACES)
+        found += float(np.log(STRAY + (1 - STRAY) * (share @ _chances(one.levels - true, sigma[:, None]))) @ one.times)
     return found
 
 
@@ -98,7 +148,7 @@ def _reading(sigma: float) -> Array:
     return np.asarray(PLACES + (_chances(levels, sigma) * levels).sum(axis=1))
 
 
-def _chances(away: Array, sigma: float) -> Array:
+def _chances(away: Array, sigma: Array | float) -> Array:
     """Returns the probability that a sample is rounded to a certain count. `away`: distance of this count from the true mean, in
     counts. `sigma`: standard deviation of the noise, in counts."""
     from scipy.special import ndtr
