@@ -25,7 +25,7 @@ DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend 
 DOUBT = float(np.log(2.0))  # standard deviation of the logarithm of the declared noise
 STRAY = 1e-4  # share of samples that are not explained by the noise
 HARMONICS = np.arange(1, 101)  # of the saw-tooth
-_ROUNDS, _STEPS = 4, 30  # of expectation maximisation; the true means are computed again in every round
+_ROUNDS, _STEPS = 3, 20  # of expectation maximisation; the true means are computed again in every round
 _MOST = 60  # counts that a segment at rest may reach
 
 
@@ -35,18 +35,20 @@ def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
-def dithering(sigma: Array | float, share: Array | None = None) -> Array:
+def dithering(sigma: Array | float) -> Array:
     """Returns the variance of the rounding error in the mean of many samples, divided by its value without noise. `sigma`: standard
-    deviation of the noise, in counts, of any shape. `share`: array of the same shape, if the noise is a mixture of Gaussian noises
-    with these shares; the result is then a single value.
+    deviation of the noise, in counts.
 
     The error is a saw-tooth function of the mean's position within a count. Noise multiplies its harmonic k by the characteristic
-    function of the noise at 2πk, which is exp(−2π²k²σ²) for Gaussian noise (Widrow and Kollár, Quantization Noise, 2008, section
-    19.3) and the weighted mean of these factors for a mixture. Without noise, the variance is 1/12 of a squared count.
+    function of the noise at 2πk (Widrow and Kollár, Quantization Noise, 2008, section 19.3). Without noise, the variance is 1/12 of
+    a squared count.
     """
-    weight = 6 / (np.pi * HARMONICS) ** 2
-    factors = np.exp(-2 * (np.pi * np.multiply.outer(sigma, HARMONICS)) ** 2)
-    return np.asarray((factors if share is None else share @ factors) ** 2 @ weight)
+    return np.asarray(_characteristic(sigma) ** 2 @ (6 / (np.pi * HARMONICS) ** 2))
+
+
+def _characteristic(sigma: Array | float) -> Array:
+    """Characteristic function of Gaussian noise of `sigma` counts at 2πk, for k in `HARMONICS`."""
+    return np.asarray(np.exp(-2 * (np.pi * np.multiply.outer(sigma, HARMONICS)) ** 2))
 
 
 def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
@@ -60,9 +62,9 @@ def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> A
         count = channel.resolution
         if count <= 0:
             continue
-        share = _mixture(observed, index) if white[index] < MIXED * count else None
-        if share is not None:
-            factor = float(dithering(SPREADS, share))
+        mixed = _of_mixture(observed, index) if white[index] < MIXED * count else None
+        if mixed is not None:
+            factor = mixed
         elif coarse[index] and (observed.bins is None or channel.white > 0):
             log = _of_declared(channel.white * np.sqrt(observed.sample_rate) / count) + _of_counts(observed, index)
             likely = np.exp(log - log.max())
@@ -112,24 +114,37 @@ def _of_counts(observed: Observed, index: int) -> Array:
     return np.array([_log_likelihood(segments, np.array([sigma]), np.ones(1), _reading(sigma)) for sigma in NOISES])
 
 
-def _mixture(observed: Observed, index: int) -> Array | None:
-    """Returns the shares of the noises `SPREADS` in the noise of a channel, shape (S,), from the numbers of samples at each count in
-    segments at rest; None if one Gaussian noise describes them as well by Schwarz's criterion (two parameters more)."""
+def _of_mixture(observed: Observed, index: int) -> float | None:
+    """Returns the variance of the rounding error for a mixture of two Gaussian noises, divided by its value without noise. It is the
+    mean over all pairs of noises, weighted by the likelihood of the numbers of samples at each count in segments at rest. None if
+    one Gaussian noise describes these numbers as well by Schwarz's criterion (a mixture has two parameters more)."""
     segments = _counted(observed, index)
     if not segments:
         return None
     readings = np.array([_reading(sigma) for sigma in SPREADS])
-    single = max(_log_likelihood(segments, SPREADS[[k]], np.ones(1), reading) for k, reading in enumerate(readings))
-    share = np.full(len(SPREADS), 1 / len(SPREADS))
+    times = np.concatenate([one.times for one in segments])
+    low, high = np.triu_indices(len(SPREADS), 1)
+    reading, single = readings[0], -np.inf
+    for k, sigma in enumerate(SPREADS):
+        value = _log_likelihood(segments, np.array([sigma]), np.ones(1), readings[k])
+        if value > single:
+            reading, single = readings[k], value
     for _ in range(_ROUNDS):
-        places = [np.interp(one.mean, share @ readings, PLACES) for one in segments]
-        levels = np.concatenate([one.levels - place for one, place in zip(segments, places, strict=True)])
-        times = np.concatenate([one.times for one in segments])
-        chances = _chances(levels, SPREADS[:, None]) + 1e-300
+        away = np.concatenate([one.levels - np.interp(one.mean, reading, PLACES) for one in segments])
+        chances = STRAY + (1 - STRAY) * _chances(away, SPREADS[:, None])
+        share = np.full(len(low), 0.5)
         for _ in range(_STEPS):
-            share = share * (chances @ (times / (share @ chances))) / times.sum()
-    mixed = _log_likelihood(segments, SPREADS, share, share @ readings)
-    return share if mixed - single > np.log(sum(int(one.times.sum()) for one in segments)) else None
+            both = share[:, None] * chances[low] + (1 - share[:, None]) * chances[high]
+            share = share * ((chances[low] / both) @ times) / times.sum()
+        log = np.log(share[:, None] * chances[low] + (1 - share[:, None]) * chances[high]) @ times
+        best = int(np.argmax(log))
+        reading = share[best] * readings[low[best]] + (1 - share[best]) * readings[high[best]]
+    if log[best] - single <= np.log(times.sum()):
+        return None
+    factors = _characteristic(SPREADS)
+    mixed = (share[:, None] * factors[low] + (1 - share[:, None]) * factors[high]) ** 2
+    likely = np.exp(log - log[best])
+    return float(likely @ (mixed @ (6 / (np.pi * HARMONICS) ** 2)) / likely.sum())
 
 
 def _log_likelihood(segments: list[_Counted], sigma: Array, share: Array, reading: Array) -> float:
