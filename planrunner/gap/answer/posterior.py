@@ -35,6 +35,9 @@ PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown"
 """several: three and more effects of the catalogue, or effects and something else, half each; halved again for every further effect."""
 NAMEABLE = 0.05  # the probability of none above which no effect is named
 LIKELY = 1e-3  # smallest probability of a set beside which something else may act
+IMPERFECT = 0.05
+"""Part of the log evidence of something else that an effect must reach to act in addition. No pattern describes an unknown cause
+exactly; effects of the catalogue can imitate the small part that it leaves."""
 WORTH = 3.0  # log BF of something else from which it may be the cause of what some of the effects follow
 UNKNOWN = "unknown"
 _Key = TypeVar("_Key", str, tuple[str, ...])
@@ -289,10 +292,10 @@ def _with_something_else(
 ) -> dict[str, float]:
     """Log weights of hypotheses in which something else acts in addition to a set of effects. If something else may act in addition
     to all effects of a chain, it is also evaluated in addition to fewer of them, because some of the effects may only imitate it.
-    Sets whose amplitudes are physically impossible are left out."""
+    Sets whose amplitudes are physically impossible are left out, and sets that are small beside something else (`IMPERFECT`)."""
     made: dict[str, float] = {}
     for key, weighed in reversed(chain):
-        if weighed.excluded:
+        if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:
             continue
         besides = something_else(weighing.beside(weighed))
         made[key] = found[key] + besides + log_prior(key_of([*key.split("+"), UNKNOWN]), count)
