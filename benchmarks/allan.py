@@ -1,4 +1,4 @@
-"""Overlapping Allan deviation of 10⁷ samples at octave averaging times, from samples to deviations, against `allantools.oadev`."""
+"""Compares the overlapping Allan deviation of 10⁷ samples, at averaging times in octaves, with `allantools.oadev`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Processor time and memory of commands, for archives with a growing number of runs and for runs with a growing number of segments.
+"""Measures processor time and memory of commands for archives with more and more runs, and for runs with more and more segments.
 
-The slopes are used in docs/scaling.md. Each command runs in a process of its own, with one process that computes. A slope is that of the
+docs/scaling.md uses the slopes. Each command runs in a separate process and computes in this process only. A slope is that of the
 least-squares line over the sizes.
 """
 

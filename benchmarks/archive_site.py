@@ -1,7 +1,7 @@
-"""The site of an archive: how long it takes to build, its size, and how long a browser takes to show its first page.
+"""Measures the site of an archive: the time to build it, its size, and the time until a browser shows its first page.
 
-The runs are synthetic, and their reports do not exist. The time of the first page is from the beginning of the navigation to its heading,
-as the browser counts it, in a browser that is already open. Without Chromium it is left out.
+The runs are synthetic, and their reports do not exist. The time of the first page is the time that the browser measures from
+the beginning of the navigation to the heading; the browser is already open. Without Chromium, this time is not measured.
 """
 
 from __future__ import annotations

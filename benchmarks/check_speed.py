@@ -1,4 +1,4 @@
-"""Speed of `check`: 100 distinct plans in one process and with one command, and one plan in a process of its own."""
+"""Measures `check`: 100 distinct plans in one process, the same plans with one command, and one plan in its own process."""
 
 from __future__ import annotations
 

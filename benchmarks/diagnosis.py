@@ -1,7 +1,7 @@
-"""Time and memory of a diagnosis over the samples of the recording: six channels, all installed effects and their pairs.
+"""Measures time and memory of a diagnosis of six channels with all installed effects and their pairs.
 
-The second diagnosis in a process is timed, so that loading libraries is not in it; one thread of linear algebra. Long recordings are drawn
-and read in blocks, which is timed with them: `python -m benchmarks.diagnosis 100000000 long`.
+The second diagnosis in a process is timed, so that the time does not include loading libraries. Linear algebra uses one thread. Long
+recordings are drawn and read in blocks, and the time includes this: `python -m benchmarks.diagnosis 100000000 long`.
 """
 
 from __future__ import annotations

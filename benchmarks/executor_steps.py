@@ -1,6 +1,6 @@
-"""Steps a second: set, read, record with a trivial instrument, beside a bare loop, OpenHTF and bluesky.
+"""Measures the steps per second (set, read, record) of the executor with a trivial instrument, and of a bare loop, OpenHTF and bluesky.
 
-The bare loop does the same fsynced writes.
+The bare loop makes the same writes with fsync.
 """
 
 from __future__ import annotations

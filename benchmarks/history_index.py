@@ -1,7 +1,7 @@
-"""The index over an archive: rebuilt from run folders of growing number, refreshed without change, and asked for the history of a device.
+"""Measures the index of an archive: building it from more and more run folders, refreshing it, and querying the history of a device.
 
-The run folders are copies of a hundred sealed runs with one analysis of eight coefficients each, made without running anything. Histories
-are asked of an index of 10⁵ runs that is filled without folders: a hundred devices with a thousand runs each.
+The run folders are copies of a hundred sealed runs with one analysis of eight coefficients each, made without executing plans. The
+histories are queried from an index of 10⁵ runs that is filled without folders: a hundred devices with a thousand runs each.
 """
 
 from __future__ import annotations

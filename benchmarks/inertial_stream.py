@@ -1,7 +1,7 @@
-"""Speed and memory of the virtual inertial sensor: standing, cycling, rocking and on a carrier, beside numpy drawing the noise.
+"""Measures speed and memory of the virtual IMU at rest, cycling, rocking and on a carrier, and the time in which numpy draws the noise.
 
-Seven channels of noise and counts stream in blocks; nothing is written. The full 72 h (52 million samples) is the cycling run, the others
-are shorter pieces of the same kind.
+Seven channels of noise and counts are computed in blocks, and nothing is written. Only the cycling run lasts the full 72 h (52 million
+samples); the others are shorter.
 """
 
 from __future__ import annotations

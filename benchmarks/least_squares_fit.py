@@ -1,4 +1,4 @@
-"""A twelve-parameter fit of 10⁴ observations, with covariance and rank check, against `numpy.linalg.lstsq` alone."""
+"""Compares a fit of twelve parameters to 10⁴ observations (including covariance and rank check) with `numpy.linalg.lstsq` alone."""
 
 from __future__ import annotations
 

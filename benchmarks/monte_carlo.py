@@ -1,4 +1,4 @@
-"""A million Monte Carlo draws of the static coefficients' chain (JCGM 101), from fit and stated inputs to sorted intervals."""
+"""Measures a million Monte Carlo draws (JCGM 101) of static coefficients, from the fit and the declared inputs to the intervals."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""72 h of rotation–stop navigation at 200 Hz, end to end on the virtual bench: run, seal, navigate, report; peak memory of the process.
+"""Measures 72 h of rotation–stop navigation at 200 Hz on the virtual bench: run, seal, navigation, report and peak memory.
 
-The sixteen moves of the shipped plan, aligned in the motion and then made to last; a twelfth of the time beside it for the memory.
+The plan is the shipped cycle of sixteen moves with alignment in motion, made longer. For the memory, a twelfth of the time is run too.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What a night adds to its plans: a night of equal tests on one simulated bench against the same processes started one after the other.
+"""Compares a night of equal tests on one simulated bench with the same processes started one after the other.
 
-Both run the same plan in processes of `planrunner run` with the same arguments, taking turns. The difference,
-without the start and check of the suite (once a night) and divided by the number of tests, is the overhead of a plan: timetable,
-journal with fsync, record, reports. The least of several turns counts.
+Both run the same plan in processes of `planrunner run` with the same arguments, alternately. The overhead of a plan (timetable,
+journal with fsync, record, reports) is the difference of the two times, without the start and check of the suite (once per night),
+divided by the number of tests. The smallest of several measurements counts.
 """
 
 from __future__ import annotations

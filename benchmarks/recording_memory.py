@@ -1,4 +1,4 @@
-"""Memory of recording and of statistics at 10⁶ and at 10⁸ samples × 3 channels, and how often the samples are read."""
+"""Measures the memory for recording and statistics of 10⁶ and 10⁸ samples × 3 channels, and how often the samples are read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Screening of 10⁸ samples × 3 channels while they are read for their statistics, beside the same reading without it."""
+"""Measures how much longer reading 10⁸ samples × 3 channels with statistics takes if the samples are also screened."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Decoding of sensor streams, from bytes to checked columns, against a loop with `struct` that checks the same CRC.
+"""Compares the decoding of sensor streams, from bytes to checked columns, with a `struct` loop that checks the same CRC.
 
-Two loops: one whose check is a table in Python, as drivers usually have it, and one that hands it to the standard library's compiled
-functions where there are some, which is as fast as such a loop gets.
+There are two loops. One computes the CRC with a table in Python, as drivers usually do. The other uses the compiled functions of the
+standard library where they exist; no such loop is faster.
 """
 
 from __future__ import annotations

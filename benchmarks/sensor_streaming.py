@@ -1,6 +1,7 @@
-"""Four STIM300 at 2 kHz on pseudo-terminals for ten minutes: frames lost, share of the processor; how soon a stop is obeyed meanwhile.
+"""Records four STIM300 at 2 kHz for ten minutes: lost frames, processor load, and the time from the request of a stop to the safe state.
 
-The sensors are a process of their own, which drops what a line does not take at once, as a UART does.
+The sensors are simulated in a separate process, on pseudo-terminals. Like a UART, this process drops bytes that a line does not accept
+immediately.
 """
 
 from __future__ import annotations

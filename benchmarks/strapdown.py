@@ -1,7 +1,8 @@
-"""Strapdown mechanisation over 10 h at 100 Hz beside python-ins: its bare kernel and its public Integrator; memory at ten times the length.
+"""Compares strapdown mechanisation over 10 h at 100 Hz with the bare kernel and the Integrator of python-ins. Also measures the memory.
 
-Ours takes raw increments and does coning and sculling; the two of python-ins are handed increments in which that is done already, which
-is not counted. All three see the same noisy increments of a unit at rest. The least of several turns counts.
+The mechanisation of planrunner receives raw increments and corrects coning and sculling. The two programs of python-ins receive
+increments that are already corrected; the time for this correction is not counted. All three receive the same noisy increments of a
+unit at rest. The smallest of several measurements counts.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Scale factors of a triad in one tilted mounting from 10⁸ samples × 3 channels: estimating against merely reading the recording."""
+"""Compares estimating the scale factors of a tilted triad from 10⁸ samples × 3 channels with only reading the recording."""
 
 from __future__ import annotations
 

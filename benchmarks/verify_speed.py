@@ -1,4 +1,4 @@
-"""`planrunner verify` of a run with large samples, beside hashing the same bytes: in one process, files in the cache of the system."""
+"""Compares the time to verify a run with large files of samples with the time to hash the same bytes, in one process."""
 
 from __future__ import annotations
 

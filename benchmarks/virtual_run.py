@@ -1,8 +1,8 @@
-"""A whole virtual run of one long segment against numpy drawing the same noise and pyarrow writing the same bytes.
+"""Compares a virtual run of one long segment with the time in which numpy draws the same noise and pyarrow writes the same bytes.
 
-The run is the real thing: simulated gyro, executor, run folder with digests and journal, in flushed mode. Beside it, in the same
-process and taking turns, numpy draws as many standard normal numbers with the same generator, and pyarrow writes the columns that the
-run recorded, with the same settings. The least of several turns counts.
+The run is complete: simulated gyro, executor, run folder with digests and journal, in flushed mode. In the same process, alternating
+with the run, numpy draws as many standard normal numbers with the same generator, and pyarrow writes the columns that the run
+recorded, with the same settings. The smallest of several measurements counts.
 """
 
 from __future__ import annotations
