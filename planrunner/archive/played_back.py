@@ -1,5 +1,5 @@
-"""Makes the segments of a recording that is played back. They have the same form as the segments of a run, but there is no run
-folder."""
+"""Makes the segments of a recording that is played back. These segments have the same form as the segments of a run, but there is
+no run folder."""
 
 from __future__ import annotations
 

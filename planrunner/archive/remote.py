@@ -3,7 +3,7 @@
 
 A remote folder is first copied to a private folder of this user (`fetched`). The copy is then read like any other folder: through
 `base.guarded_folder`, and with every file checked against its digest. Only files of limited size with plain names are copied, so
-that no remote name can lead to a file outside the copy. A verification copies everything again, so that it does not check an older
+that no remote name can lead to a file outside the copy. A verification copies everything again, because it must not check an older
 copy.
 
 Sealed runs are written once (`push_run`): an existing file is never replaced, and every written file is read back and compared. The

@@ -3,8 +3,8 @@
     runs/<UTC time>-<plan name>-<short id>/
       run.json  plan.yaml  bench.yaml  approvals.json  journal.jsonl  segments/  seal.json  analyses/
 
-Acknowledged data are never changed or removed. An interrupted segment keeps its finished parts of samples. They count if the plan
-says `on_break: keep`; otherwise they are only stored with the reason, and the segment is repeated.
+Acknowledged data are never changed or removed. An interrupted segment keeps its finished parts of samples. These parts count if the
+plan says `on_break: keep`; otherwise, they are only stored with the reason, and the segment is repeated.
 """
 
 from __future__ import annotations

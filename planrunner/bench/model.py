@@ -48,8 +48,8 @@ SINGLE_ROLES = ("table", "chamber", "sensor")  # roles that drivers have a model
 
 
 class MagneticFieldSpec(Record):
-    """States the true components of the Earth's magnetic field at the site. Their unit matters only if sensitivities to the field
-    are stated in a unit; otherwise, only the ratios of the components matter."""
+    """States the true components of the Earth's magnetic field at the site. The unit of the components matters only if
+    sensitivities to the field are stated in a unit; otherwise, only the ratios of the components matter."""
 
     east: float = key(Number(-1e6, 1e6), "Component towards east.", 0.0, default=0.0)
     north: float = key(Number(-1e6, 1e6), "Component towards north.", 22.0)

@@ -1,5 +1,5 @@
-"""Describes the specification of a sensor: the limits of its constant errors. They are declared limits, or the usual limits of its
-grade.
+"""Describes the specification of a sensor: the limits of its constant errors. The limits are declared, or are the usual limits of
+the sensor's grade.
 
 A diagnosis compares its results with these limits. This comparison is necessary because the simulation fits biases and scale
 factors, so that even a very large bias or scale-factor error leaves no gap between simulation and measurement. If the bench file

@@ -56,8 +56,8 @@ class TableState:
         return centres + [start for grid in grids.values() for start in grid]
 
     def _around(self, centre: Array) -> Array:
-        """Returns joint angles (n, joints) [rad] at which the table may be instead of `centre`. They are spaced so closely that
-        every possible choice between two ways to an orientation occurs.
+        """Returns joint angles (n, joints) [rad] at which the table may be instead of `centre`. The joint angles are spaced so
+        closely that every possible choice between two ways to an orientation occurs.
 
         If a continuous joint may be at any angle, the returned angles do not depend on the planned angle. The moves from these
         angles are then computed only once.

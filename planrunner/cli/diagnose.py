@@ -1,5 +1,5 @@
-"""`planrunner diagnose`: shows where recording and simulation differ, which effects explain the difference, how much of it they
-explain, and what to measure next."""
+"""`planrunner diagnose`: shows where recording and simulation differ, which effects explain the difference and to what extent, and
+what to measure next."""
 
 from __future__ import annotations
 

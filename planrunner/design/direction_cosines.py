@@ -1,9 +1,9 @@
 """Writes rows of a design matrix as polynomials of the attitude's nine direction cosines, so that a search can evaluate millions of
 rows.
 
-At rest, a sensor senses the Earth's rate and gravity. Their components are linear in the direction cosines, and products of two
-components are of second degree. A polynomial of second degree is fitted to the rows that the estimator computes. The polynomial is
-used only if it reproduces the estimator's rows everywhere.
+At rest, a sensor senses the Earth's rate and gravity. The components of these vectors are linear in the direction cosines, and
+products of two components are of second degree. A polynomial of second degree is fitted to the rows that the estimator computes.
+The polynomial is used only if it reproduces the estimator's rows everywhere.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Searches for G-optimal sets, which minimise the largest variance of a predicted output over a region.
 
 The largest variance is not differentiable where two points of the region have the same variance. A local search therefore uses the
-k-norm of the variances for increasing k. The gradient of this norm is the gradient of a linear criterion tr(W·M⁻¹). As k grows, its
+k-norm of the variances for increasing k. The gradient of this norm is the gradient of a linear criterion tr(W·M⁻¹). As k grows, the
 matrix W concentrates on the points of the region with the largest variance. In a search among listed candidates, each position in
 turn is replaced by the candidate that minimises the largest variance.
 """

@@ -327,8 +327,8 @@ class Observed:
 
     @cached_property
     def pulsation(self) -> Array:
-        """Returns the angular frequency of a rocking table [rad/s], which is 2π times its frequency, shape (N,); 0 in other
-        segments and while the table is at rest."""
+        """Returns the angular frequency (2π times the frequency) of a rocking table [rad/s], shape (N,). It is 0 in other segments
+        and while the table is at rest."""
         each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
         return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
 
@@ -456,9 +456,9 @@ class Observed:
         return np.where(np.abs(component) > rounding, component, 0.0)
 
     def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
-        """Returns the input axes of a triad as tuples (axis, channel, cosine): the index of the axis; the index of a channel that shows
-        the input of this axis; and the cosine of the angle between the axis and the direction of the channel, which is 1 or an array of
-        shape (N,)."""
+        """Returns the input axes of a triad as tuples (axis, channel, cosine). These are the index of the axis, the index of a
+        channel that shows the input of this axis, and the cosine of the angle between the axis and the direction of the channel.
+        The cosine is 1 or an array of shape (N,)."""
         if self.along is None:
             return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
         return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]

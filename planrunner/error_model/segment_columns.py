@@ -1,11 +1,11 @@
 """Computes the design matrix of an estimate from effects of the catalogue at the means of segments, for the planned or the recorded
 stimulus.
 
-An effect gives the values of its columns at single moments. Their mean over a segment cannot be computed from the mean stimulus, because
-the mean of a product is not the product of means. Each segment is therefore represented by a few quadrature nodes: evenly spaced angles
-of a turning table, and Gauss–Legendre nodes along a ramp of temperature. Over whole turns, the result is exact for polynomials up to the
-seventh degree in quantities that turn with the table. Along a ramp, it is exact for polynomials up to the fifth degree in time. The mean
-over a segment is computed as the weighted mean over its nodes.
+An effect gives the values of its columns at single moments. The mean of a column over a segment cannot be computed from the mean
+stimulus, because the mean of a product is not the product of means. Each segment is therefore represented by a few quadrature
+nodes: evenly spaced angles of a turning table, and Gauss–Legendre nodes along a ramp of temperature. Over whole turns, the result
+is exact for polynomials up to the seventh degree in quantities that turn with the table. Along a ramp, it is exact for polynomials
+up to the fifth degree in time. The mean over a segment is computed as the weighted mean over its nodes.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def contradictions(rows: Sequence[AxisResponse]) -> list[Said]:
 
 def against_nominal(factors: Iterable[tuple[str, float, float]]) -> list[Said]:
     """Returns a warning for each scale factor whose sign or size differs from the nominal value. Each factor is given as a tuple of
-    its name, the value found, and the nominal value in the bench file, which must not be zero."""
+    its name, the value found, and the nominal value in the bench file. The nominal value must not be zero."""
     found = []
     for name, value, nominal in factors:
         ratio = value / nominal

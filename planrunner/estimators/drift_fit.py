@@ -95,13 +95,13 @@ class DoubtedDrift:
 class FittedDrift:
     """Contains the result of the search for a drift in a fit.
 
-    `courses`: the fitted drift functions. `by_evidence`: True if they were chosen because the data show them, False if the plan
-    asks for them. `judged`: True if the data permitted a search for a drift. `without`: array of shape (m, p), the coefficients of
-    a fit without drift. `explained`: array of shape (m,), the fraction of the sum of squared residuals that the drift explains.
-    `without` and `explained` are None if no drift function was adopted. `suspected`: the suspected drift functions, if none was
-    adopted. `rivals`: drift functions that the data show, but that are not adopted because a nonlinearity explains the residuals
-    equally well. `nonlinear`: array of shape (m,), the fraction of the sum of squared residuals that the nonlinearity explains.
-    `doubted`: the doubted drift functions; no two of them are proportional to each other.
+    `courses`: the fitted drift functions. `by_evidence`: True if these functions were chosen because the data show them, False if
+    the plan asks for them. `judged`: True if the data permitted a search for a drift. `without`: array of shape (m, p), the
+    coefficients of a fit without drift. `explained`: array of shape (m,), the fraction of the sum of squared residuals that the
+    drift explains. `without` and `explained` are None if no drift function was adopted. `suspected`: the suspected drift functions,
+    if none was adopted. `rivals`: drift functions that the data show, but that are not adopted because a nonlinearity explains the
+    residuals equally well. `nonlinear`: array of shape (m,), the fraction of the sum of squared residuals that the nonlinearity
+    explains. `doubted`: the doubted drift functions; no two of them are proportional to each other.
     """
 
     courses: tuple[DriftCourse, ...] = ()

@@ -82,7 +82,7 @@ def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: A
 
 
 def _turns(request: DesignRequest[object], name: str) -> bool:
-    """Returns True if the unit and the name of an output show that it measures rotation about a known axis."""
+    """Returns True if an output measures rotation about a known axis, judged from its unit and its name."""
     model = request.sensor.output(name)
     rotation = (unit("rad/s").dimension, unit("pulse/s").dimension)
     return (

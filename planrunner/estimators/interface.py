@@ -91,9 +91,9 @@ class Estimate:
 
     `headline`: names of the coefficients that the terminal shows first. `settings`: choices that were made, such as the kind of
     uncertainty. `extra`: plain data for other estimates that use this one. Some coefficients are known at several temperatures, or
-    at one temperature that all segments have in common. They are in extra["by_temperature"], where `temperature_model` reads them.
-    Their form is {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}. These standard
-    uncertainties are of type A. The mean times of the data may be added as "time_s": [...].
+    at one temperature that all segments have in common. Such coefficients are in extra["by_temperature"], where `temperature_model`
+    reads them. The form is {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}. These
+    standard uncertainties are of type A. The mean times of the data may be added as "time_s": [...].
 
     `data_covariance`: the part of the covariance that is of type A. The analysis keeps this part unchanged when it adds the
     influences. An estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`). An

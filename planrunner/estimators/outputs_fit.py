@@ -46,8 +46,8 @@ class OutputsFit:
     `names`: names of the p terms.
     `fits`: for each output, the fit with all P = p + q columns.
     `noises`: for each output, the noise within the segments.
-    `spreads`: array of shape (m, n), standard uncertainties for the weights, without the effects. They include the noise within the
-    segments and, if it is needed, an additional standard deviation between segments (`between_segments`).
+    `spreads`: array of shape (m, n), standard uncertainties for the weights, without the effects. The standard uncertainties
+    include the noise within the segments and, if needed, an additional standard deviation between segments (`between_segments`).
     `between`: array of shape (m,), the additional standard deviation between segments; 0 if it is not needed.
     `ratios`: array of shape (m,), residual variance divided by the variance expected from noise and effects.
     `effects`: the effects that the weights include.

@@ -298,7 +298,8 @@ def _common(
 
     def answered(moved: Array) -> Array:
         """Returns, except for a constant, the coefficients that the fit would give if the rates were `moved`. The outputs stay the
-        same; a change of their expected values therefore changes the fit with the opposite sign."""
+        same. If their expected values change by some amount, the fit therefore changes as if the outputs had changed by the
+        opposite amount."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])

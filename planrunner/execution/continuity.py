@@ -1,5 +1,5 @@
-"""Handles the state that a run needs to continue after a crash. It consists of the states of simulated instruments and of the
-executor, which are stored with every segment.
+"""Handles the state that a run needs to continue after a crash. This state consists of the states of the simulated instruments and
+of the executor, and is stored with every segment.
 
 On a real bench, nothing is stored, because the state of real instruments cannot be restored from data. After an interruption,
 nothing is assumed about their state.

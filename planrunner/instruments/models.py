@@ -1,4 +1,5 @@
-"""Defines models of instruments. They are known without a connection. Checks, schedules, designs and estimators use them.
+"""Defines models of instruments. These models are known without a connection to the instruments. Checks, schedules, designs and
+estimators use them.
 
 All values are in SI units, with angles in radians. The exception is the outputs of a sensor, whose units are always named.
 """

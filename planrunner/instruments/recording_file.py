@@ -77,8 +77,8 @@ class RecordingFile(Protocol):
         """Returns remarks in words about rows and bytes that were skipped. The remarks are complete after a pass over all rows."""
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Yields all rows unchanged, in batches: the number of the first row, counted from 1; times [s], which may be missing or
-        decrease; and the values of each channel. Raises `InstrumentError` if the file cannot be read."""
+        """Yields all rows unchanged, in batches. Each batch contains the number of its first row, counted from 1; times [s], which
+        may be missing or decrease; and the values of each channel. Raises `InstrumentError` if the file cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)

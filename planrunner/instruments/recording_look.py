@@ -346,7 +346,7 @@ class _Clock:
 
 
 def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
-    """Returns the guesses about the columns. They are completed from the values if the names of the columns show nothing.
+    """Returns the guesses about the columns. If the names of the columns show nothing, the guesses are completed from the values.
 
     If no name suggests a gyro or an accelerometer, the function searches for three neighbouring columns whose vector is as long as
     gravity. These are assumed to be the accelerometers, and three columns next to them the gyros. If the names of three columns

@@ -1,5 +1,5 @@
-"""Computes how an output's bias instability affects the means of segments. Bias instability is flicker noise. Its slow part makes
-the means of all segments of a test correlated.
+"""Computes how an output's bias instability affects the means of segments. Bias instability is flicker noise. The slow part of this
+noise makes the means of all segments of a test correlated.
 
 Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). The spectrum of flicker
 has no lower limit, so a constant can be defined only as an average over some time span. The plan states this span, and the test

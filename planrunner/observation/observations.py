@@ -201,9 +201,9 @@ def _correlation(scatter: Array) -> Array:
 
 def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], channels: Sequence[str]) -> Array:
     """Returns the correlation between the means of the channels, shape (k, k). By default, this is the correlation of the samples,
-    which is the most certain one. If the correlation of the batch means differs significantly from it, that correlation is returned
-    instead (Fisher's z, with Bonferroni's bound over the pairs). The two differ if the samples of several channels have a common
-    part that averages out, such as a vibration.
+    which is known best. The correlation of the batch means is returned instead if it differs significantly from the correlation of
+    the samples (Fisher's z, with Bonferroni's bound over the pairs). The two correlations differ if the samples of several channels
+    have a common part that averages out, such as a vibration.
 
     Fisher's transform of a correlation coefficient r with ν degrees of freedom has the variance 1/(ν − 2) (Fisher, Metron 1, 1921)."""
     k, scatter, freedom = len(channels), np.zeros((len(channels),) * 2), 0.0

@@ -1,7 +1,7 @@
 """Makes observations of poses in unknown orientations. While a sensor that is turned by hand is at rest, only the magnitude |f| = g
 of the specific force is known.
 
-The readings in a pose are a = M·f + b + noise. The two components of the readings that are perpendicular to f only determine the
+The readings in a pose are a = M·f + b + noise. The two components of the readings that are perpendicular to f determine only the
 unknown orientation. One observation per sample remains: the component along u = f/g,
 
     u·a = g + u·b + g·uᵀ(M − 1)u + noise.

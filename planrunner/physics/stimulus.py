@@ -50,9 +50,9 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
     """Returns the mean stimulus over the dwell of each segment.
 
     `durations`: recorded durations of the dwells, s; by default the planned dwells. A segment with a spin starts at its planned
-    attitude. Its mean is taken over the angle that it covers or, if its duration is unknown, over whole turns. Raises
-    `StimulusError` if an attitude is unknown, or if a segment moves in another way than by a spin (rocking, a cycle), because a
-    mean then does not represent the stimulus.
+    attitude. The mean of such a segment is taken over the angle that it covers or, if its duration is unknown, over whole turns.
+    Raises `StimulusError` if an attitude is unknown, or if a segment moves in another way than by a spin (rocking, a cycle),
+    because a mean then does not represent the stimulus.
     """
     return Poses.of(segments, durations).felt(site)
 

@@ -424,8 +424,8 @@ def _degrees(node: Mapping, log: Findings) -> float:
 
 
 def anchored(pattern: str) -> str:
-    """Converts a pattern so that it must match the whole text, both in JSON Schema and in Python (with '$' alone, a final line
-    break would be permitted)."""
+    """Converts a pattern so that the pattern must match the whole text, both in JSON Schema and in Python. (With '$' alone, a final
+    line break would be permitted.)"""
     return rf"^(?:{pattern})$(?!\n)"
 
 

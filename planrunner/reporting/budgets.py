@@ -1,5 +1,5 @@
-"""Prepares uncertainty budgets for templates. They have the columns of JCGM 100:2008, table H.1, and also show the share and the
-source of each input."""
+"""Prepares uncertainty budgets for templates. The budgets have the columns of JCGM 100:2008, table H.1, and also show the share and
+the source of each input."""
 
 from __future__ import annotations
 

@@ -4,9 +4,9 @@ Catalogues are read as gettext PO text. Pages therefore show exactly the texts t
 A placeholder of a page template can only have the form `%(name)s`, so that no template can request a width that would fill the
 memory.
 
-Texts of estimators are objects `planrunner.base.said.Said`. Their template, such as "{output}: offset at zero rate", is a message
-of the catalogue; the translation contains the same names in braces. A number is formatted as in the English template, with the
-decimal sign of the language.
+Texts of estimators are objects `planrunner.base.said.Said`. The template of such a text, for example "{output}: offset at zero
+rate", is a message of the catalogue. The translation contains the same names in braces. A number is formatted as in the English
+template, with the decimal sign of the language.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 answers with JSON.
 
 A thread limits the computing time, and finds which line of the template is being rendered. In addition, limits of the operating
-system are set where they exist (Linux, partly macOS). They limit time and memory, and prevent writing files and starting processes.
-Windows has no such limits. There, the thread and the time-out of the parent process limit the time, and only the sandbox limits
-what a template can do.
+system are set where they exist (Linux, partly macOS). These limits restrict time and memory, and prevent writing files and starting
+processes. Windows has no such limits. There, the thread and the time-out of the parent process limit the time, and only the sandbox
+limits what a template can do.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Makes and checks approvals of plans. An approval is a signed statement that connects a reviewer's key with the meaning of a plan
 and of the benches on which it may run.
 
-An approval is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest
-of the canonical meaning of the plan without its bench (`procedure_of`). Its predicate names each bench by the digest of the bench's
-meaning without the required approvals (`equipment_of`). A withdrawal is a statement of the same form that names earlier approvals.
+An approval is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. The subject of the statement is the
+SHA-256 digest of the canonical meaning of the plan without its bench (`procedure_of`). The predicate names each bench by the digest
+of the bench's meaning without the required approvals (`equipment_of`). A withdrawal is a statement of the same form that names
+earlier approvals.
 
 For every approval, `judged` determines whether it counts under the rule of a bench and, if it does not, the reason. It reads no
 files and needs no private key.

@@ -1,9 +1,9 @@
 """Makes and checks overrides of a check standard. An override is a signed statement by which a person permits runs to begin on a
 bench although its check standard is not in control.
 
-An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. Its subject is the SHA-256 digest
-of the canonical meaning of the bench, without the approvals that it requires. Any other change of the bench therefore ends an
-override.
+An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. The subject of the statement is the
+SHA-256 digest of the canonical meaning of the bench, without the approvals that the bench requires. Any other change of the bench
+therefore ends an override.
 """
 
 from __future__ import annotations

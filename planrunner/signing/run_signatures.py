@@ -1,9 +1,9 @@
 """Makes and reads electronic signatures of sealed runs: `signatures/<number>-<meaning>.dsse.json` in the run folder.
 
 A signature is a DSSE envelope with an in-toto Statement v1 whose predicate is a test result
-(https://in-toto.io/attestation/test-result/v0.1). Its subjects are files, each with its digest: the seal, the files with which the
-run began, the journal, the lists of digests of analyses, and the earlier signatures. The seal and the lists contain the digests of
-all other files.
+(https://in-toto.io/attestation/test-result/v0.1). The subjects of the statement are files, each with its digest: the seal, the
+files with which the run began, the journal, the lists of digests of analyses, and the earlier signatures. The seal and the lists
+contain the digests of all other files.
 
 Persons sign what they have examined (`PersonMeaning`); their signatures cover all files that exist at that time. A bench signs,
 with its own key, what it has made (`BenchMeaning`): the seal after it has recorded a run, and each analysis after it has evaluated

@@ -1,5 +1,5 @@
-"""Makes and reads in-toto Statements v1 (https://in-toto.io/Statement/v1) in canonical JSON (RFC 8785). They are the content of
-signatures and approvals."""
+"""Makes and reads in-toto Statements v1 (https://in-toto.io/Statement/v1) in canonical JSON (RFC 8785). These statements are the
+content of signatures and approvals."""
 
 from __future__ import annotations
 

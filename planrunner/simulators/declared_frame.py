@@ -1,5 +1,5 @@
-"""Makes the frames of a simulated sensor that only the bench file describes. They contain sync bytes, numbers at given positions, a
-counter, and a checksum at the end."""
+"""Makes the frames of a simulated sensor that only the bench file describes. The frames contain sync bytes, numbers at given
+positions, a counter, and a checksum at the end."""
 
 from __future__ import annotations
 

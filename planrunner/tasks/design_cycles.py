@@ -1,5 +1,5 @@
 """Designs the rotation cycle of a segment. Computes which part of a constant horizontal sensor error remains after the planned
-cycle, and finds cycles after which nothing of it remains.
+cycle, and finds cycles after which no part of the error remains.
 
 In a study, angles and rotations are positive in the sense of rotation that the plan states, which may be clockwise.
 """

@@ -200,7 +200,7 @@ def resume(
     began are read from the folder of this file. The journal records the approvals that are used.
 
     The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume the same
-    run, one of them is refused before it connects to an instrument.
+    run, the second is refused before it connects to an instrument.
     """
     folder = open_run(run)  # no lock is left in what is no run folder
     lock = _lock(folder)

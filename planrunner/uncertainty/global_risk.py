@@ -21,8 +21,8 @@ _REACH = 9.0  # standard deviations of the prior that are integrated over; the r
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Describes what is known of the quantity before the measurement: the mean and the standard deviation of its distribution over
-    the items, which is normal."""
+    """Describes what is known of the quantity before the measurement. Its distribution over the items is normal, with this mean and
+    this standard deviation."""
 
     mean: float
     standard_deviation: float

@@ -13,10 +13,10 @@ without a shape. An effect with a shape is fitted only if it lasts longer than a
         about = About(…)                      # plain name, physics, who acts and what to do: see `about.py`
         def variants(self, observed) -> list[Variant]
 
-A variant is the effect at one value of its shape (a time constant, a limit). The change of the output is linear in the amplitudes of its
-columns. An effect that acts on the noise states the kind of change in `outside`, such as 'random walk', 'white' or 'resolution'. If its
-stage is covariance, it has no columns. With `each = "orientation"`, an effect has separate amplitudes for every orientation, which are
-independent of each other. The columns of such an effect are listed orientation by orientation, in the order of first use.
+A variant is the effect at one value of its shape (a time constant, a limit). The change of the output is linear in the amplitudes
+of its columns. An effect that acts on the noise states the kind of change in `outside`, such as 'random walk', 'white' or
+'resolution'. If its stage is covariance, it has no columns. With `each = "orientation"`, an effect has separate, independent
+amplitudes for every orientation. The columns of such an effect are listed orientation by orientation, in the order of first use.
 
 An effect whose columns are only valid for small amplitudes also has a method `around` (see `Curved`). If `hypothesis = False`, the
 diagnosis evaluates the effect only if the effect is named explicitly. Every additional hypothesis changes the probabilities of all
@@ -126,8 +126,8 @@ class ExplainsTurning(Effect, Protocol):
 
 @runtime_checkable
 class FollowsTemperature(Effect, Protocol):
-    """An effect that describes the change of a bias with temperature: it has one amplitude for each axis, which is multiplied by the
-    temperature. `with_temperature`: name of the amplitude, without the letter of its axis."""
+    """An effect that describes the change of a bias with temperature: it has one amplitude for each axis, and this amplitude is
+    multiplied by the temperature. `with_temperature`: name of the amplitude, without the letter of its axis."""
 
     with_temperature: str
 
@@ -182,8 +182,9 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
     """Describes an effect that does not appear in the coefficients to which a diagnosis reduces a recording. Such an effect is an
-    effect on the noise, a line interference, or samples that repeat their values. A diagnosis looks for it elsewhere. An effect
-    with the stage covariance has no columns at all. A line interference does have columns, but only a simulation uses them."""
+    effect on the noise, a line interference, or samples that repeat their values. A diagnosis searches for such an effect outside
+    the coefficients. An effect with the stage covariance has no columns at all. A line interference does have columns, but only a
+    simulation uses them."""
 
     outside: OutsideKind
 

@@ -1,4 +1,5 @@
-"""Effects that are proportional to the supply voltage or to the ambient pressure. They change the bias or the scale factor."""
+"""Effects that are proportional to the supply voltage or to the ambient pressure. These effects change the bias or the scale
+factor."""
 
 from __future__ import annotations
 

@@ -7,7 +7,8 @@ The model is as follows (IEEE Std 952, annex C; τ in s, σ in the unit of the o
 
 Q is the quantisation, N is the random walk of the integrated output (angle random walk), B is the bias instability (the flat part
 of the deviation is at 0.664·B), and K is the rate random walk. The Hadamard variance uses third instead of second differences, and
-so does not respond to a steady drift of the output (NIST SP 1065, 5.2.8). Its model has the same four terms with other factors:
+so does not respond to a steady drift of the output (NIST SP 1065, 5.2.8). The model of the Hadamard variance has the same four
+terms with other factors:
 
     Hσ²(τ) = (10/3)·Q²/τ² + N²/τ + ((8·ln2 − 3·ln3)/(2π))·B² + K²·τ/6
 

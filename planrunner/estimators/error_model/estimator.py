@@ -357,7 +357,7 @@ def _fitted(
 ) -> list[FittedOutput]:
     """Fits all outputs of a group. `shown`: names of the drift functions that at least one output shows.
 
-    A first fit gives approximate amplitudes for each output. They are needed because they determine how strongly errors of the
+    A first fit gives approximate amplitudes for each output. These are needed because they determine how strongly errors of the
     table and the site affect the output.
     """
     parameters, basis = request.parameters, request.parameters.uncertainty

@@ -33,8 +33,8 @@ def turned(axis: int, angle: Array | float) -> Array:
 
 
 def earth_turn(earth: Array, seconds: Array) -> Array:
-    """Returns the matrices R(Ω_ie·t) for the times t [s], shape (n,). The result has the shape (…, n, 3, 3). They transform site
-    components at time t to site components at time zero.
+    """Returns the matrices R(Ω_ie·t) for the times t [s], shape (n,). The result has the shape (…, n, 3, 3). The matrices transform
+    site components at time t to site components at time zero.
 
     `earth`: array of shape (…, 3) in rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in
     inertial space.

@@ -1,9 +1,9 @@
 """Computes the Type B influences on the drifts of a rocking test.
 
-Some effects differ from run to run: accelerometer stability and noise, drift, azimuth after caging, and counts. They are part of
-the scatter between repeated runs, so the budget lists them for comparison but does not add them. The prediction of a run uses them.
-Other effects are common to all runs: site and installation angles. They are added to the budget; they almost cancel between static
-and dynamic runs.
+Some effects differ from run to run: accelerometer stability and noise, drift, azimuth after caging, and counts. These effects are
+part of the scatter between repeated runs, so the budget lists them for comparison but does not add them. The prediction of a run
+uses them. Other effects are common to all runs: site and installation angles. These common effects are added to the budget; they
+almost cancel between static and dynamic runs.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Makes the tables, plots and sentences of the report on a rocking test. They compare the two methods, and state the limits of the
-gravity method."""
+"""Makes the tables, plots and sentences of the report on a rocking test. The report compares the two methods, and states the limits
+of the gravity method."""
 
 from __future__ import annotations
 

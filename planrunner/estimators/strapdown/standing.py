@@ -1,4 +1,4 @@
-"""Examines the readings of a navigating sensor at its stops. They show biases that change, and gyros with the wrong sign.
+"""Examines the readings of a navigating sensor at its stops. These readings show biases that change, and gyros with the wrong sign.
 
 While the sensor stands still, it measures the Earth's rate and gravity. The Earth's rate and gravity are constant in each position,
 so every change of the readings within a position is a change of the sensor (or a slow tilt of its base). The sensor counts as still

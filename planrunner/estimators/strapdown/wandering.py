@@ -3,9 +3,9 @@ and navigation.
 
 The constant error of a sensor is defined as the average over a stated time span (see `observation.flicker`). Only deviations from
 this average count here as disturbances of alignment and navigation. The errors of a navigation are linear in the sensors' errors.
-They are therefore sums of the responses to the sensor errors in short intervals, and the response to a sensor error that is
-constant in one interval is known. The covariance of the means of flicker over these intervals then gives the covariance of the
-navigation errors.
+They are therefore sums of the responses to the sensor errors in short intervals. The response to a sensor error that is constant in
+one interval is known. The covariance of the means of flicker over these intervals then gives the covariance of the navigation
+errors.
 """
 
 from __future__ import annotations

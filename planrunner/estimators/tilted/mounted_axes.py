@@ -1,8 +1,9 @@
 """Describes input axes in a tilted fixture: the output that belongs to each axis of `mounting`, and the directions of the axes in
 the fixture.
 
-The fixture's frame is the frame to which the orientations in the plan refer; the plan calls it the sensor's frame. Its z axis lies
-along the rotation axis of the table. Angles of the axes are measured from z; azimuths are measured from x, right-handed about z.
+The fixture's frame is the frame to which the orientations in the plan refer; the plan calls it the sensor's frame. The z axis of
+the fixture's frame lies along the rotation axis of the table. Angles of the axes are measured from z; azimuths are measured from x,
+right-handed about z.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 uncertainty.
 
 A tilted axis is at the angle θ from the rotation axis and senses the rate times cos θ. An axis along the rotation axis senses the
-whole rate, so the relative effect of noise on it is smaller by the factor cos θ. A small misalignment δ causes a relative error of
-1 − cos δ for an axis along the rotation axis, and of δ·tan θ for the tilted axis. Each separate mounting needs the same schedule,
+whole rate, so noise has a relative effect that is smaller by the factor cos θ. A small misalignment δ causes a relative error of 1
+− cos δ for an axis along the rotation axis, and of δ·tan θ for the tilted axis. Each separate mounting needs the same schedule,
 including its temperature cycle, and additional time for the mounting itself.
 """
 

@@ -30,12 +30,12 @@ class ChannelComparison:
     """Contains the comparison of one channel, in the unit `unit`.
 
     `before`: size of the difference between the recording and a simulation without the effects. `after`: size of the difference
-    from a simulation with the effects. Both are root mean squares over the means, slow changes and harmonics of the segments.
-    `noise`: size of the difference that noise alone would cause. `before_sigma`, `after_sigma`: `before` and `after` in standard
-    deviations of the noise; 1 if there is only noise. `sample_noise`: standard deviation of a single sample in the recording and in
-    both simulations. `means`: for the recording and both simulations, an array of shape (S,), the offset of each common segment
-    after the fit of the nominal parameters. `sigma`: array of shape (S,), standard uncertainty of the offsets in the recording due
-    to noise.
+    from a simulation with the effects. `before` and `after` are root mean squares over the means, slow changes and harmonics of the
+    segments. `noise`: size of the difference that noise alone would cause. `before_sigma`, `after_sigma`: `before` and `after` in
+    standard deviations of the noise; 1 if there is only noise. `sample_noise`: standard deviation of a single sample in the
+    recording and in both simulations. `means`: for the recording and both simulations, an array of shape (S,), the offset of each
+    common segment after the fit of the nominal parameters. `sigma`: array of shape (S,), standard uncertainty of the offsets in the
+    recording due to noise.
     """
 
     unit: str

@@ -4,9 +4,9 @@ catalogue does not contain the cause, also determines the form of the gap along 
 The factors are orientation, rate, temperature, time, angle of the table, and frequency band. The evidence for the patterns of the
 open set determines which factor the whitened residual of a channel follows. The levels of a factor are compared by a score: the
 excess of their energy over that of pure noise, in standard deviations of the energy of pure noise. Many levels are examined, so a
-high score of one of them may be chance. The p-value of a level is therefore computed for pure noise that is projected like the
-data. It is the probability that the highest score of all levels is at least as high as the score of this level (max-statistic
-parametric bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
+single high score may be chance. The p-value of a level is therefore computed for pure noise that is projected like the data. It is
+the probability that the highest score of all levels is at least as high as the score of this level (max-statistic parametric
+bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
 
 The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable pattern determines the factor
 that an unknown gap follows. The residuals of the simulation give the form of this gap.

@@ -177,10 +177,10 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 
 def _by_axis(motion: Array) -> list[Array]:
-    """Returns the components (n,) of a recorded motion (n, 3), for each axis about which there is motion. Their means are
-    subtracted. Scale factors and misalignments act in proportion to the angular rates. A delay, like the first-order lag of a
-    filter, acts nearly in proportion to the angular accelerations. Only motion that an encoder shows is used. The reference of a
-    free motion is not used, because it has its own delays and filters, which act at the same frequencies."""
+    """Returns the components (n,) of a recorded motion (n, 3), for each axis about which there is motion. The mean of each
+    component is subtracted. Scale factors and misalignments act in proportion to the angular rates. A delay, like the first-order
+    lag of a filter, acts nearly in proportion to the angular accelerations. Only motion that an encoder shows is used. The
+    reference of a free motion is not used, because it has its own delays and filters, which act at the same frequencies."""
     motion = motion - motion.mean(axis=0)
     size = np.linalg.norm(motion, axis=0)
     return [motion[:, axis] for axis in np.flatnonzero(size > _DEPENDENT * size.max())]

@@ -204,8 +204,8 @@ class FormatFile(ABC, Generic[Keys]):
                 return
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Yields all rows unchanged, in batches: the number of the first row, counted from 1; times [s], which may be missing or
-        decrease; and the values of each channel. Raises `InstrumentError` if the file cannot be read."""
+        """Yields all rows unchanged, in batches. Each batch contains the number of its first row, counted from 1; times [s], which
+        may be missing or decrease; and the values of each channel. Raises `InstrumentError` if the file cannot be read."""
         for first, rows, time in self._timed(EVERYTHING):
             yield first, time, {name: rows.numbers(column) for name, column in self.channels.items()}
 

@@ -53,7 +53,7 @@ class AxisCommands(Commands, Protocol):
         """Makes the axes ready to move. It is called before the first move, and again after `switch_off`."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Moves axes to positions and holds them there. `here`: the present positions of the axes, which are needed because an axis
+        """Moves axes to positions and holds them there. `here`: the present positions of the axes. They are needed because an axis
         that changes to its position mode is first commanded to hold its present position."""
 
     def turn(self, axis: int, rate: float) -> None: ...

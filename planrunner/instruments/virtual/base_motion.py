@@ -50,7 +50,7 @@ def mean_square_rate(world: World, times: Array) -> Array:
 def turn(vectors: Array, axis: Array, angles: Array) -> Array:
     """Rotates `vectors` (…, n, 3) actively by `angles` (n,) [rad], right-handed about the unit vector `axis` (3,) or (n, 3).
 
-    Rodrigues' formula is evaluated component by component, which is several times as fast as `numpy.cross` for such short vectors.
+    Rodrigues' formula is evaluated component by component; for such short vectors, this is several times as fast as `numpy.cross`.
     """
     cosine, sine = np.cos(angles), np.sin(angles)
     (x, y, z), (a, b, c) = np.moveaxis(vectors, -1, 0), np.moveaxis(axis, -1, 0)

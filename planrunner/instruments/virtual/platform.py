@@ -5,8 +5,8 @@ When caged, the element is fixed to the base, with an attitude error that is ran
 released and stays fixed in inertial space, except for its drift. The attitude of the element is simulated, and the outputs of
 accelerometers and gimbal encoders are computed from it. The estimators have no formula in common with this module.
 
-A ring of a rocking table has a random return error each time it comes to rest. Its reading lags while the ring moves, and its servo
-drifts over minutes. The error of a multi-speed gimbal resolver has a period of a fraction of a turn.
+A ring of a rocking table has a random return error each time it comes to rest. The reading of the ring lags while the ring moves,
+and the servo of the ring drifts over minutes. The error of a multi-speed gimbal resolver has a period of a fraction of a turn.
 """
 
 from __future__ import annotations

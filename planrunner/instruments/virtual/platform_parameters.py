@@ -21,8 +21,8 @@ class Rates(Record):
 
 
 class DriftByRocking(Record):
-    """Declares the bench-file keys for the drift that rocking causes, which is proportional to the square of the base's angular
-    rate."""
+    """Declares the bench-file keys for the drift that rocking causes. This drift is proportional to the square of the base's
+    angular rate."""
 
     rms_rate: Quantity = key(
         QuantityOf("angular rate", "positive"),

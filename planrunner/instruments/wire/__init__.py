@@ -1,2 +1,2 @@
-"""Contains the parts that drivers of real instruments share: links, serial streams, framing, checksums and clocks. They do not
-depend on manufacturers."""
+"""Contains the parts that drivers of real instruments share: links, serial streams, framing, checksums and clocks. These parts do
+not depend on manufacturers."""

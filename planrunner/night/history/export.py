@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 def export_index(index: Index, target: Path) -> None:
-    """Writes the tables runs, coefficients and limits. If the name of the target ends with `.duckdb`, they are written to a DuckDB
-    database; otherwise, they are written as Parquet files to a folder, which is created. An existing database or file of these
-    names is replaced as a whole. Raises `InputError` if the files cannot be written."""
+    """Writes the tables runs, coefficients and limits. If the name of the target ends with `.duckdb`, the tables are written to a
+    DuckDB database. Otherwise, they are written as Parquet files to a folder, which is created if it does not exist. An existing
+    database or file of these names is replaced as a whole. Raises `InputError` if the files cannot be written."""
     tables = index_tables(index)
     try:
         if target.suffix == ".duckdb":
