@@ -427,8 +427,8 @@ def explained_by_noise(after: Sequence[LinearFit], noises: Sequence[WithinSegmen
 
 
 def _probability_of_residuals(found: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float | None:
-    """Returns the probability that the noise within the segments causes residuals at least as large as those of all outputs
-    together (F-test); None if the noise is unknown."""
+    """Tests the residuals of all outputs together (F-test). Returns the probability that the noise within the segments causes
+    residuals at least as large; None if the noise is unknown."""
     from scipy.special import fdtrc
 
     if not all(noise.known for noise in noises):

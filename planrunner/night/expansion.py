@@ -204,9 +204,9 @@ def _combinations(choices: Mapping[str, Sequence[_Value]]) -> Iterator[dict[str,
 def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
-    """Returns the tests of other plans for which a test waits. For each of these plans, these are the tests with the same device
-    and bench; if there are none, the tests with the same device; if there are none either, all tests of the plan. `groups`: maps
-    (plan,), (plan, device) and (plan, device, bench) to the tests with these properties."""
+    """Returns the tests of other plans for which a test waits. For each of these plans, the tests with the same device and bench
+    are returned. If there are none, the tests with the same device are returned. If there are none of these either, all tests of
+    the plan are returned. `groups`: maps (plan,), (plan, device) and (plan, device, bench) to the tests with these properties."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):
         here, of_device = groups.get((entry, test.device, test.bench)), groups.get((entry, test.device))

@@ -80,7 +80,7 @@ def _most(item: RecordedSegment) -> int:
 
 
 def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
-    """Combines the bins of all segments to the bins of the recording."""
+    """Combines the bins of all segments into the bins of the recording."""
     levels = [reduce(np.union1d, each) for each in zip(*(part.levels for part in parts), strict=True)]
     return Bins(
         size,

@@ -1,4 +1,4 @@
-"""Combines amplitudes that several outputs have in common, such as the tilt of the table, to one value.
+"""Combines amplitudes that several outputs have in common, such as the tilt of the table, into one value.
 
 The outputs are first fitted separately. The values z of all amplitudes have the joint covariance C. Least squares then adjusts z so
 that the values of each common amplitude agree. The adjusted values are z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, where R·z = 0 states the agreement

@@ -162,7 +162,7 @@ def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode:
 
 
 def several_conditions(each: Sequence[RockingConditions]) -> RockingConditions:
-    """Combines m conditions to one object. The drifts computed with this object have the shape (m, 2)."""
+    """Combines m conditions into one object. The drifts computed with this object have the shape (m, 2)."""
     return RockingConditions(
         np.stack([one.earth for one in each]),
         np.array([one.gravity for one in each]),
@@ -172,7 +172,7 @@ def several_conditions(each: Sequence[RockingConditions]) -> RockingConditions:
 
 
 def several_runs(each: Sequence[ReducedRun]) -> ReducedRun:
-    """Combines m variants of a run to one object; the variants differ in the second window and in `off`. The drifts computed from
+    """Combines m variants of a run into one object; the variants differ in the second window and in `off`. The drifts computed from
     this object have the shape (m, 2)."""
     second, turns = each[0].second, [one.second.turn for one in each if one.second.turn is not None]
     readings = np.stack([one.second.readings for one in each])

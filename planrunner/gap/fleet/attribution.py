@@ -175,7 +175,7 @@ class Attribution:
 def components(
     groups: Mapping[Source, Sequence[str]], since: Mapping[Source, Sequence[str]] | None = None
 ) -> tuple[Component, ...]:
-    """Combines sources to components: the sources that group the runs in the same way form one component. `groups`, `since`: the
+    """Combines sources into components: the sources that group the runs in the same way form one component. `groups`, `since`: the
     same as in `Estimates`."""
     found: dict[tuple[int, ...], tuple[list[Source], list[tuple[str, str]]]] = {}
     n = len(groups[Source.OCCASION])
