@@ -14,6 +14,7 @@ from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import Kinds, competitors
 from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Sort
 from planrunner.gap.hypotheses.repeating import PERIODIC
+from planrunner.plan.schedule import Spin
 from tests.gap.turntable import DEG, GYRO_WHITE, RATE, record
 
 Array = np.ndarray
@@ -112,3 +113,21 @@ def test_a_saw_tooth_is_no_walk() -> None:
 
 
 SORTS = [WHOLE[sort] for sort in (Sort.ROCKING, Sort.MEANS, Sort.TRANSIENT)]
+
+
+@pytest.mark.parametrize(("per_force", "effects"), [(4e-5, 0), (4e-4, 1)])
+def test_only_what_is_not_small_beside_something_unknown_is_named(per_force: float, effects: int) -> None:
+    """Three waves per turn with a random phase in every segment are in no catalogue (850 nats). A bias that follows the specific force
+    is named beside them if it is of their order, but not where it shows ten nats."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
+        phase = 0.3 * draw.standard_normal(len(observed))[observed.owner]
+        wave = np.cos(3 * observed.angle + phase) * (1 + 0.3 * np.sin(7 * observed.angle)) * turning
+        size = 0.5 * GYRO_WHITE * np.sqrt(RATE) * np.array([1.0, 0.6, 0.8])
+        return wave[:, None] * size + per_force * DEG * force, 0.0
+
+    found = diagnose(record(seed=3, fault=fault))
+    best = next(iter(found.posterior.probability))
+    assert "unknown" in best.split("+")
+    assert len(best.split("+")) == 1 + effects
