@@ -126,8 +126,8 @@ def astronomic_latitude(site: SiteSpec) -> Quantity:
 
 
 def geodetic_latitude(site: SiteSpec) -> float:
-    """Returns the latitude on the ellipsoid [rad], which is used for navigated positions. If the astronomic latitude Φ is stated,
-    it is φ = Φ − ξ."""
+    """Returns the latitude φ on the ellipsoid [rad], which is used for navigated positions. If the bench states the astronomic
+    latitude Φ and the northward deviation of the vertical ξ, then φ = Φ − ξ."""
     deviation = site.deviation_of_vertical
     known = site.latitude_kind == "astronomic" and deviation is not None
     return site.latitude.value - (deviation.north.value if known and deviation is not None else 0.0)

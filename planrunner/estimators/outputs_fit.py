@@ -148,8 +148,8 @@ class OutputsFit:
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
         """Returns the influences of the effects on the coefficients, which are listed output after output. If functionals (q, m, n)
-        are given, returns the influences on these linear functions of the observations instead. On the basis `residual`, the
-        covariance already includes the effects that the weights include."""
+        are given, returns the influences on these linear functions of the observations instead. If `basis` is `residual`, the
+        covariance already includes the effects in the weights."""
         acting = functionals_of(self.gains) if functionals is None else functionals
         doubted = tuple(one.through(acting) for one in self._doubted_drift())
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)

@@ -2,9 +2,9 @@
 bench to rest.
 
 A command returns at once, and gives the time that its execution is expected to take. After this time on the bench's clock, the
-instrument is queried until it has reached the state, or until a time-out. If the plan names quantities to settle and instruments
-measure them, settling ends when they have settled. The temperature is set only when it changes; the orientation is set only when it
-changes, or after a motion.
+instrument is queried until it has reached the state, or until a time-out. A plan can name quantities that must settle. If
+instruments measure these quantities, planrunner waits until all of them have settled; otherwise, it waits for a fixed time. The
+temperature is set only when it changes; the orientation is set only when it changes, or after a motion.
 
 Readings of the instruments, under the names that plans use, decide whether a quantity has settled before a segment is recorded. The
 same readings decide whether the temperature stays within its limits while the segment is recorded.

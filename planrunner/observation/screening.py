@@ -809,9 +809,9 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
-    """Returns the distances of the selected values from local medians, each of the `size` values around the selected one. Beyond
-    the ends, the values (n,) are continued by their mirror image about the straight line at the end. A slow change of the values
-    therefore does not count as a distance."""
+    """Returns the distances of the selected values from local medians, each of the `size` values around the selected one. The
+    values (n,) are extended beyond both ends along straight lines with the slope at the end. The extension mirrors the deviations
+    of the values from the line. A slow change of the values therefore does not count as a distance."""
     half = size // 2
     wide = np.pad(values, half, mode="reflect")
     if half >= _SLOPE_FROM:

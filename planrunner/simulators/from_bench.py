@@ -29,14 +29,14 @@ from planrunner.simulators.sensor_units import SensorUnit
 
 @runtime_checkable
 class DeclaresAxes(Protocol):
-    """Lists the keys of a table's driver that a simulation of the table needs."""
+    """Lists the driver keys that are needed to simulate a table."""
 
     axes: Sequence[object]
 
 
 @runtime_checkable
 class DeclaresLine(Protocol):
-    """Lists the keys of a sensor's driver that a simulation of the sensor needs. The sensor is on a serial line."""
+    """Lists the driver keys that are needed to simulate a sensor on a serial line."""
 
     sample_rate: Quantity
     baud: int

@@ -217,7 +217,7 @@ def _standards(suite: Suite, rules: Mapping[str, tuple[Bench, Path]], log: Findi
 def _check_standards(
     checked: CheckedSuite, suite: Suite, rules: Mapping[str, tuple[Bench, Path]], archive: Path | None
 ) -> None:
-    """Checks that each plan in the suite that measures a check standard states the device that it measures. If no test of the suite
+    """Checks the plans that measure a check standard: each of them must record which device it measures. If no test of the suite
     measures the check standard of a bench, also checks that this check standard is in control now."""
     log = checked.findings
     for name, (bench, _) in rules.items():

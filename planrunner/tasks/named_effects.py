@@ -143,7 +143,7 @@ def _why_not(effect: Effect, observed: Observed) -> str:
 
 
 def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, list[str]]:
-    """Maps each output to the effects that act on it and that an estimate can contain."""
+    """Maps each output to the effects that act on it. Leaves out effects that an estimate cannot contain."""
     found: dict[str, list[str]] = {channel.name: [] for channel in observed.channels}
     for name, effect in effects.items():
         if _why_not(effect, observed):

@@ -298,9 +298,9 @@ def _cycles(
 def _predicted(
     navigations: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
 ) -> list[Table]:
-    """Returns tables of the errors that the linear error equations predict for the declared constant errors. A cycle about the
-    vertical does not modulate the vertical error. A prediction for the horizontal errors alone therefore shows the benefit of the
-    cycle."""
+    """Returns tables of the position errors that the linear error equations predict for the declared constant errors of the
+    sensors. A second prediction uses only the horizontal components of these errors. It shows the benefit of the rotation cycle,
+    because a cycle about the vertical does not modulate the vertical components."""
     declared = request.parameters.declared
     if declared is None:
         return []

@@ -2,7 +2,7 @@
 temperature, the resolution, and drift of the zero.
 
 Fixture, table and site are conditions of the function that computes the results. The other sources change the means of segments.
-The changes of the means are converted to changes of the results by the sensitivities of the results to the means.
+Each change of a mean is multiplied by the sensitivity of the results to this mean.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rou
 
 
 def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: str) -> Iterator[Influence]:
-    """Yields the influences of flicker, which changes the mean of each segment according to the time of the segment. On the basis
+    """Yields the influences of flicker, which changes the mean of each segment according to the time of the segment. If `basis` is
     `residual`, the covariance of the results already includes these influences."""
     if not flicker:
         return

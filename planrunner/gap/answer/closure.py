@@ -213,8 +213,8 @@ class _Fold:
 
     `channel`, `group`: arrays of shape (m,), channel and noise group (as in `MeasuredNoise`) of each row. `residual`: array of
     shape (m,), whitened residuals of the nominal simulation. `difference`: array of shape (m,), whitened change of the prediction
-    by the chosen effect. `signatures`: one array (m, p) for each choice. `told`: one matrix (p, p) for each choice, the information
-    that the other segments contain about its amplitudes.
+    by the chosen effect. `signatures`: one array (m, p) for each choice. `told`: one information matrix (p, p) for each choice. It
+    shows how well the other segments determine the amplitudes of the choice.
     """
 
     channel: NDArray[np.int64]

@@ -34,8 +34,8 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
     over the means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
 
     `rest`: array of shape (M,), the whitened residuals. `degrees`: degrees of freedom of `rest`. `means`: array of shape (S,),
-    indices of the coefficients of order 0. The means are tested separately, because errors in the form of an effect accumulate in
-    them. `tests`: number of tests in all channels, for Bonferroni's correction.
+    indices of the coefficients of order 0. The means are also tested alone: if the assumed form of an effect is slightly wrong, the
+    errors accumulate in the means. `tests`: number of tests in all channels, for Bonferroni's correction.
     """
     from scipy.special import chdtrc
 

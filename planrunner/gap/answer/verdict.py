@@ -273,12 +273,12 @@ def _rival_sets(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
-    """Returns the effects of a set that are named, and the weakest effect of the set if it may be form residue. Form residue is
-    energy that is left because the strongest effect deviates from its idealised form. The weakest effect may be form residue if two
-    conditions hold: the other effects explain more than 50 σ, and the weakest effect adds less than the fraction `RESIDUE` of what
-    all effects explain together. If it adds less than the fraction `FORM`, it is not named. An effect is not form residue if most
-    of its energy is in channels on which the other effects do not act, or if it raises the noise level. Terms of a nominal model
-    are exact and have no form residue."""
+    """Examines the set of effects `named`. Returns two values: the effects that the verdict names, and the weakest effect. The
+    second value is None unless the weakest effect may be form residue. Form residue is energy that is left because the strongest
+    effect deviates from its idealised form. The weakest effect may be form residue if two conditions hold: the other effects
+    explain more than 50 σ, and the weakest effect adds less than the fraction `RESIDUE` of what all effects explain together. If it
+    adds less than the fraction `FORM`, it is not named. An effect is not form residue if most of its energy is in channels on which
+    the other effects do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

@@ -82,8 +82,8 @@ class _Fit:
     """Result of the free fit of the triads.
 
     `readings`: the reading of each channel, None if the plan does not determine it. `sound`: True if every determined channel
-    follows the plan once its reading (axis, sign and factor) has been taken into account. `misfit`: sum, over the channels, of the
-    squared residuals divided by the sum of squares of the means.
+    follows the plan. A channel with a wrong axis, sign or factor also follows the plan if its reading describes this mistake.
+    `misfit`: sum, over the channels, of the squared residuals divided by the sum of squares of the means.
     """
 
     readings: tuple[_Reading | None, ...]
