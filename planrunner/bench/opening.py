@@ -100,8 +100,8 @@ class OpenBench:
 
     def take_control(self, *names: str) -> None:
         """Declares that, from now on, this process commands these instruments (by default all). At the end, the process makes them
-        safe; if it cannot, its watchdog does so. Call this before the first command. Raises `InstrumentError` if the watchdog has
-        ended."""
+        safe; if it cannot, its watchdog makes them safe. Call this before the first command. Raises `InstrumentError` if the
+        watchdog has ended."""
         added = set(names or self.instruments) - self._controlled
         if added and self.watchdog is not None:
             self.watchdog.answer_for(added)

@@ -98,8 +98,8 @@ class Watchdog:
         self._part(LEAVING)
 
     def let_act(self) -> None:
-        """Lets the watchdog make the bench safe with new connections, because this process could not do so. Waits until it has
-        finished."""
+        """Lets the watchdog make the bench safe with new connections, because this process could not make the bench safe. Waits
+        until the watchdog has finished."""
         self._part(ENDING)
 
     @property

@@ -243,7 +243,7 @@ def fit_outputs(
     """Fits every observed channel with the same terms. Raises `EstimationError` if the observations do not determine the
     coefficients.
 
-    The weights come from the noise within the segments and from the effects. On the basis `residual`, a standard deviation between
+    The weights come from the noise within the segments and from the effects. For the basis `residual`, a standard deviation between
     segments is added to the noise of an output under two conditions. First, noise and effects together do not explain the residuals
     of the output. Second, the noise differs between segments, or there are effects. Without this addition, the segment with the
     least noise would dominate the fit, although its actual error is as large as the errors of the other segments. Outputs are

@@ -256,7 +256,8 @@ def _change(one: ChangePoint, places: Sequence[int]) -> Json:
 
 
 def _standards(index: Index, runs: Sequence[RunRow]) -> Iterator[Json]:
-    """Yields the states of check standards: one for each bench whose newest run has a bench file that declares a check standard."""
+    """Yields the states of check standards: one for each bench that declares a check standard in the bench file of its newest
+    run."""
     now = datetime.now(UTC)
     newest: dict[str, RunRow] = {}
     for run in runs:

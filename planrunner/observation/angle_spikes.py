@@ -5,7 +5,7 @@ differ by far more than a harmful spike. Each sample is therefore compared with 
 the three samples after it: the interpolation through these six equally spaced points. For a sine whose phase advances by φ from
 sample to sample, the error of the prediction is (2·sin(φ/2))⁶/20 of the amplitude: 3·10⁻⁴ for 15 samples per period. A sample is a
 spike if two conditions hold. First, neither the noise nor the motion around the sample explains its distance from the prediction.
-Second, all neighbours of the sample agree with the motion once the prediction replaces the sample. The second condition excludes
+Second, if the prediction replaces the sample, all neighbours of the sample agree with the motion. The second condition excludes
 steps, and sudden starts and stops of the motion. A small sudden change of the rate looks nearly like a spike. Of these two
 explanations, the one that fits better is chosen.
 

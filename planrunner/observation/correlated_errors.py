@@ -27,8 +27,8 @@ class CorrelatedError:
 
     `changes`: maps the index of each affected output to an array of shape (n, r), the changes of the n observations per unit of
     each of the r inputs. `parts`: names of the r inputs, as in `Influence`. `within`: maps the index of an output to an array of
-    shape (n,), the contribution of the error to the variance within the segments, per squared unit of the input. `channel`: name of
-    the channel whose noise the error is; empty if the error is not noise of a channel.
+    shape (n,), the contribution of the error to the variance within the segments, per squared unit of the input. `channel`: if the
+    error is the noise of a channel, the name of this channel; otherwise empty.
     """
 
     quantity: InputQuantity

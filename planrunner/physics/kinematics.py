@@ -346,8 +346,8 @@ def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[flo
     such angle within the limits, also returns the distance to the limits and a text with the reason.
 
     If two angles are half a turn away, they are equally near. In this case, a continuous axis turns in the positive direction, and
-    a limited axis goes to the angle that is nearer to zero. The limited axis does so even if the other angle is nearer to `near` by
-    up to `NEARLY`. If both angles are equally far from zero, it goes to the positive one.
+    a limited axis goes to the angle that is nearer to zero. The limited axis goes to this angle even if the other angle is nearer
+    to `near` by up to `NEARLY`. If both angles are equally far from zero, the axis goes to the positive one.
     """
     nearest = angle + TURN * math.floor((near - angle + ALIKE) / TURN + 0.5)
     if axis.continuous:

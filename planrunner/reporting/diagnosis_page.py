@@ -255,7 +255,7 @@ NOT_MEASURED = {
 
 
 def closure_words(found: Data) -> str:
-    """States in one or two sentences by how much the effects reduce or increase the gap, or why this is not known."""
+    """States in one or two sentences how much the effects reduce or increase the gap, or why this is not known."""
     closure = found["closure"]
     if found["verdict"]["kind"] == "none":
         return "There is no gap to close."
@@ -279,7 +279,7 @@ def closure_words(found: Data) -> str:
 
 
 def _repetition_words(repetition: Data | None) -> str:
-    """States by how much the gap would change in a repetition of the same segments; empty if this is not known."""
+    """States the expected change of the gap in a repetition of the same segments; empty if this change is not known."""
     if repetition is None:
         return ""
     text = f" In a repetition of the same segments, the gap {_change(repetition['shrinks_by'])}"

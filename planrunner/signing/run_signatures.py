@@ -238,8 +238,8 @@ def _examined(folder: GuardedFolder, file: str, ring: KeyRing | None, bench: Ben
 
 
 def _other_signer(claimed: RunSignature, known: KnownKey | None, *, own: bool) -> str:
-    """Returns the reason why a key must not make a signature of this meaning; empty if it may do so. `own`: True if the key is the
-    one in the bench file."""
+    """Returns the reason why a key must not make a signature of this meaning; empty if the key may make it. `own`: True if the key
+    is the one in the bench file."""
     bench = known is not None and BENCH_ROLE in known.roles
     if not claimed.by_bench:
         return "a person must sign it, but the key is that of a bench" if own or bench else ""

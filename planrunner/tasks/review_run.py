@@ -134,8 +134,8 @@ def _deviations(
 
 
 def _calibrations(sound: Sound, performed: date) -> Iterator[RunDeviation]:
-    """Yields a deviation for each instrument whose calibration was no longer valid on the day on which the run began, and for the
-    site if the same holds for it."""
+    """Yields a deviation for each item (instrument or site) with a calibration that was no longer valid on the day on which the run
+    began."""
     for item in references(sound.bench):
         due = "" if item.calibration is None else item.calibration.due or ""
         try:

@@ -134,10 +134,10 @@ def from_channels(
     inputs: Inputs,
     span: float,
 ) -> list[Points]:
-    """Computes the means of channels at different temperatures. If there is a thermometer, a value is the mean of the samples of a
-    ramp whose temperatures lie in the same bin of width `width` [K]. Without a thermometer, a value is the mean of a segment at its
-    planned temperature. `inputs`: contain the declared flicker. `span`: the time over which a constant error is defined as an
-    average, s. Raises `EstimationError` for channels that are missing or unsuitable."""
+    """Computes the means of channels at different temperatures. If there is a thermometer, the samples of a ramp are divided into
+    temperature bins of width `width` [K], and a value is the mean of the samples in one bin. Without a thermometer, a value is the
+    mean of a segment at its planned temperature. `inputs`: contain the declared flicker. `span`: the time over which a constant
+    error is defined as an average, s. Raises `EstimationError` for channels that are missing or unsuitable."""
     for recorded in segments:
         for channel in (*channels, *([thermometer] if thermometer else [])):
             if channel not in recorded.units:

@@ -196,8 +196,8 @@ def unstated_influences(
     situation: Situation, silent: Sequence[CorrelatedError], basis: str
 ) -> Iterator[tuple[CorrelatedError, Influence]]:
     """Computes how flicker of unknown size influences `TiltedResults.vector`. Each influence is returned together with this
-    flicker. On the basis `repeats`, only the part that all repeats have in common is given, because the scatter of the repeats
-    shows the other part."""
+    flicker. If `basis` is `repeats`, an influence contains only the part that all repeats have in common. The scatter of the
+    repeats shows the other part."""
     for error in silent:
         if basis == "repeats":
             pairs = zip(situation.groups, situation.answers, strict=True)
@@ -212,8 +212,8 @@ def _zero_drift(situation: Situation, basis: str, drifts: Mapping[int, float]) -
     zero: it differs from their mean by at most half of the difference between the two.
 
     Two shapes of the drift are considered: the same offset at all rates, and a steady change from one end of the series to the
-    other. A steady change causes residuals about the line, so on the basis `residual` the scatter already includes it; an offset
-    causes no residuals.
+    other. An offset causes no residuals. A steady change causes residuals about the line. If `basis` is `residual`, the scatter
+    therefore already includes the steady change.
     """
     courses = _offset if basis == "residual" else _drift_courses
     for axis, half in drifts.items():

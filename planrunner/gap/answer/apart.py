@@ -40,7 +40,7 @@ class RepeatedStretch:
     """Describes consecutive samples of a channel, each equal to the sample before it.
 
     `channel`: index of the channel. `first`: index of the first sample that repeats its predecessor. `count`: number of samples
-    that do so.
+    that repeat their predecessors.
     """
 
     channel: int

@@ -90,7 +90,7 @@ class NotMeasured(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Repetition:
-    """States by how much the effects, fitted to all segments, would reduce the gap in a repetition of the same segments.
+    """States the expected reduction of the gap in a repetition of the same segments, if the effects are fitted to all segments.
     `shrinks_by`, `interval_90`: as in `Closure`."""
 
     shrinks_by: float

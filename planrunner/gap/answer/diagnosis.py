@@ -1,5 +1,5 @@
-"""Diagnoses a recording: determines where it differs from its simulation, which effect explains the difference, and by how much
-this effect reduces the gap.
+"""Diagnoses a recording: determines where the recording differs from its simulation, which effect explains this difference (the
+gap), and how much this effect reduces the gap.
 
 The diagnosis has five steps. First, spectra and noise are computed, and the nominal parameters are projected out (`weighing`).
 Second, the evidence is evaluated for every installed effect (`candidates`), for pairs of effects, and for patterns outside the

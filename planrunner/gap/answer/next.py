@@ -426,8 +426,7 @@ class _Instrument:
 
 
 def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]) -> str:
-    """Describes the first instrument that would identify the true explanation; the description is empty if no instrument would do
-    so."""
+    """Describes the first instrument that would identify the true explanation; empty if there is no such instrument."""
     few = [options[i] for i in np.unique(np.linspace(0, len(options) - 1, _LOOKED_AT).astype(int))]
     for instrument in _instruments(weighing):
         extended, information = _with(instrument, weighing, rivals, layout, few)

@@ -266,7 +266,7 @@ def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -
 
 
 def _rows(matrix: Array) -> list[tuple[str, int, float]]:
-    """Returns, for each axis: its letter, the index of the axis whose input it shows, and the sign."""
+    """Returns three values for each axis: its letter, the index of the axis that it actually measures, and the sign."""
     axes = np.abs(matrix).argmax(axis=1)
     return [
         (letter, int(axis), float(matrix[row, axis]))
