@@ -116,8 +116,8 @@ class Reaching:
             self._wait_until_settled(segment, segment.settle, segment.stable)
 
     def _wait_until_settled(self, segment: Segment, seconds: float, stability: Stability | None) -> None:
-        """Waits for a fixed time or, if the plan names quantities to settle and instruments measure them, until these quantities
-        have stayed within their limits for the required time."""
+        """Waits until the quantities that must settle have stayed within their limits for the required time. If the plan names no
+        such quantities, or if no instrument measures them, waits for a fixed time."""
         if stability is None or not self._lookout.sees:
             self.pause(seconds)
             return

@@ -72,8 +72,8 @@ def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
     """Returns the outer, the middle and the inner gimbal angle [rad] as three arrays of shape (n,). `base`, `element`: axes of the
     base and of the element as rows; both arrays have the shape (n, 3, 3).
 
-    The outer gimbal turns about the x axis of the base, the middle gimbal about its own y axis, and the inner gimbal, which carries
-    the element, about its own z axis.
+    The outer gimbal turns about the x axis of the base. The middle gimbal turns about its own y axis. The inner gimbal carries the
+    element and turns about its own z axis.
     """
     between = np.einsum("nij,nkj->nik", element, base)
     outer = np.arctan2(-between[:, 2, 1], between[:, 2, 2])
