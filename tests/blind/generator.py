@@ -37,6 +37,7 @@ WRONG_NOISE, WITH_OUTLIERS = 0.20, 0.10
 WRONG_BY = 2.0  # factor, either way, by which a declared noise may be off without any effect
 TEMPERATURE_NOISE = 0.02  # degC
 TRIES = 400
+LATTICES = 4.0  # spacings of real noise that a coarse resolution is at least: finer ones are not dithered by it
 COARSEST = 1.25  # by what a coarse resolution may raise the noise (2.6 σ a step): beyond, its errors of segment means are no noise
 
 
@@ -86,9 +87,9 @@ def _of_strength(kind: Kind, direction: Array, shape: tuple[float, ...], energy:
     amplitude, low, high = 1.0, 0.0, np.inf
     if kind.covariance:
         ratio = excess_ratio(energy)
-        if kind.name == "gyro_quantization" and ratio > COARSEST:
-            return None
         step = work.sigma[0] * np.sqrt(12 * (ratio**2 - 1))
+        if kind.name == "gyro_quantization" and (ratio > COARSEST or step < LATTICES * work.lattice):
+            return None
         theta = step if kind.name == "gyro_quantization" else ratio * work.most_noise(kind.name) - 1
         return Fault(kind.name, np.array([theta])) if theta <= kind.largest else None
     for _ in range(1 if kind.linear else 25):
@@ -123,6 +124,12 @@ class Work:
     def sigma(self) -> Array:
         """Of a sample, per channel."""
         return self.around.sensor.sigma() * np.repeat(self.factors, 3)
+
+    @property
+    def lattice(self) -> float:
+        """Spacing of the values that real noise of the gyros takes, °/s."""
+        sensor = self.around.sensor
+        return real.background(sensor.name).lattice if sensor.real else 0.0
 
     def most_noise(self, effect: str) -> float:
         """The largest noise that a wrong declaration explains, of the triad that the effect acts on, in units of the true one.

@@ -23,17 +23,23 @@ from tests.blind.motion import Array, Schedule
 
 DATA = Path(os.environ.get("PLANRUNNER_DATA", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
 SLOW = 100.0  # s; polynomials of one degree for each such span are taken out
+LSB_RING_LASER = 0.00816  # °/s, of the ring-laser IMU: its readings are multiples of it, but for some 0.0001 °/s
 SHORT = 1.0  # s; averaging time at which the level of the noise is measured that effects must exceed
 FLICKER_FLOOR = 0.664  # minimum of the Allan deviation of flicker noise ÷ its bias instability (IEEE Std 952)
 
 
 @dataclass(frozen=True)
 class Background:
-    """Noise of a sensor at rest, shape (n, 3 or 6) in °/s and m/s², scaled to one level a triad; the count of each channel."""
+    """Noise of a sensor at rest, shape (n, 3 or 6) in °/s and m/s², scaled to one level a triad; the count of each channel.
+
+    lattice: °/s, spacing of the values that the gyros' noise takes, where it is wider than their count. Such noise does not dither counts
+    of that order: each of its values is rounded wrongly by an error of its own, which no averaging removes.
+    """
 
     sampling: float
     values: Array
     steps: Array
+    lattice: float = 0.0
 
     def cut(self, count: int, rng: np.random.Generator) -> Array:
         """Consecutive samples; raises ValueError where the recording is too short.
@@ -62,12 +68,13 @@ def _without_drift(piece: Array, sampling: float) -> Array:
     return piece - columns @ np.linalg.lstsq(columns, piece, rcond=None)[0]
 
 
-def _scaled(sampling: float, pieces: list[Array]) -> Background:
+def _scaled(sampling: float, pieces: list[Array], lattice: float = 0.0) -> Background:
     values = np.vstack([_without_drift(piece, sampling) for piece in pieces])
     counts = np.array([np.diff(np.unique(column)).min() for column in np.vstack(pieces).T])
     level = values.std(axis=0)
     common = np.repeat([np.sqrt(np.mean(triad**2)) for triad in level.reshape(-1, 3)], 3)
-    return Background(sampling, values * (common / level), counts * common / level)
+    scale = common / level
+    return Background(sampling, values * scale, counts * scale, lattice * float(scale[:3].max()))
 
 
 def _mpu6050() -> Background:
@@ -81,7 +88,7 @@ def _mpu6050() -> Background:
 def _ring_laser() -> Background:
     """A ring-laser IMU at rest in two positions, 300 s each at 64 Hz."""
     pieces = [np.fromfile(DATA / "ln100" / f"x_LN100_{way}.ins", "<f8").reshape(-1, 7)[:, 1:] for way in ("up", "down")]
-    return _scaled(64.0, pieces)
+    return _scaled(64.0, pieces, LSB_RING_LASER)
 
 
 def _beside_a_turning_one() -> Background:

@@ -38,6 +38,22 @@ def test_a_cut_keeps_the_noise_of_the_recording(name: str) -> None:
         found.cut(len(whole) + 1, np.random.default_rng(1))
 
 
+def test_noise_on_a_lattice_gets_no_coarser_count_of_its_order() -> None:
+    """The gyros of the ring-laser IMU read multiples of one value. Rounding them to counts of that order gives errors that depend on the
+    signal and that a mean keeps; noise of the other sensors dithers such counts."""
+    pieces = [
+        np.fromfile(real.DATA / "ln100" / f"x_LN100_{way}.ins", "<f8").reshape(-1, 7)[:, 1:4] for way in ("up", "down")
+    ]
+    turns = [np.abs(np.exp(2j * np.pi * piece / real.LSB_RING_LASER).mean(axis=0)) for piece in pieces]
+    assert np.min(turns) > 0.99
+    kind = generator.KINDS["gyro_quantization"]
+    for name, possible in (("ring_laser", False), ("beside_a_turning_one", True)):
+        sensor = real.sensor_called(name)
+        work = generator.Work(generator.signatures("poor", name), real.true_factors(name), ideal(sensor))
+        made = [generator._of_strength(kind, np.ones(1), (), float(energy), work) for energy in (10, 30, 90)]
+        assert [fault is not None for fault in made] == [possible] * 3
+
+
 @pytest.mark.slow
 def test_every_plan_is_no_longer_than_its_recording() -> None:
     for plan, name in real.SETUPS:
