@@ -33,7 +33,7 @@ class Background:
     """Noise of a sensor at rest, shape (n, 3 or 6) in °/s and m/s², scaled to one level a triad; the count of each channel.
 
     lattice: °/s, spacing of the values that the gyros' noise takes, where it is wider than their count. Such noise does not dither counts
-    of that order: each of its values is rounded wrongly by an error of its own, which no averaging removes.
+    of a similar size: the rounding errors of its few values do not average out.
     """
 
     sampling: float

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.rounding import dithering, undithered
+from planrunner.gap.evidence.rounding import PLACES, _reading, dithering, undithered
 from planrunner.plan.schedule import Rest
 from tests.gap.turntable import RATE, Array, record
 
@@ -91,3 +91,8 @@ def test_gaussian_noise_is_no_mixture() -> None:
     white = np.full(6, np.sqrt(0.6**2 + 1 / 12) * STEP)
     found = undithered(observed, white, np.zeros(6, dtype=bool))
     assert found == pytest.approx(np.full(6, float(dithering(0.6)) / 12 * STEP**2), rel=1e-9)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 4.0])
+def test_large_noise_gives_mean_readings_at_the_true_means(sigma: float) -> None:
+    assert _reading(sigma) == pytest.approx(PLACES, abs=1e-3)

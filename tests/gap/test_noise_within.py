@@ -14,6 +14,15 @@ from tests.gap.test_noise_as_it_is import noisy
 from tests.gap.turntable import Array
 
 
+def squares_of_harmonics(weighing: Weighing, about: float, within: float) -> Array:
+    """Squares of the harmonics up to `within` Hz from `about`, relative to the variances that the noise gives them."""
+    variance = np.column_stack(
+        [own.variances for own in weighing.noise.of_coefficients(weighing.observed, weighing.spectrum)]
+    )
+    at = (weighing.spectrum.harmonic > 0) & (np.abs(weighing.spectrum.frequency - about) < within)
+    return np.asarray((weighing.spectrum.values[at] / weighing.white) ** 2 / variance[at]).ravel()
+
+
 def test_a_spectrum_counts_where_it_describes_the_noise() -> None:
     def noise(observed: Observed, draw: np.random.Generator) -> Array:
         """White, but for some slow noise in gyro x, and in gyro y at rest."""
@@ -63,11 +72,7 @@ def test_a_resonance_that_is_narrower_than_a_band_counts() -> None:
     ratios = []
     for seed in range(4):
         weighing = Weighing(noisy(noise, seed=seed + 1))
-        variance = np.column_stack(
-            [own.variances for own in weighing.noise.of_coefficients(weighing.observed, weighing.spectrum)]
-        )
-        at = (weighing.spectrum.harmonic > 0) & (np.abs(weighing.spectrum.frequency - 0.25) < 0.005)
-        ratios.append(((weighing.spectrum.values[at] / weighing.white) ** 2 / variance[at]).ravel())
+        ratios.append(squares_of_harmonics(weighing, 0.25, 0.005))
     found = np.concatenate(ratios)
     assert found.size >= 96
     assert 0.6 < found.mean() < 1.4
@@ -92,13 +97,9 @@ def test_slow_vibration_that_differs_between_segments_counts_where_it_acts() -> 
     ratios = []
     for seed in range(3):
         weighing = Weighing(noisy(noise, seed=seed + 1))
-        variance = np.column_stack(
-            [own.variances for own in weighing.noise.of_coefficients(weighing.observed, weighing.spectrum)]
-        )
-        at = (weighing.spectrum.harmonic > 0) & (np.abs(weighing.spectrum.frequency - 2.0) < 1.0)
-        ratios.append((weighing.spectrum.values[at] / weighing.white) ** 2 / variance[at])
+        ratios.append(squares_of_harmonics(weighing, 2.0, 1.0))
     assert all(ratio.size for ratio in ratios)
-    found = np.concatenate([ratio.ravel() for ratio in ratios])
+    found = np.concatenate(ratios)
     assert 0.7 < found.mean() < 1.35
 
 

@@ -260,12 +260,13 @@ def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Ar
                 energy += weight @ energies[index][near]
                 size += float(weight @ counts[index][near])
                 squared += float(weight**2 @ counts[index][near])
-            least = noise.coloured[kind] * noise.of_kind(kind, about)
+            usual = noise.of_kind(kind, about)
+            least = noise.coloured[kind] * usual
             if size > 0 and squared > 0 and size**2 / squared >= _NARROW:
                 degrees, ratio = size**2 / squared, np.maximum(energy / size, _SMALLEST)
                 among = np.where(noise.coloured.any(0), degrees, noise.weight.sum())
                 peak = (ratio > 1) & (degrees * (ratio - 1 - np.log(ratio)) > np.log(among))
-                least = np.where(peak, ratio * noise.of_kind(kind, about), least)
+                least = np.where(peak, ratio * usual, least)
             found[rows] = np.maximum(found[rows], least)
     return found
 

@@ -43,7 +43,13 @@ def dithering(sigma: Array | float) -> Array:
     function of the noise at 2πk (Widrow and Kollár, Quantization Noise, 2008, section 19.3). Without noise, the variance is 1/12 of
     a squared count.
     """
-    return np.asarray(_characteristic(sigma) ** 2 @ (6 / (np.pi * HARMONICS) ** 2))
+    return _left_over(_characteristic(sigma))
+
+
+def _left_over(characteristic: Array) -> Array:
+    """Returns the variance of the rounding error, divided by its value without noise, from the characteristic function of the noise
+    at 2πk. `characteristic`: array whose last axis is k in `HARMONICS`."""
+    return np.asarray(characteristic**2 @ (6 / (np.pi * HARMONICS) ** 2))
 
 
 def _characteristic(sigma: Array | float) -> Array:
@@ -55,8 +61,9 @@ def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> A
     """Returns the variance of the rounding error in the mean of many samples, SI², shape (K,). `white`: array of shape (K,) in SI
     units, standard deviation of a rounded sample. `coarse`: array of shape (K,), True if the noise of a channel is too small to
     dither the rounding. For coarse channels, the variance is averaged over all noise levels, weighted by their agreement with the
-    declared noise and with the number of samples at each count in segments at rest. If samples were averaged over bins, these
-    numbers are unknown and are not used."""
+    declared noise and with the number of samples at each count in segments at rest. If these numbers show a mixture of smaller and
+    larger noise, the variance is that of the mixture: noise with many small values dithers less than Gaussian noise of the same
+    standard deviation. If samples were averaged over bins, these numbers are unknown and are not used."""
     found = np.zeros(len(observed.channels))
     for index, channel in enumerate(observed.channels):
         count = channel.resolution
@@ -111,7 +118,7 @@ def _of_counts(observed: Observed, index: int) -> Array:
     """Log likelihood (S,) of the noise levels `NOISES`, from the numbers of samples at each count in segments at rest. For each
     noise level, the true mean of a segment is the one that gives the mean reading of the segment."""
     segments = _counted(observed, index)
-    return np.array([_log_likelihood(segments, np.array([sigma]), np.ones(1), _reading(sigma)) for sigma in NOISES])
+    return np.array([_log_likelihood(segments, float(sigma), _reading(sigma)) for sigma in NOISES])
 
 
 def _of_mixture(observed: Observed, index: int) -> float | None:
@@ -124,11 +131,8 @@ def _of_mixture(observed: Observed, index: int) -> float | None:
     readings = np.array([_reading(sigma) for sigma in SPREADS])
     times = np.concatenate([one.times for one in segments])
     low, high = np.triu_indices(len(SPREADS), 1)
-    reading, single = readings[0], -np.inf
-    for k, sigma in enumerate(SPREADS):
-        value = _log_likelihood(segments, np.array([sigma]), np.ones(1), readings[k])
-        if value > single:
-            reading, single = readings[k], value
+    alone = [_log_likelihood(segments, float(sigma), own) for sigma, own in zip(SPREADS, readings, strict=True)]
+    reading = readings[int(np.argmax(alone))]
     for _ in range(_ROUNDS):
         away = np.concatenate([one.levels - np.interp(one.mean, reading, PLACES) for one in segments])
         chances = STRAY + (1 - STRAY) * _chances(away, SPREADS[:, None])
@@ -139,27 +143,28 @@ def _of_mixture(observed: Observed, index: int) -> float | None:
         log = np.log(share[:, None] * chances[low] + (1 - share[:, None]) * chances[high]) @ times
         best = int(np.argmax(log))
         reading = share[best] * readings[low[best]] + (1 - share[best]) * readings[high[best]]
-    if log[best] - single <= np.log(times.sum()):
+    if log[best] - max(alone) <= np.log(times.sum()):
         return None
     factors = _characteristic(SPREADS)
-    mixed = (share[:, None] * factors[low] + (1 - share[:, None]) * factors[high]) ** 2
+    mixed = share[:, None] * factors[low] + (1 - share[:, None]) * factors[high]
     likely = np.exp(log - log[best])
-    return float(likely @ (mixed @ (6 / (np.pi * HARMONICS) ** 2)) / likely.sum())
+    return float(likely @ _left_over(mixed) / likely.sum())
 
 
-def _log_likelihood(segments: list[_Counted], sigma: Array, share: Array, reading: Array) -> float:
-    """Log likelihood of the counts if the noise is a mixture of Gaussian noises `sigma` (S,) with the shares `share` (S,). `reading`:
-    array of shape (P,), mean reading for each of the true means `PLACES`."""
+def _log_likelihood(segments: list[_Counted], sigma: float, reading: Array) -> float:
+    """Returns the log likelihood of the counts for Gaussian noise of `sigma` counts. `reading`: array of shape (P,), mean reading
+    for each of the true means `PLACES`."""
     found = 0.0
     for one in segments:
         true = np.interp(one.mean, reading, PLACES)
-        found += float(np.log(STRAY + (1 - STRAY) * (share @ _chances(one.levels - true, sigma[:, None]))) @ one.times)
+        found += float(np.log(STRAY + (1 - STRAY) * _chances(one.levels - true, sigma)) @ one.times)
     return found
 
 
 def _reading(sigma: float) -> Array:
     """Returns the mean readings (P,) for the true means `PLACES` and noise of the standard deviation `sigma`, all in counts."""
-    levels = np.arange(-4, 5) - PLACES[:, None]
+    most = int(np.ceil(4 + 4 * sigma))
+    levels = np.arange(-most, most + 1) - PLACES[:, None]
     return np.asarray(PLACES + (_chances(levels, sigma) * levels).sum(axis=1))
 
 
