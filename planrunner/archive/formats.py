@@ -25,10 +25,10 @@ class IntegrityError(Exception):
 
 RUN_FORMAT = 1
 SEAL_FORMAT = 2
-"""Format 2 contains its own digest. Format 1 did not; it can still be read."""
+"""Format of a seal. A seal in format 2 contains its own digest. A seal in format 1 contains none; planrunner still reads it."""
 DIGESTS_FORMAT = 3
-"""Format 2 contains the previous analysis, the seal and the head of the journal; format 3 also its own digest. Earlier formats can still
-be read."""
+"""Format of the digests of an analysis. Format 2 added the previous analysis, the seal and the head of the journal; format 3 added
+the file's own digest. planrunner still reads the earlier formats."""
 HEAD_FORMAT = 1
 MOST_LEVELS = 64
 """Maximum nesting depth of a JSON file or line."""

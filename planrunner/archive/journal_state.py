@@ -15,7 +15,7 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 
 MOST_TURNS = 1000
-"""Number of places where the time goes back that are kept."""
+"""Maximum number of stored places at which the time goes back."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ NAME = ".live"
 ANSWER = ".answer"
 FORMAT = 1
 MOST_BYTES = 2**20
-"""Maximum size in bytes of either file."""
+"""Maximum size in bytes of each of the two files."""
 LONGEST_NAME = 100
 """Maximum length of the name of the person who answers."""
 LONGEST_TEXT = 1000

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 Hashes = Sequence[bytes]
 EMPTY = hashlib.sha256(b"").digest()
-"""MTH of a tree without leaves."""
+"""Root hash of a tree without leaves."""
 
 
 class ProofError(ValueError):

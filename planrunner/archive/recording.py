@@ -17,7 +17,7 @@ from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Segment
 
 IN_MODE = "sensor.in_mode_s"
-"""Name of the reading for the time [s] that the sensor has been in its mode when a record begins."""
+"""Name of the reading that states how long [s] the sensor has been in its mode when a record begins."""
 _SHOWN = 64  # number of samples of an expected segment
 BATCHES = 32
 """Maximum number of batch means for the standard error of a segment's mean."""
@@ -198,7 +198,7 @@ class Watcher(Protocol):
 
 
 WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]
-"""Makes the watcher of a segment with some channels (name → unit) and a number of rows."""
+"""Function that makes the watcher of a segment. Its arguments are the channels (name → unit) and the number of rows."""
 
 
 def in_time_order(recording: Sequence[RecordedSegment]) -> tuple[RecordedSegment, ...]:

@@ -59,11 +59,11 @@ _LOCAL = {LOCK, pausing.NAME, live.NAME, live.ANSWER, ORIGIN}
 _BLOCK = 2**20
 _MOST_OF_URL = 2**12
 _PATIENCE = 60.0
-"""Longest time [s] to wait for another command that uses the copies of the same archive."""
+"""Longest time [s] to wait while another command uses the copies of the same archive."""
 _HELD: set[Path] = set()
-"""The folders that the present command has locked."""
+"""Folders that the running command has locked."""
 _TAKES_ANY_SERVER = re.compile(r"(^|::)(sftp|ssh)://", re.IGNORECASE)
-"""fsspec connects to an SSH server with any host key, and asks nobody."""
+"""Matches the addresses of SSH servers. fsspec accepts any host key of such a server without asking the user."""
 _Place = tuple[str, ...]
 
 

@@ -16,7 +16,8 @@ from datetime import date, datetime
 from planrunner.base.documents import Json
 
 Check = Callable[[Json], str | None]
-"""The fault of a value, beginning with its place (empty for the value itself); None if the value is valid."""
+"""Function that returns the fault of a value, preceded by the place of the fault within the value (empty for the value itself). It
+returns None if the value is valid."""
 
 ABOUT = {"$schema", "$id", "$defs", "title", "description"}
 FIRST_YEAR, LAST_YEAR = 1971, 9000  # range that every time zone and every system can represent

@@ -33,14 +33,15 @@ if TYPE_CHECKING:
 FOLDER = "segments"
 FORMAT = 1
 SUMMARY_FORMAT = 2
-"""Of a segment's summary, which an older version would take for samples."""
+"""Format of a segment's summary. It differs from `FORMAT`, so that an older version of planrunner does not read a summary as
+samples."""
 PART_BYTES = 32 * 2**20
-"""A part ends before it holds more than this many bytes of samples …"""
+"""Maximum size of the samples of one part, in bytes."""
 PART_SECONDS = 600.0
-"""… or spans more than this time, so that a crash costs no more."""
+"""Maximum duration of one part, s. A crash loses at most the samples of this time."""
 GROUP_ROWS = 65_536
 MOST_BYTES = 2 * PART_BYTES
-"""Maximum size in bytes of a file of samples: incompressible data plus the tables of the file."""
+"""Maximum size in bytes of a file of samples. It allows for samples that cannot be compressed, and for the tables of the file."""
 MOST_COLUMNS = 1000
 """Maximum number of columns of a file of samples."""
 

@@ -98,14 +98,14 @@ def course_of(motion: Motion, time: Array, samples: Array, interval: float) -> M
 
 CHUNK = 65_536
 SHORT = 128
-"""Short means in a batch, at most: 16 in a turn for up to 256 turns."""
+"""Maximum number of short means in a batch. It is sufficient for 16 short means in each of 256 turns."""
 _ROUNDING = 1e-9
-"""Of the scatter of the batch means: what a course leaves of noise-free samples."""
+"""Fraction of the scatter of the batch means. A smaller remainder after the fit of a course is rounding of the computation."""
 UNSHARED = 8_192
 """BLAS uses threads for inner products of more than 10 000 numbers."""
 AT_REST = Rest()
 LARGEST = 1e100
-"""A larger sample is not a measurement: its square could overflow to infinity."""
+"""Largest accepted sample. A larger one cannot be a measurement, and its square could overflow."""
 
 
 def statistics_of(

@@ -38,7 +38,7 @@ RUN, PLAN, BENCH, APPROVALS = "run.json", "plan.yaml", "bench.yaml", "approvals.
 MOST_GIVEN = 2**20
 """Maximum size in bytes of run.json, the plan and the bench."""
 MOST_OF_APPROVALS = 2**26
-"""Maximum size in bytes of approvals.json, which contains the meaning of the plan segment by segment."""
+"""Maximum size in bytes of approvals.json, which contains the meaning of every segment of the plan."""
 FILES = {
     RUN,
     PLAN,
@@ -57,9 +57,10 @@ SIGNATURES = "signatures"
 """Folder of the electronic signatures; `planrunner.signing.run_signatures` verifies its contents."""
 FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # files that they create in every folder that is opened
 SIGNS = (JOURNAL, RUN, seals.NAME)
-"""A folder that contains one of these files is a run folder."""
+"""Files that identify a run folder: a folder that contains one of them is a run folder."""
 MENDED = ("run-seal-missing", "run-journal-torn")
-"""Codes of errors that reopening a run repairs: planrunner ended before the seal was written, or during the first event after it."""
+"""Codes of errors that are repaired when the run is opened again. They occur if planrunner ended before it wrote the seal, or while
+it wrote the first event after the seal."""
 
 MOST_SHOWN = 20
 """Maximum number of errors in one message."""
@@ -67,13 +68,14 @@ MOST_SHOWN = 20
 RecordedEntries = dict[str, Entry]
 
 SampleCheck = Literal["sizes", "digests", "contents"]
-"""How files of samples are checked: that they exist with the right size; also their digests; also their rows and columns."""
+"""Depth of the check of sample files: that each file exists and has the right size; in addition, its digest; in addition, its rows
+and columns."""
 
 CLOCKS_DIFFER = timedelta(hours=1)
-"""Largest expected difference between the clock of the computer that reads a run and of the one that wrote it."""
+"""Largest expected difference between the clocks of two computers: the one that reads a run and the one that wrote it."""
 
 Change = Literal["altered", "removed", "added", "reordered", "re-sealed", "cut", "back-dated", "replaced"]
-"""What was done to a run folder, or to the runs of an archive, after it was written."""
+"""Kind of a later change to a run folder, or to the runs of an archive."""
 CHANGES: Mapping[str, Change] = MappingProxyType(
     {
         "run-changed": "altered",

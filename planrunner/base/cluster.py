@@ -44,13 +44,14 @@ WORKERS_WITHIN = 30.0
 """Seconds within which a cluster must have a worker."""
 
 _AHEAD = 4
-"""Tasks on the cluster for each thread of a worker."""
+"""Number of tasks for each thread of a worker that are on the cluster at the same time."""
 _LEAST_AHEAD = 16
 _TASK_LASTS = 1.0
-"""Seconds that a task of several items should take: handing over a task takes the command and the scheduler some 10 ms of processor
-time, which the workers of the same machine lack."""
+"""Intended duration of a task of several items, s. The transfer of a task takes about 10 ms of processor time of the command and
+the scheduler. Workers on the same machine lose this time."""
 _SHARES_LEFT = 2
-"""Tasks for each thread of a worker into which the items that are left are divided at least, so that no worker waits long for the last."""
+"""Minimum number of tasks, for each thread of a worker, into which the remaining items are divided. Small tasks at the end keep the
+other workers from waiting long for the last one."""
 _MOST_OF_A_TASK = 512
 _ONE_AT_A_TIME = Lock()
 _COMPARED = ("numpy", "scipy", "numba", "pyarrow")

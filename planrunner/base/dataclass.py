@@ -20,7 +20,7 @@ from types import CodeType, FunctionType, MemberDescriptorType
 from typing import TYPE_CHECKING, Any
 
 WRITTEN = ("__init__", "__eq__", "__hash__", "__setattr__", "__delattr__")
-"""A class that defines one of these methods is left to the standard library, which adapts the other methods to it."""
+"""Methods that a class may define itself. For such a class, the standard library makes the other methods to match."""
 _SPECIAL = ("ClassVar", "InitVar", "KW_ONLY")
 KNOWN = {"frozen", "slots", "eq", "kw_only"}
 

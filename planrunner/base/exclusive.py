@@ -12,7 +12,7 @@ from pathlib import Path
 from planrunner.base.regular_files import open_flags
 
 COMMAND = contextlib.ExitStack()
-"""Locks that a command holds until it ends; `cli.main` closes it."""
+"""The locks of the running command. `cli.main` releases them when the command ends."""
 
 
 class HeldError(Exception):
@@ -61,7 +61,8 @@ class ExclusiveFile:
 
 ATTEMPTS = 10
 NOTE_AT = 1
-"""The note begins behind the byte that is locked, so that it can be read while the lock is held, on Windows too."""
+"""Position at which the note begins. The locked byte is before it, so the note can be read while the lock is held, on Windows
+too."""
 LONGEST_NOTE = 300
 NO_LINK = open_flags("O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY")
 

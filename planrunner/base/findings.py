@@ -50,7 +50,7 @@ class Mark:
 
 
 COMMAND_LINE = Mark("<command line>")
-"""The place of errors in the arguments of a command."""
+"""Place that is stated for errors in the arguments of a command."""
 
 
 @dataclass(frozen=True, slots=True)

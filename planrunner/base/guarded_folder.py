@@ -27,14 +27,14 @@ from typing import Literal
 from planrunner.base.regular_files import file_kind, open_flags
 
 RELATIVE = os.open in os.supports_dir_fd and os.rename in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
-"""Whether this system opens names relative to an open folder."""
+"""True if this system can open names relative to an open folder."""
 MOST_ENTRIES = 250_000
 """Largest number of entries of one folder that are read."""
 
 _READ = os.O_RDONLY | open_flags("O_CLOEXEC", "O_BINARY")
 _WRITE = os.O_RDWR | open_flags("O_CLOEXEC", "O_BINARY")
 _NEVER = open_flags("O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY")
-"""Links are not followed, and opening never waits, for example for the other end of a pipe."""
+"""Flags for opening a file: links are not followed, and the call never waits, for example for the other end of a pipe."""
 _REPARSE_POINT = 0x400  # FILE_ATTRIBUTE_REPARSE_POINT: links and junctions of Windows
 _LOOKS = 3
 

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
 SignalHandler = Callable[[int, FrameType | None], object] | int | None
-"""What `signal.signal` replaces; None: a handler that Python did not set."""
+"""The handler that `signal.signal` replaces; None if Python did not set this handler."""
 INTERRUPTED = 130
-"""Exit code of a command that any signal ended."""
+"""Exit code of a command that a signal ended."""
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 AGAIN_AFTER = 0.01
-"""Seconds after which an interruption that Python ignored is raised again."""
+"""Time after which an interruption is raised again if Python ignored it, s."""
 
 
 class EndedError(KeyboardInterrupt):

@@ -30,7 +30,7 @@ TERMS = "planrunner.terms"
 EFFECTS = "planrunner.effects"
 SIMULATORS = "planrunner.simulators"
 REQUIRED = {ESTIMATORS: ("summary", "Parameters", "design", "estimate")}
-"""Attributes without which a plug-in of a group cannot be used."""
+"""Attributes that every plug-in of a group must have."""
 
 
 class _Selectable(Protocol):

@@ -29,7 +29,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _PAYS = {"fork": 4, "spawn": 64}
-"""Items of some milliseconds for which one more process is worth starting."""
+"""Number of items, of some milliseconds each, for which one more process saves time."""
 
 
 class ProcessEndedError(Exception):

@@ -8,13 +8,13 @@ from time import monotonic
 from planrunner.base.dataclass import dataclass
 
 EVERY = 0.05
-"""Minimum seconds of real time between two reports of progress."""
+"""Minimum real time between two reports of progress, s."""
 LONG = 2.0
-"""Seconds; work that takes less at its pace is not announced."""
+"""Expected duration [s] below which work is not announced."""
 
 
 now = monotonic
-"""The clock of progress, s."""
+"""Returns the time [s] by which progress is measured."""
 
 
 @dataclass(frozen=True, slots=True)

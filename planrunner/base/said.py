@@ -18,11 +18,12 @@ from string import Formatter
 from planrunner.base.documents import Json, JsonObject
 
 Inserted = str | float | tuple[str, ...]
-"""A name or another `Said`, a number, or several names, which are written one after the other."""
+"""A value in a template: a name, another `Said`, a number, or a list of names."""
 COUNT = "count"
 """The value that selects the plural form."""
 _FORMAT = re.compile(r"\+?(\.\d{1,2})?[dgef%]?")
-"""What a template may state: no widths, which could fill the memory, and no access to the parts of a value."""
+"""The format specifications that a template may contain. A width is not allowed, because it could fill the memory. Access to the
+parts of a value is not allowed either."""
 
 
 class Said(str):

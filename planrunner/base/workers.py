@@ -29,12 +29,12 @@ class Workers:
 
 
 ALONE = Workers(1)
-"""Only this process."""
+"""Uses only this process."""
 
 _FEW, _MOST = 8, 256
-"""Items of each process that are computed before results are handed on: at first, and at most."""
+"""Number of items for each process that are computed before their results are returned: the initial and the maximum number."""
 _SHORT = 0.5
-"""Seconds; after less, the next results may take four times as long to be handed on."""
+"""If the computation takes less than this time [s], the next number of items is four times as large."""
 
 
 def results_of(

@@ -21,7 +21,7 @@ from planrunner.physics.table_motion import cycle_excess
 from planrunner.plan.schedule import Cycle
 
 MarkOf = Callable[[str], Mark]
-"""The mark of one of the motion's keys."""
+"""Function that returns the mark of one of the motion's keys."""
 
 _UPRIGHT = math.cos(math.radians(0.1))
 _DESIGN = "`planrunner design` finds cycles without a residual"

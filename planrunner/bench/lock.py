@@ -34,11 +34,11 @@ PLACES = {
     "darwin": ("/Users/Shared", "/private/tmp"),
     "linux": ("/run/planrunner-locks", "/run/lock", "/tmp"),
 }
-"""Folders for locks by platform: the first one that all users share is used, independent of the environment. On Linux only an
-administrator can create the first one."""
+"""Folders for locks, by platform. The first folder that all users share is used, independent of the environment. On Linux, only an
+administrator can create the first folder of the list."""
 ELSEWHERE = ("/tmp",)
 RESCUE_PATIENCE = 30.0
-"""Seconds that a new run waits for the watchdog of a killed run."""
+"""Time that a new run waits for the watchdog of a killed run, s."""
 
 
 @contextmanager

@@ -102,7 +102,7 @@ LONGEST = 366 * 86400.0
 """Maximum duration of a schedule, s: longer than any test of a sensor, and short enough for dates and time counters."""
 
 MOST_SAMPLES = 10_000_000_000
-"""Maximum number of samples of a schedule: one channel of them takes 80 GB."""
+"""Maximum number of samples of a schedule. With this number, each channel takes 80 GB."""
 
 
 def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:

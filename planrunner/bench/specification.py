@@ -42,7 +42,7 @@ SENSES: Mapping[str, Sense] = MappingProxyType(
         "accel_misalignment": Sense.FORCE,
     }
 )
-"""Terms of the nominal model that have limits."""
+"""Terms of the nominal model for which a specification has limits."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ GRADES = (
     _grade("industrial", 0.05, 15.0, "±0.5 deg/s", "±1 %", "±0.5 deg", "±30 mg", "±1 %", "±0.5 deg"),
     _grade("consumer", 0.15, 60.0, "±20 deg/s", "±3 %", "±1.15 deg", "±80 mg", "±3 %", "±1.15 deg"),
 )
-"""From the best to the loosest."""
+"""The grades, from the tightest to the loosest limits."""
 GRADE_NAMES = tuple(grade.name for grade in GRADES)
 
 

@@ -20,11 +20,13 @@ from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import TURN, Angles, TableAxis, quickest_ends, quickest_move
 
 STOPS_LATE = 0.1
-"""s; a motion ends at most this much earlier or later than planned: as long as the executor may wait between two looks at the table."""
+"""Largest difference between the actual and the planned end of a motion, s. It is the time that the executor may wait between two
+queries of the table."""
 RATE_ERROR = 1e-3
-"""A rate differs from the planned one by at most this fraction."""
+"""Largest relative difference between an actual and a planned rate."""
 MOST = 16
-"""Number of further positions that are followed; more would need several motions in a row, each stopped between two ways."""
+"""Maximum number of additional positions that are followed. More of them occur only if several motions in succession are each
+stopped between two possible paths."""
 _SAME = 1e-6  # rad; joint angles nearer than this are the same
 _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this far apart
 

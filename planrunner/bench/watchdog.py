@@ -26,9 +26,9 @@ from planrunner.instruments.interfaces import InstrumentError
 STARTING = 60.0
 LEAVING = 5.0
 ENDING = 120.0
-"""Time limits for the watchdog, s: to start, to end on request, and to make a bench safe that planrunner could not."""
+"""Time limits for the watchdog, s: to start, to end on request, and to make a bench safe if planrunner could not do so."""
 EVERY = 1.0
-"""Seconds between two heartbeats."""
+"""Time between two heartbeats, s."""
 _GONE = (
     "the watchdog process has ended, or has made the bench safe after a time without a sign of life: check whether the computer hung or "
     "another user ended the process, then resume the run"

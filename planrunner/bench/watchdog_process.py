@@ -37,11 +37,11 @@ from planrunner.plan import source
 
 ATTEMPTS = 3
 BETWEEN = 1.0
-"""Tries with each instrument, and seconds between them."""
+"""Number of attempts with each instrument, and the time between two attempts, s."""
 PATIENCE = 30.0
-"""Seconds after which the watchdog gives up on an instrument that hangs and continues with the next."""
+"""Time [s] after which the watchdog stops waiting for an instrument that does not respond, and continues with the next one."""
 ENDED_WITHIN = 5.0
-"""Maximum time [s] for the system to end planrunner."""
+"""Maximum time [s] within which the operating system ends planrunner."""
 
 
 @dataclass(slots=True)

@@ -161,8 +161,9 @@ def _imported(name: str) -> ModuleType:
 
 
 _ONE_THREAD = ("check", "show", "runs", "history", "compare", "gauge", "estimate", "verify")
-"""Commands whose matrices are so small that the threads of OpenBLAS only take time to start, and commands that compute with one thread, so
-that digits do not depend on their number. Without threads, processes that share work can be forks."""
+"""Commands that run without the threads of OpenBLAS. Some have matrices so small that the start of threads costs more time than it
+saves. Others compute with one thread, so that the digits of results do not depend on the number of threads. A process without
+threads can also fork processes that share its work."""
 
 
 def _start_no_threads(command: str) -> None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from planrunner.design.study import Study
 
 PATIENCE = 2.0
-"""Seconds before progress is shown."""
+"""Time before progress is shown, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from planrunner.estimators.results import DataOrigin
 
 _ONE_RUN = ("bench", "recording", "segments", "also", "next", "write_plan", "write_bench", "simulation", "compare")
-"""Options that are for one run only."""
+"""Options that are allowed for a single run only."""
 
 
 def run_fleet(args: argparse.Namespace, runs: list[Path], nominal: tuple[str, ...] | None) -> int:

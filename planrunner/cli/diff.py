@@ -11,7 +11,7 @@ from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_json, write_file
 
 DIFFERENT = 1
-"""Exit code if there is a difference, as of diff(1)."""
+"""Exit code if there is a difference, as in diff(1)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

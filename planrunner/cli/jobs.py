@@ -11,7 +11,7 @@ from planrunner.base.workers import Workers
 from planrunner.cli.arguments import whole_number
 
 HERE = "processes"
-"""Value of `--scheduler` for the processes of this machine."""
+"""Value of `--scheduler` that selects processes on this machine."""
 
 
 def scheduler(text: str) -> str:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from planrunner.execution.progress import Advanced, ProgressCallback, ProgressEvent, SegmentBegun, SegmentFinished
 
 LINES_EVERY = 10.0
-"""Seconds between lines of progress if the output is not a terminal."""
+"""Time between lines of progress if the output is not a terminal, s."""
 
 
 @contextmanager

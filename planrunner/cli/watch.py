@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from planrunner.live.monitor import Activity, Monitor, RunningRun
 
 EVERY = 1.0
-"""Seconds between two looks."""
+"""Time between two readings of the state, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 
 SINGULAR = 1e-9
-"""Singular values of the rows below this times the largest count as zero."""
+"""Ratio of a singular value of the rows to the largest one, below which the singular value counts as zero."""
 
 
 @dataclass(frozen=True, slots=True)

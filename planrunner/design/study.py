@@ -22,7 +22,7 @@ from planrunner.physics.kinematics import TableAxis
 from planrunner.plan.schedule import Schedule, Segment
 
 SearchProgress = Callable[[str, float], None]
-"""Called with the stage of a search and the part of it that is done."""
+"""Function that is called with the stage of a search and the completed fraction of this stage."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,21 +46,23 @@ NOISE: dict[OutsideKind, tuple[str, str]] = {
     "resolution": ("count", ""),
     "random walk": ("density", "/sqrt(s)"),
 }
-"""Noise effects: their parameter, and its unit after that of the triad. White noise and counts replace those of the sensor."""
+"""For each effect on the noise: the name of its parameter, and the text that is appended to the unit of the triad to give the
+parameter's unit. White noise and counts replace the sensor's own values."""
 OF_TRIAD: dict[str, str] = {"gyro": "deg/s", "accel": "m/s^2"}
-"""Unit of a triad, in which its noise is stated."""
+"""Unit in which the noise of each triad is stated."""
 BY_AXIS: dict[OutsideKind, str] = {"white": "white", "resolution": "count"}
-"""Noise effects whose parameter may also be stated for single axes, as a diagnosis finds it: `white_x`, `count_z`. Axes that are not named
-keep the noise of the sensor."""
+"""Noise effects whose parameter may also be stated for single axes, as a diagnosis reports it, for example `white_x` or `count_z`.
+The other axes keep the noise of the sensor."""
 SIGMA = "sigma"
-"""Parameter of a Gauss–Markov bias: its standard deviation. The other one is its correlation time `tau`."""
+"""Parameter of a Gauss–Markov bias: its standard deviation. The second parameter is the correlation time `tau`."""
 LASTING = "lasting"
-"""Parameter of stuck samples: for how long all outputs keep their values. `lasting_gyro_x` states it for one output."""
+"""Parameter of stuck samples: the time for which all outputs keep their values. `lasting_gyro_x` states this time for one
+output."""
 SHARE = "share"
-"""Parameter of an effect that is fully determined by its shape: the share of it that acts, 1 if it is not stated."""
+"""Parameter of an effect that its shape determines completely: the fraction of the effect that acts. The default is 1."""
 _OF_ORIENTATION = re.compile(r"orientation_[1-9][0-9]{0,3}_[xyz]")
 SIZE = "size"
-"""Parameter of an effect that is drawn for every orientation: its standard deviation."""
+"""Parameter of an effect with a random value for every orientation: the standard deviation of these values."""
 _UNUSUAL = 3.0  # multiple of the declared noise, by default
 _WALK = 1e-4  # deg/s/√s or m/s²/√s, by default
 _SIGMA = 1e-3  # deg/s or m/s², by default

@@ -23,7 +23,7 @@ from planrunner.plan.schedule import Motion, RecordedMotion, Rock, Segment, Spin
 from planrunner.plan.units import unit
 
 KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
-"""Kinds of channel by the dimension of their unit."""
+"""Kinds of channels, by the dimension of their unit."""
 
 
 @dataclass(frozen=True, slots=True)

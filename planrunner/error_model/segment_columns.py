@@ -46,7 +46,7 @@ KINDS = {"gyro": "rad/s", "accel": "m/s^2"}
 TRIADS = tuple(
     Channel(f"{kind}_{'xyz'[axis]}", kind, axis, text, 1.0, 0.0) for kind, text in KINDS.items() for axis in range(3)
 )
-"""Two ideal triads, on which effects give the columns of an estimate."""
+"""Two ideal triads. The columns of an estimate are the outputs that the effects cause in these triads."""
 _DIRECTIONS = 8  # of a turn
 _ALONG = 3  # nodes of a ramp
 _ALONG_SHAPED = 12  # nodes along a segment during which something decays

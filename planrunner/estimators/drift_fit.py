@@ -44,15 +44,15 @@ from planrunner.observation.drift import DriftCourse, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
 
 LEAST_LEFT = 2
-"""Degrees of freedom of all outputs together."""
+"""Smallest number of degrees of freedom of all outputs together."""
 SUSPECTED = 2 * SIGNIFICANCE
-"""Probability by chance below which a course that is not adopted is suspected. Together with the other tests of a fit, one warning is then
-given by chance in less than one of twenty fits of two outputs."""
+"""p-value below which a drift is suspected although it is not adopted. With this limit, all tests of a fit together give a false
+warning in less than one of twenty fits of two outputs."""
 FEW = 4
-"""Degrees of freedom of an output. With fewer, a drift that changes coefficients can remain unnoticed."""
+"""Number of degrees of freedom of an output below which a drift that changes coefficients can remain unnoticed."""
 DOUBTED = 0.2
-"""Probability by chance, of a course or of the residuals, below which, with `FEW` degrees of freedom, the change that a course would
-cause is part of the uncertainty although the course is not adopted."""
+"""p-value of a drift or of the residuals. Below it, the change that the drift would cause is included in the uncertainty, although
+the drift is not adopted. This applies to fits with fewer than `FEW` degrees of freedom."""
 _SEPARABLE = 1e-3  # of a course, the part that the terms of the model cannot imitate
 _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of computing
 

@@ -25,8 +25,8 @@ from planrunner.observation.drift import BY_EVIDENCE, ORDERS, WITH_TEMPERATURE, 
 from planrunner.plan.schedule import Segment
 
 COUPLED = 2.0
-"""Growth of a standard uncertainty from which an order is remarked upon: a repetition of all segments would gain less than the drift
-costs."""
+"""Growth factor of a standard uncertainty above which planrunner comments on the order of the segments. Above it, the drift
+increases the uncertainty more than a repetition of all segments would reduce it."""
 _REORDERED = 12  # segments at most, for which another order is proposed
 _ROUNDS = 20  # of exchanges of two segments
 _INSEPARABLE = 1e-3  # of a course, the part that the terms cannot imitate

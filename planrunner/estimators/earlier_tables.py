@@ -13,7 +13,7 @@ from planrunner.base.documents import Json
 from planrunner.estimators.tables import Cell, Role, Table, TableColumn
 
 TERMINAL_TABLES = "terminal_tables"
-"""The setting of an estimate that lists, by their titles, the tables for the terminal."""
+"""Setting of an estimate that lists the titles of the tables for the terminal."""
 _UNCERTAIN = re.compile(r"(?:^|\s)u(?:\s|\(|$)")
 _EXPANDED = re.compile(r"(?:^|\s)U(?:\s|\(|$)|^±")
 _FREEDOM = re.compile(r"\b(?:dof|d\.o\.f\.?)\b|degrees of freedom", re.IGNORECASE)

@@ -26,7 +26,8 @@ from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 
 Responses = Mapping[str, tuple[ErrorModel, Array]]
-"""By output: an error model and the coefficients (p,) that the sensor declares, in the output's unit per SI column."""
+"""For each output: an error model, and the coefficients (p,) that the sensor declares. Coefficients are in the unit of the output
+divided by the SI unit of their column."""
 
 _ALONG_UP = np.eye(3)
 

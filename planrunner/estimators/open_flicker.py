@@ -16,7 +16,7 @@ from planrunner.estimators.unstated_flicker import CREDIBLE
 from planrunner.uncertainty.decision import coverage_factor
 
 SUFFICIENT = 0.90
-"""Coverage to which flicker at its bound may reduce a 95 % interval without a remark."""
+"""Lowest acceptable coverage of a 95 % interval. A comment is made if flicker at its bound could reduce the coverage further."""
 
 
 @dataclass(frozen=True, slots=True)

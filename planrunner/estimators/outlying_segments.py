@@ -25,7 +25,8 @@ from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.observation.observations import SIGNIFICANCE
 
 LEAST_REDUNDANCY = 0.1
-"""Below this redundancy an error is visible only if it is more than three times (1/√0.1) as large as elsewhere."""
+"""Smallest redundancy at which an error is easily visible. Below it, an error is visible only if it is more than three times
+(1/√0.1) as large as in other segments."""
 _MOST = 5  # named of one output: more are no outliers but another model
 _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are those of computing
 

@@ -27,12 +27,12 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 __all__ = ["FORMAT", "NAME", "DataOrigin", "Results", "comparable", "segment_statistics"]
 
 NAME = "results.json"
-"""File of an analysis that has its results."""
+"""Name of the file that contains the results of an analysis."""
 FORMAT = 3
-"""In format 3 descriptions, notes and warnings have template and values beside the text, so that they can be translated; texts of earlier
-formats stay in English. Format 1 has only titles for the columns of a table."""
+"""Format of the results. In format 3, descriptions, notes and warnings consist of the text and of a template with values, so that
+they can be translated. Texts of earlier formats remain in English. In format 1, the columns of a table have only titles."""
 NAMED = 1000
-"""Finds of a segment that are written into the results, at most."""
+"""Maximum number of detected outliers of a segment that are listed in the results."""
 _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 

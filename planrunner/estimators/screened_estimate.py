@@ -19,7 +19,7 @@ from planrunner.observation.screening import rows_of, without_bad
 NAMED = 3  # finds in a sentence
 LISTED = 100  # finds in a table
 SMALL = 0.01
-"""Standard uncertainties: a smaller change of a coefficient is not listed."""
+"""Smallest change of a coefficient that is listed, in standard uncertainties."""
 _SILENT = (FindKind.LOST,)  # the gaps in time have a warning of their own
 
 
@@ -172,4 +172,4 @@ _KINDS = {
     FindKind.LOST: (said("lost"), said("gaps")),
     FindKind.STEP: (said("step"), said("steps")),
 }
-"""One find and several, by kind."""
+"""For each kind of find, its name in the singular and in the plural."""

@@ -21,7 +21,7 @@ from planrunner.base.arrays import Array
 from planrunner.uncertainty.derivatives import length
 
 RowFormula = Callable[[Array], Array]
-"""One quantity (n,) of an output's row of coefficients (p, n)."""
+"""Function that computes a quantity (n,) from the coefficients (p, n) of one output."""
 
 _FLAT = 1e-3  # volume of three unit vectors below which they count as lying in a plane
 

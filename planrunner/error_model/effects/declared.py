@@ -22,7 +22,8 @@ from planrunner.plan.schedule import Spin
 
 DEG = np.pi / 180
 CYCLES = ("xy", "yz", "zx", "xyz", "xzy")
-"""Exchanges of outputs: each letter's output shows the input of the next one, the last shows that of the first."""
+"""Exchanges of outputs. The output of each axis shows the input of the axis with the next letter, and the output of the last axis
+shows the input of the first axis."""
 
 
 def _channels(observed: Observed) -> Iterator[tuple[str, int, int]]:

@@ -16,7 +16,8 @@ from planrunner.error_model.observed import Observed
 from planrunner.plan.units import STANDARD_GRAVITY as G
 
 _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 1e-3 * G, 1.0)}
-"""By kind of triad: the unit of the amplitude, its SI value, and its natural size in this unit."""
+"""For each kind of triad: the unit of the amplitude, the SI value of this unit, and the usual size of the amplitude in this
+unit."""
 _LINE = 60.0  # Hz, of an electric supply, in a simulation that states no frequency
 
 

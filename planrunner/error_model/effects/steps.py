@@ -18,7 +18,8 @@ _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 1e-3 * G, 1.0)}
 
 _ARCSEC = np.pi / 180 / 3600
 _CROSS = ((1, 2, 1.0), (2, 0, 1.0), (0, 1, 1.0), (2, 1, -1.0), (0, 2, -1.0), (1, 0, -1.0))
-"""Of v × e: the axis of e, the axis of the result, and the sign with which the third component of v enters it."""
+"""The terms of the cross product v × e. Each term states the axis of e, the axis of the result, and the sign of the product with
+the component of v along the third axis."""
 
 
 def _about(triad: str) -> About:

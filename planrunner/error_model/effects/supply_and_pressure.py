@@ -50,9 +50,10 @@ _QUANTITIES = {
     ),
 }
 _VARIED = {Follows.SUPPLY: 0.1, Follows.PRESSURE: 1000.0}
-"""V and Pa between segments: what a regulated supply does not do by itself, and what the weather hardly does during a test."""
+"""Smallest variation between segments of the supply voltage [V] and of the air pressure [Pa] that counts as intended. A regulated
+supply does not vary so much by itself, and the weather rarely causes such a change during a test."""
 _BIAS = {"gyro": ("deg/s", DEG), "accel": ("ug", 1e-6 * G)}
-"""Unit of a bias, with its size in SI."""
+"""Unit of a bias, and its SI value."""
 _NAMES = {"gyro": "gyro", "accel": "accelerometer"}
 
 

@@ -13,7 +13,7 @@ from planrunner.plan.schedule import Rest
 ARCSEC = np.pi / 180 / 3600
 EAST, NORTH, UP = np.eye(3)
 _RIPPLE = 0.1
-"""Largest relative ripple of a rate. A larger variation is another motion, such as a hand that speeds up and slows down within a turn."""
+"""Largest relative ripple of a rate. A larger variation is another kind of motion, for example a turn by hand whose rate varies."""
 
 
 def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:

@@ -13,7 +13,8 @@ from planrunner.error_model.observed import Observed, TemperatureCourse
 from planrunner.plan.units import STANDARD_GRAVITY as G
 
 _SCALES = {"gyro": ("deg/s/K", np.pi / 180, 1e-3), "accel": ("ug/K", 1e-6 * G, 100.0)}
-"""By kind of triad: the unit of the amplitude, its SI value, and its natural size in this unit."""
+"""For each kind of triad: the unit of the amplitude, the SI value of this unit, and the usual size of the amplitude in this
+unit."""
 _NODES = 256  # of a segment during which the temperature changes
 _SETTLED = 3.0  # time constants that fit between two segments at least
 

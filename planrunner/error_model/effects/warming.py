@@ -13,7 +13,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.plan.units import STANDARD_GRAVITY as G
 
 _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2 * np.pi / 180), "accel": ("mg", 1e-3 * G, 1e-3 * G)}
-"""By kind of triad: the unit of the amplitude, its SI value, and the prior scale in SI."""
+"""For each kind of triad: the unit of the amplitude, the SI value of this unit, and the prior scale of the amplitude in SI."""
 
 
 def _time_to_settle(tau: float) -> Mapping[str, str]:

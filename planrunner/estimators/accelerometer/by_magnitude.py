@@ -349,7 +349,7 @@ DESCRIPTIONS = (
         for first, second in ("xy", "xz", "yz")
     ),
 )
-"""Of the parameters, in the order of `NAMES`."""
+"""Descriptions of the parameters, in the order of `NAMES`."""
 
 
 def _detection(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> dict[str, str]:

@@ -24,8 +24,9 @@ from planrunner.estimators.allan.table import Deviation
 
 _DOUBT = 0.01  # probability of a χ² at least this large, below which the model is refused
 _BELIEF = 0.2
-"""The same of a range that was searched for: the first that is just not refused would still be distorted. Not derived: chosen by two
-simulated records of rounding that is carried over, in which N was off by 1 to 2 standard uncertainties at 0.01."""
+"""The limit that replaces `_DOUBT` when a range of averaging times is searched for. The first range that `_DOUBT` does not refuse
+would still be distorted. The value is not derived; it was chosen with two simulated records in which rounding errors are carried
+over to the next sample. In these records, a limit of 0.01 gave errors of N of 1 to 2 standard uncertainties."""
 _NEGATIVE = 4.0  # standard uncertainties by which a square may be negative by chance
 _SPARE = 2  # averaging times more than terms that a range needs
 _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")

@@ -38,7 +38,7 @@ ALLAN, HADAMARD = 2, 3
 """Orders of the differences."""
 _SIGNS = {ALLAN: (1.0, -2.0, 1.0), HADAMARD: (1.0, -3.0, 3.0, -1.0)}
 _FACTORS = {ALLAN: (3.0, FLAT, 1 / 3), HADAMARD: (10 / 3, (8 * math.log(2) - 3 * math.log(3)) / (2 * math.pi), 1 / 6)}
-"""Of Q²/τ², B² and K²·τ."""
+"""Factors of the terms Q²/τ², B² and K²·τ."""
 _EXACT = 48  # lags that are summed one by one; longer stretches are integrated
 _ROUNDS = 12
 _MOST_LENGTHS = 40

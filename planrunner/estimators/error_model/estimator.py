@@ -71,7 +71,7 @@ from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 WITHIN = "within segments"
-"""Label of the contrasts within segments, which join the means of the segments in a fit."""
+"""Label of the contrasts within segments, which are fitted together with the means of the segments."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

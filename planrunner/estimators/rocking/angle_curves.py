@@ -24,7 +24,7 @@ from planrunner.estimators.tables import Plot
 from planrunner.plan.schedule import Rock
 
 POINTS = 200
-"""Largest number of points of a curve; fewer if the run has fewer rocking periods."""
+"""Maximum number of points of a curve. A curve has fewer points if the run has fewer rocking periods."""
 PLACES = ("static 1", "dynamic 1", "dynamic 2", "static 2")
 ARCSEC = math.radians(1 / 3600)
 

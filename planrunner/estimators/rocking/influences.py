@@ -38,10 +38,10 @@ from planrunner.uncertainty.influences import Influence, InputQuantity
 
 T = TypeVar("T")
 Runs = Sequence[Sequence[Sequence[ReducedRun]]]
-"""The runs, state by state, quadruple by quadruple, four runs each."""
+"""The runs: for each state, a list of quadruples, each of which consists of four runs."""
 Request = EstimateRequest[RockingDriftParameters] | DesignRequest[RockingDriftParameters]
 AT_ONCE = 50_000
-"""Samples, of all variants together, that are processed in one step."""
+"""Number of samples of all variants together that are processed in one step."""
 DEG_PER_HOUR = math.degrees(1.0) * 3600
 
 

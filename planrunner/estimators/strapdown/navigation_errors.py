@@ -35,7 +35,7 @@ def _sigma_quantile(probability: float) -> float:
 CEP_SPREAD = (_sigma_quantile(0.8413447) - _sigma_quantile(0.1586553)) / 2
 """Relative standard uncertainty of the CEP rate of one run: half of the central 68 % interval."""
 CEP_INTERVAL = (_sigma_quantile(0.025), _sigma_quantile(0.975))
-"""Ends of the 95 % interval of the CEP rate over one run's value."""
+"""Ends of the 95 % interval of the CEP rate, divided by the value of one run."""
 
 
 def stride(knots: int) -> int:

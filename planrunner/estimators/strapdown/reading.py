@@ -28,7 +28,7 @@ REFERENCES = {
     "reference_velocity_north": "speed",
     "reference_velocity_up": "speed",
 }
-"""Channels with the true position of a moving carrier, and their dimensions."""
+"""Channels that contain the true position of a moving carrier, and their dimensions."""
 _KINDS = (("angular rate", "angle", "deg/s"), ("acceleration", "speed", "m/s^2"))
 _PAUSE = 1.5  # sample intervals between two samples from which one is missing
 _JUMP = 0.5  # sample intervals between two samples below which the clock went wrong

@@ -164,7 +164,7 @@ def from_channels(
 
 
 Intervals = tuple[Array, Array]
-"""Beginnings and ends of q intervals of time, s, (q,) each."""
+"""Start times and end times of q intervals, s, each of shape (q,)."""
 
 
 def _channel(
